@@ -1,0 +1,110 @@
+"""Map files of ROS map_server and Nav2: a pgm (or png) image and a yaml beside it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from datasets.errors import InputError
+from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.se2 import SE2
+
+# Trinary pixels of map_saver. 205 reads back as (255 - 205) / 255 = 0.19608, which is "unknown" only
+# because free_thresh is 0.196: with Nav2's 0.25 it would load as free.
+PIXEL_FREE, PIXEL_UNKNOWN, PIXEL_OCCUPIED = 254, 205, 0
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+
+
+class MapYaml(BaseModel):
+    """Keys of a map yaml; unknown keys are ignored, as map_server does."""
+
+    model_config = ConfigDict(extra="ignore")
+    image: str
+    resolution: float = Field(gt=0.0, allow_inf_nan=False)
+    origin: tuple[float, float, float]
+    negate: int = 0
+    occupied_thresh: float
+    free_thresh: float
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+
+def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
+    """Write `name.pgm` and `name.yaml` (trinary, map_saver's thresholds); returns the yaml's path."""
+    pixels = np.full(grid.shape, PIXEL_UNKNOWN, dtype=np.uint8)
+    # map_saver's own thresholds in percent: 0..25 free, 65..100 occupied, all else unknown.
+    pixels[(grid.cells >= FREE) & (grid.cells <= 25)] = PIXEL_FREE
+    pixels[grid.cells >= 65] = PIXEL_OCCUPIED
+    rows, cols = grid.shape
+    header = f"P5\n# CREATOR: turtlebag {grid.resolution:.3f} m/pix\n{cols} {rows}\n255\n"
+    (folder / f"{name}.pgm").write_bytes(header.encode() + pixels[::-1].tobytes())
+    x, y, yaw = (float(value) for value in grid.T_map_grid.xyt)
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        f"image: {name}.pgm\nmode: trinary\nresolution: {grid.resolution:.6f}\n"
+        f"origin: [{x:.6f}, {y:.6f}, {yaw:.6f}]\nnegate: 0\n"
+        f"occupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n"
+    )
+    return path
+
+
+def load_map(path: Path) -> OccupancyGrid:
+    """Read a map yaml and its image as map_server would; InputError says what is wrong with them."""
+    meta = _read_yaml(path)
+    image_path = Path(meta.image) if Path(meta.image).is_absolute() else path.parent / meta.image
+    if not image_path.is_file():
+        raise InputError(f"{path}: its image {image_path} does not exist")
+    try:
+        with Image.open(image_path) as image:
+            pixels = np.asarray(image.convert("L"), dtype=np.float64)
+    except Exception as error:
+        # Pillow raises many types (SyntaxError among them) for damaged images.
+        raise InputError(f"{image_path}: not a readable image ({type(error).__name__})") from None
+    cells = _interpret(pixels[::-1], meta)
+    try:
+        return OccupancyGrid(cells, meta.resolution, SE2.from_xyt(*meta.origin))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _read_yaml(path: Path) -> MapYaml:
+    if not path.is_file():
+        raise InputError(f"{path}: no such map file (expected a map yaml)")
+    try:
+        raw = yaml.safe_load(path.read_text())
+        if not isinstance(raw, dict):
+            raise InputError(f"{path}: not a map yaml (no keys)")
+        meta = MapYaml(**raw)
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"{path}: not valid YAML") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "map yaml"
+        raise InputError(f"{path}: {key}: {first['msg']}") from None
+    except TypeError:
+        raise InputError(f"{path}: not a map yaml (keys must be text)") from None
+    if not all(math.isfinite(value) for value in meta.origin):
+        raise InputError(f"{path}: origin must be three finite numbers")
+    return meta
+
+
+def _interpret(pixels: NDArray[np.float64], meta: MapYaml) -> NDArray[np.int8]:
+    """Cell values from pixels, row 0 lowest, by map_server's three modes; thresholds are strict."""
+    if meta.negate:
+        pixels = 255.0 - pixels
+    if meta.mode == "raw":
+        return np.where(pixels <= 100, pixels, UNKNOWN).astype(np.int8)
+    p = (255.0 - pixels) / 255.0
+    if meta.mode == "scale" and meta.occupied_thresh > meta.free_thresh:
+        ramp = (p - meta.free_thresh) / (meta.occupied_thresh - meta.free_thresh)
+        between = 1.0 + np.floor(98.0 * np.clip(ramp, 0.0, 1.0))
+    else:
+        between = np.full_like(p, UNKNOWN)
+    cells = np.where(p > meta.occupied_thresh, OCCUPIED, np.where(p < meta.free_thresh, FREE, between))
+    return cells.astype(np.int8)

@@ -1,0 +1,210 @@
+"""The few types that cross package borders. Stamps are integer nanoseconds, all else SI and radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array, wrap
+
+Stamps = NDArray[np.int64]
+
+
+def seconds(stamp_ns: int) -> float:
+    """Nanoseconds as seconds."""
+    return stamp_ns * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """Planar velocity of the base: forward [m/s] and counter-clockwise [rad/s]."""
+
+    v: float = 0.0
+    w: float = 0.0
+
+
+@dataclass(frozen=True)
+class LidarSpec:
+    """Geometry of a planar lidar, as sensor_msgs/LaserScan states it.
+
+    Beam i points at `angle_min + i * angle_increment` in the lidar frame and is taken
+    `i * time_increment` seconds after the scan's stamp (0: all at once). A range is valid when
+    `range_min <= r <= range_max`; +inf is "no return up to range_max", -inf "nearer than
+    range_min", NaN invalid (REP-117).
+    """
+
+    n_beams: int
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    time_increment: float = 0.0
+    scan_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.n_beams < 1:
+            raise ValueError(f"a lidar needs at least one beam, got {self.n_beams}")
+        if not 0.0 <= self.range_min < self.range_max:
+            raise ValueError(f"lidar ranges {self.range_min}..{self.range_max} m are not an interval")
+
+    @cached_property
+    def angles(self) -> Array:
+        """Beam angles in the lidar frame, (n_beams,)."""
+        return self.angle_min + self.angle_increment * np.arange(self.n_beams, dtype=np.float64)
+
+    @cached_property
+    def directions(self) -> Array:
+        """Unit vectors of the beams in the lidar frame, (n_beams, 2)."""
+        return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scan:
+    """One sweep. `stamp_ns` is the instant of the first beam; `ranges` is (n_beams,) float32 [m]."""
+
+    stamp_ns: int
+    ranges: NDArray[np.float32]
+    lidar: LidarSpec
+
+    def valid(self) -> NDArray[np.bool_]:
+        """Which beams measured a surface, (n_beams,)."""
+        return (self.ranges >= self.lidar.range_min) & (self.ranges <= self.lidar.range_max)
+
+    def points_lidar(self) -> Array:
+        """Measured points, (n_valid, 2) in the lidar frame, motion during the sweep not undone."""
+        ok = self.valid()
+        return self.lidar.directions[ok] * self.ranges[ok, None].astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Wheel odometry at one instant; the twist is in the base frame."""
+
+    stamp_ns: int
+    T_odom_base: SE2
+    twist: Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Joints:
+    """Wheel joints (left, right) at one instant: angle [rad] and speed [rad/s]."""
+
+    stamp_ns: int
+    position: tuple[float, float]
+    velocity: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Imu:
+    """One IMU sample in the IMU frame: angular velocity [rad/s] and specific force [m/s^2], (3,) each."""
+
+    stamp_ns: int
+    angular_velocity: Array
+    linear_acceleration: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What the robot itself knows after one control period. Truth never enters here.
+
+    `scan` is the sweep that was completed within the period, if one was: with a turning lidar
+    its stamp lies up to one scan time before `stamp_ns`.
+    """
+
+    stamp_ns: int
+    odometry: Odometry
+    joints: Joints
+    scan: Scan | None = None
+    imu: tuple[Imu, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Stamped poses, in the order of their source (stamps need not be monotone)."""
+
+    stamps_ns: Stamps
+    poses: SE2
+
+    def __post_init__(self) -> None:
+        if self.poses.shape != self.stamps_ns.shape:
+            raise ValueError(f"{self.stamps_ns.shape} stamps for {self.poses.shape} poses")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __str__(self) -> str:
+        return f"{len(self)} poses, {self.length():.2f} m, {self.duration():.1f} s"
+
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(np.linalg.norm(np.diff(self.poses.xy, axis=0), axis=1).sum())
+
+    def duration(self) -> float:
+        """Span of the stamps [s]."""
+        return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
+
+    def at(self, stamps_ns: Stamps) -> SE2:
+        """Interpolated poses at the given stamps; beyond its ends the end poses are held.
+
+        Needs strictly increasing stamps (ValueError otherwise).
+        """
+        if len(self) == 0 or np.any(np.diff(self.stamps_ns) <= 0):
+            raise ValueError("a trajectory must have increasing stamps to be interpolated")
+        stamps_ns = np.asarray(stamps_ns)
+        # Differences of nanosecond integers are exact; seconds since 1970 as floats are not.
+        hi = np.clip(np.searchsorted(self.stamps_ns, stamps_ns, side="right"), 1, max(len(self) - 1, 1))
+        lo = hi - 1
+        hi = np.minimum(hi, len(self) - 1)
+        span = np.maximum(self.stamps_ns[hi] - self.stamps_ns[lo], 1)
+        fraction = np.clip((stamps_ns - self.stamps_ns[lo]) / span, 0.0, 1.0)
+        return self.poses[lo].interpolate(self.poses[hi], fraction)
+
+
+@dataclass(frozen=True, eq=False)
+class ImuLog:
+    """IMU samples of a recording: stamps (n,), gyro and specific force (n, 3) in the IMU frame."""
+
+    stamps_ns: Stamps
+    angular_velocity: Array
+    linear_acceleration: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A whole planar lidar log in memory: all that mapping and localisation may know.
+
+    `ranges` is (n_scans, n_beams) float32, one row per scan in file order, normalised to REP-117
+    whatever the source said for "no return". `T_odom_base` is the odometry pose at each scan's
+    stamp, (n_scans,), or None when the log has none; `odometry` is its full-rate stream where there
+    is one (None for CARMEN logs, whose odometry comes with each scan). `notes` holds one line for
+    everything that was skipped or repaired while reading.
+    """
+
+    source: str
+    stamps_ns: Stamps
+    ranges: NDArray[np.float32]
+    lidar: LidarSpec
+    T_base_lidar: SE2
+    T_odom_base: SE2 | None = None
+    odometry: Trajectory | None = None
+    imu: ImuLog | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def scan(self, index: int) -> Scan:
+        """One sweep of the log."""
+        return Scan(int(self.stamps_ns[index]), self.ranges[index], self.lidar)
+
+    def duration(self) -> float:
+        """Span of the scan stamps [s]."""
+        return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
+
+
+def yaw_difference(a: Array, b: Array) -> Array:
+    """Absolute angle between yaws a and b [rad]."""
+    return np.abs(wrap(a - b))

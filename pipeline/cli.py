@@ -1,0 +1,76 @@
+"""The command line: finds the verb's module, runs it, and turns outcomes into exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from datasets.errors import InputError
+from pipeline.console import set_verbosity
+
+# verb -> (module in pipeline.commands, what `turtlebag --help` says). A module has `EXAMPLE`,
+# `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
+VERBS: dict[str, tuple[str, str]] = {
+    "record": ("record", "drive a simulated robot by a script and record a bag"),
+    "map": ("map", "build a map from a bag or log"),
+    "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
+    "report": ("report", "make a page of stage outputs"),
+    "bag": ("bag", "look at bags: info"),
+    "world": ("world", "list the worlds, or draw one"),
+    "doctor": ("doctor", "check the installation"),
+}
+
+EXIT_OK, EXIT_TASK_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)")
+
+
+def build_parser(verb: str | None) -> argparse.ArgumentParser:
+    """The parser; only `verb`'s own arguments are loaded."""
+    parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name, (module, summary) in VERBS.items():
+        if name != verb:
+            verbs.add_parser(name, help=summary, add_help=False)
+            continue
+        command = importlib.import_module(f"pipeline.commands.{module}")
+        sub = verbs.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            epilog=f"example: {command.EXAMPLE}",
+        )
+        noise = sub.add_mutually_exclusive_group()
+        noise.add_argument("-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0)
+        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity")
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    verb = next((word for word in argv if not word.startswith("-")), None)
+    try:
+        args = build_parser(verb).parse_args(argv)
+        args.command_line = ["turtlebag", *argv]
+        set_verbosity(args.verbosity)
+        return int(args.run(args))
+    except InputError as error:
+        print(f"turtlebag: {error}", file=sys.stderr)
+        return EXIT_INPUT
+    except KeyboardInterrupt:
+        print("turtlebag: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return EXIT_OK

@@ -1,0 +1,47 @@
+"""Arguments that several commands share, and the parsing of their values."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """--out and --force."""
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """--config and --set."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings")
+    parser.add_argument(
+        "--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="one setting"
+    )
+
+
+def seed(text: str) -> int:
+    """A seed: a non-negative integer."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"a seed is 0 or more, not {value}")
+    return value
+
+
+def pose(text: str, option: str) -> SE2:
+    """`X,Y,YAW`, all finite; InputError names the option."""
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        raise InputError(f"{option} {text}: expected X,Y,YAW (metres and radians)") from None
+    if len(values) != 3:
+        raise InputError(f"{option} {text}: expected three numbers X,Y,YAW, got {len(values)}")
+    for name, value in zip(("x", "y", "yaw"), values, strict=True):
+        if not math.isfinite(value):
+            raise InputError(f"{option} {text}: {name} is not a finite number")
+    return SE2.from_xyt(*values)
