@@ -205,6 +205,35 @@ class Recording:
         return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """What a planner or controller may know of a robot.
+
+    `footprint` is a convex polygon, (n, 2) counter-clockwise in the base frame [m]; speeds in m/s and
+    rad/s, accelerations in m/s^2 and rad/s^2 (the same for braking).
+    """
+
+    name: str
+    footprint: Array
+    max_v: float
+    max_w: float
+    max_dv: float
+    max_dw: float
+
+    @cached_property
+    def circumscribed_radius(self) -> float:
+        """Radius about the base origin that holds the whole footprint [m]."""
+        return float(np.linalg.norm(self.footprint, axis=1).max())
+
+    @cached_property
+    def inscribed_radius(self) -> float:
+        """Distance from the base origin to the nearest footprint edge [m]."""
+        a, b = self.footprint, np.roll(self.footprint, -1, axis=0)
+        edge = b - a
+        cross = np.abs(edge[:, 0] * -a[:, 1] + edge[:, 1] * a[:, 0])
+        return float((cross / np.linalg.norm(edge, axis=1)).min())
+
+
 def yaw_difference(a: Array, b: Array) -> Array:
     """Absolute angle between yaws a and b [rad]."""
     return np.abs(wrap(a - b))
