@@ -1,0 +1,92 @@
+"""Maps are byte-compatible with map_saver and read as map_server reads."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from PIL import Image
+
+from datasets.errors import InputError
+from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.maps import load_map, save_map
+from datasets.se2 import SE2
+
+YAML = (
+    "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+    "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+)
+
+
+def write(folder, pixels, text=YAML):
+    Image.fromarray(np.asarray(pixels, dtype=np.uint8)).save(folder / "map.pgm")
+    (folder / "map.yaml").write_text(text)
+    return folder / "map.yaml"
+
+
+def test_saved_pixels_are_top_row_first_with_map_savers_values(tmp_path):
+    cells = np.array([[FREE, OCCUPIED], [UNKNOWN, FREE], [25, 65]], dtype=np.int8)
+    save_map(OccupancyGrid(cells, 0.05), tmp_path)
+    data = (tmp_path / "map.pgm").read_bytes()
+    assert data.startswith(b"P5\n# CREATOR:")
+    assert data.endswith(bytes([254, 0, 205, 254, 254, 0]))
+
+
+def test_pixel_205_stays_unknown_at_0196_and_becomes_free_at_025(tmp_path):
+    assert load_map(write(tmp_path, [[205]])).cells[0, 0] == UNKNOWN
+    assert load_map(write(tmp_path, [[205]], YAML.replace("0.196", "0.25"))).cells[0, 0] == FREE
+
+
+@given(
+    cells=arrays(
+        np.int8, array_shapes(min_dims=2, max_dims=2), elements=st.sampled_from([UNKNOWN, FREE, OCCUPIED])
+    ),
+    origin=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3)),
+)
+def test_round_trip_keeps_cells_and_origin(tmp_path_factory, cells, origin):
+    folder = tmp_path_factory.mktemp("map")
+    loaded = load_map(save_map(OccupancyGrid(cells, 0.05, SE2.from_xyt(*origin)), folder))
+    np.testing.assert_array_equal(loaded.cells, cells)
+    np.testing.assert_allclose(loaded.T_map_grid.xyt, origin, atol=1e-6)
+
+
+def test_negated_and_scaled_maps(tmp_path):
+    assert load_map(write(tmp_path, [[255]], YAML.replace("negate: 0", "negate: 1"))).cells[0, 0] == OCCUPIED
+    # p = (255 - 147) / 255 = 0.4235, halfway up the ramp: 1 + floor(98 * 0.501)
+    assert load_map(write(tmp_path, [[147]], YAML + "mode: scale\n")).cells[0, 0] == 50
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (YAML.replace("map.pgm", "gone.pgm"), "gone.pgm does not exist"),
+        (YAML.replace("0.05", "-1"), "resolution"),
+        (YAML.replace("[0, 0, 0]", "[0, 0]"), "origin"),
+        (YAML.replace("[0, 0, 0]", "[0, .nan, 0]"), "origin"),
+        (YAML + "mode: fancy\n", "mode"),
+        ("- 1\n", "not a map yaml"),
+        ("{:", "not valid YAML"),
+    ],
+)
+def test_a_bad_yaml_is_one_line_naming_the_fault(tmp_path, text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        load_map(write(tmp_path, [[0]], text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_image_is_an_input_error(tmp_path):
+    path = write(tmp_path, [[0]])
+    (tmp_path / "map.pgm").write_bytes(b"P5\n10 10\n255\nxx")
+    with pytest.raises(InputError, match="not a readable image"):
+        load_map(path)
+
+
+@given(st.tuples(st.integers(0, 9), st.integers(0, 6)), st.floats(-3, 3))
+def test_cell_centres_map_back_to_their_cells_on_turned_grids(cell, yaw):
+    grid = OccupancyGrid(np.zeros((10, 7), np.int8), 0.05, SE2.from_xyt(-3.0, 2.0, yaw))
+    assert tuple(grid.cell_of(grid.center_of(np.array(cell)))) == cell
+
+
+def test_points_off_the_grid_are_unknown():
+    grid = OccupancyGrid(np.zeros((2, 2), np.int8), 1.0)
+    assert grid.value_at(np.array([[0.5, 0.5], [-0.1, 0.5], [0.5, 2.1]])).tolist() == [0, -1, -1]
