@@ -1,0 +1,55 @@
+"""What a run did: localisation error, clearance and collisions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array
+from datasets.types import Stamps, Trajectory, yaw_difference
+from reports.metrics.trajectory import associate, summary
+
+
+def localisation_error(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
+    """Distance of the estimate from the truth at its own stamps, unaligned: {rmse, max} [m]."""
+    return summary(associate(estimate, truth).position_errors())
+
+
+def pose_error(T_map_base: SE2, T_world_goal: SE2) -> tuple[float, float]:
+    """Distance [m] and absolute yaw difference [rad] of one pose from another."""
+    distance = float(np.linalg.norm(T_map_base.xy - T_world_goal.xy))
+    return distance, float(yaw_difference(T_map_base.yaw, T_world_goal.yaw))
+
+
+def collision_episodes(
+    stamps_ns: Stamps, contact: NDArray[np.bool_], *, gap_s: float = 0.5
+) -> list[tuple[int, int]]:
+    """First and last stamp of each contact episode [ns]; contacts less than `gap_s` apart are one."""
+    touching = stamps_ns[contact]
+    if len(touching) == 0:
+        return []
+    breaks = np.flatnonzero(np.diff(touching) > gap_s * 1e9)
+    firsts = touching[np.concatenate([[0], breaks + 1])]
+    lasts = touching[np.concatenate([breaks, [len(touching) - 1]])]
+    return [(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
+
+
+def collisions(
+    stamps_ns: Stamps, visible: NDArray[np.bool_], low: NDArray[np.bool_], *, gap_s: float = 0.5
+) -> dict[str, int]:
+    """Contact episodes with things that cross the lidar plane (`visible`) and lower ones (`low`)."""
+    return {
+        "visible": len(collision_episodes(stamps_ns, visible, gap_s=gap_s)),
+        "low": len(collision_episodes(stamps_ns, low, gap_s=gap_s)),
+    }
+
+
+def min_clearance(clearance_m: Array) -> float | None:
+    """Least finite footprint clearance of a run [m]; None when there was nothing to be near."""
+    finite = clearance_m[np.isfinite(clearance_m)]
+    return float(finite.min()) if len(finite) else None
+
+
+def distance_driven(trajectory: Trajectory) -> float:
+    """Length of the path [m]."""
+    return trajectory.length()
