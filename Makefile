@@ -1,30 +1,82 @@
 # TurtleBag. `make demo` and `make test` need nothing set up before: both build .venv themselves.
+# Every stage leaves a manifest.json last, and make compares those: what is up to date is not redone.
+
+# What to do; give any of these on the command line.
 WORLD ?= turtlebot3_world
+ROBOT ?= $(if $(filter turtlebot3_house,$(WORLD)),waffle_pi,burger)
 SEED ?= 1
 TELEOP ?= tour
 TASK ?= patrol
-
+GOAL ?=
 PYTHON ?= python3
+
+# Where it goes: OUT names the output folder of the one stage that is asked for.
+NAME := $(WORLD)-$(ROBOT)-$(TELEOP)-$(SEED)
+RECORD_DIR = $(if $(filter record,$(MAKECMDGOALS)),$(or $(OUT),data/records/$(NAME)),data/records/$(NAME))
+MAP_DIR = $(if $(filter map,$(MAKECMDGOALS)),$(or $(OUT),data/maps/$(NAME)),data/maps/$(NAME))
+RUN_DIR = $(if $(filter navigate,$(MAKECMDGOALS)),$(or $(OUT),data/runs/$(NAME)-$(TASK)),data/runs/$(NAME)-$(TASK))
+REPORT_DIR = $(if $(filter report,$(MAKECMDGOALS)),$(or $(OUT),data/reports/$(NAME)-$(TASK)),data/reports/$(NAME)-$(TASK))
+# Where it comes from: an own bag or log (BAG=) or an own map yaml (MAP=) takes the place of the stage before.
+BAG_INPUT = $(or $(BAG),$(RECORD_DIR))
+MAP_INPUT = $(or $(MAP),$(MAP_DIR)/map.yaml)
+NEEDS_MAP = $(filter patrol goal,$(TASK))
+# The tutorial's names for the maps of its two worlds.
+TUTORIAL_turtlebot3_world := map_world
+TUTORIAL_turtlebot3_house := map_house
+
 PY := .venv/bin/python
 TURTLEBAG := .venv/bin/turtlebag
 READY := .venv/.ready
+sources = $(shell find $(1) -name '*.py' -o -name '*.yaml' -o -name '*.j2')
+REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup lint test clean
+.PHONY: help setup demo demo-world record map navigate report lint test clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 28
+	@grep -hE '^[a-z][a-z_-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
-setup: $(READY) ## make the virtual environment (demo and test do it themselves)
+setup: $(READY) ## make the virtual environment (every other target does it when needed)
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' 2>/dev/null \
-	  || { echo "make: needs Python 3.10 or newer with venv (on Debian: apt install python3-venv); or PYTHON=/path/to/python3 make ..." >&2; exit 2; }
+	  || { echo "make: needs Python 3.10 or newer with venv (on Debian: apt install python3-venv); or make PYTHON=/path/to/python3 ..." >&2; exit 2; }
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(TURTLEBAG) doctor
 	@touch $@
+
+demo: $(READY) ## from nothing to a navigation report: record, map, patrol, report
+	$(MAKE) --no-print-directory demo-world
+	$(TURTLEBAG) report --force --out data/reports/demo \
+	  $(foreach stage,records/turtlebot3_world-burger-tour-1 maps/turtlebot3_world-burger-tour-1 runs/turtlebot3_world-burger-tour-1-patrol,data/$(stage))
+
+demo-world:
+	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_world TASK=patrol
+
+record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
+map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
+navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
+report: $(REPORT_DIR)/manifest.json ## make the page of a run   (OUT, or as navigate)
+
+$(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/record.py | $(READY)
+	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
+
+$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam datasets reports/metrics) pipeline/build_map.py | $(READY)
+	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
+
+data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
+	cp $(MAP_DIR)/map.pgm $(@:.yaml=.pgm)
+	sed 's/^image: map.pgm/image: $(notdir $(@:.yaml=.pgm))/' $(MAP_DIR)/map.yaml > $@
+
+$(RUN_DIR)/manifest.json: $(if $(NEEDS_MAP),$(or $(MAP),$(MAP_DIR)/manifest.json)) $(call sources,sim datasets planners pipeline) | $(READY)
+	$(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
+	  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
+
+$(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/report.py | $(READY)
+	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)
 
 lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff check .
