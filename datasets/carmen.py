@@ -1,0 +1,258 @@
+"""CARMEN logs (.clf, .log): planar scans with the odometry pose of each, as the public SLAM logs come.
+
+One message a line: `FLASER n r_1..r_n x y theta odom_x odom_y odom_theta ipc_stamp host logger_stamp`.
+The first pose is the laser's, the second the robot's. The older lines say nothing of the field of
+view: it is half a circle, -90 degrees first. `ROBOTLASER1` lines carry theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.files import read_unpacked
+from datasets.se2 import SE2, Array
+from datasets.trajectories import stamp_from_text
+from datasets.types import LidarSpec, Recording, Stamps
+
+FAR = 49.99
+"""No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""
+
+_SPIKE_SHARE = 0.005
+"""Share of all readings that must equal the largest one for it to count as "no return"."""
+
+
+@dataclass(slots=True)
+class _Lines:
+    """Parsed lines of one kind, before they become arrays: `numbers` as text, beams then two poses."""
+
+    numbers: list[bytes]
+    beams: list[int]
+    stamps: list[int]
+    line_numbers: list[int]
+    views: list[tuple[float, float]]  # (first angle, increment) of lines that state them
+
+
+def is_carmen(content: bytes) -> bool:
+    """Whether the beginning of a file looks like a CARMEN log."""
+    head = content[:65536].split(b"\n")
+    known = (b"FLASER ", b"ROBOTLASER1 ", b"RLASER ", b"ODOM ", b"PARAM ", b"RAWLASER", b"SYNC ")
+    return any(line.startswith(known) for line in head) or head[0].startswith(b"# CARMEN")
+
+
+def load_carmen(path: Path, *, T_base_lidar: SE2 | None = None) -> Recording:
+    """Read a log, plain or packed; file order and the ipc timestamps are kept.
+
+    Damaged lines are skipped and counted in the notes. InputError when there is no scan in it.
+    """
+    content, problem = read_unpacked(path)
+    return parse_carmen(content, path, T_base_lidar=T_base_lidar, notes=[problem] if problem else [])
+
+
+def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes: list[str]) -> Recording:
+    """Recording from the unpacked content of a log; `path` names it in messages."""
+    found, params, broken, rear = _collect(content)
+    lines = found[b"FLASER"] if found[b"FLASER"].stamps else found[b"ROBOTLASER1"]
+    lines = _one_size(lines, notes)
+    values = _numbers(lines, broken)
+    if not lines.stamps:
+        what = "only damaged scan lines" if broken else "no FLASER or ROBOTLASER1 line"
+        raise InputError(f"{path}: {what} in the log; is it a CARMEN log with laser data?")
+    if broken:
+        notes.append(f"{len(broken)} damaged lines skipped, the first is line {min(broken)}")
+    if rear:
+        notes.append(f"{rear} rear laser scans (RLASER) not used")
+    n = lines.beams[0]
+    stamps = np.array(lines.stamps, dtype=np.int64)
+    backwards = int(np.count_nonzero(np.diff(stamps) < 0))
+    if backwards:
+        notes.append(f"stamps go back {backwards} times; file order kept")
+    poses_lidar, poses_base = SE2.from_array(values[:, n : n + 3]), SE2.from_array(values[:, n + 3 :])
+    if T_base_lidar is None:
+        T_base_lidar = _laser_pose(poses_base, poses_lidar, params, notes)
+    ranges, range_max = _normalised(values[:, :n], notes)
+    angle_min, increment = _field_of_view(lines, notes)
+    return Recording(
+        source=str(path),
+        stamps_ns=stamps,
+        ranges=ranges,
+        lidar=LidarSpec(n, angle_min, increment, 0.0, range_max, scan_time=_period(stamps)),
+        T_base_lidar=T_base_lidar,
+        T_odom_base=poses_base,
+        notes=tuple(notes),
+    )
+
+
+def _collect(content: bytes) -> tuple[dict[bytes, _Lines], dict[bytes, bytes], list[int], int]:
+    """Scan lines by kind, parameters, numbers of the damaged lines and the count of rear scans."""
+    found = {kind: _Lines([], [], [], [], []) for kind in (b"FLASER", b"ROBOTLASER1")}
+    params: dict[bytes, bytes] = {}
+    broken: list[int] = []
+    rear = 0
+    for number, line in enumerate(content.split(b"\n"), start=1):
+        kind = line[: line.find(b" ")]
+        if kind in found:
+            try:
+                _append(found[kind], kind, line.split(), number)
+            except (ValueError, IndexError, UnicodeDecodeError):
+                broken.append(number)
+        elif kind == b"PARAM":
+            words = line.split()
+            if len(words) > 2:
+                params[words[1]] = words[2]
+        elif kind == b"RLASER":
+            rear += 1
+    return found, params, broken, rear
+
+
+def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None:
+    """Add one scan line; ValueError or IndexError when its fields do not add up."""
+    if kind == b"FLASER":
+        n, first = int(words[1]), 2
+        poses = first + n
+        if len(words) != poses + 9:
+            raise ValueError("wrong number of fields")
+        view = None
+    else:
+        n, first = int(words[8]), 9
+        poses = first + n + 1 + int(words[first + n])
+        if len(words) != poses + 14:
+            raise ValueError("wrong number of fields")
+        view = float(words[2]), float(words[4])
+    if n < 1:
+        raise ValueError("no beams")
+    stamp = stamp_from_text(words[-3].decode("ascii"))
+    lines.numbers.append(b" ".join(words[first : first + n] + words[poses : poses + 6]))
+    lines.beams.append(n)
+    lines.stamps.append(stamp)
+    lines.line_numbers.append(number)
+    if view:
+        lines.views.append(view)
+
+
+def _one_size(lines: _Lines, notes: list[str]) -> _Lines:
+    """Only the scans with the most frequent number of beams."""
+    sizes = Counter(lines.beams)
+    if len(sizes) < 2:
+        return lines
+    n, count = sizes.most_common(1)[0]
+    notes.append(f"{len(lines.beams) - count} scans with other than {n} beams skipped")
+    return _select(lines, [index for index, size in enumerate(lines.beams) if size == n])
+
+
+def _select(lines: _Lines, keep: list[int]) -> _Lines:
+    return _Lines(
+        [lines.numbers[i] for i in keep],
+        [lines.beams[i] for i in keep],
+        [lines.stamps[i] for i in keep],
+        [lines.line_numbers[i] for i in keep],
+        [lines.views[i] for i in keep] if lines.views else [],
+    )
+
+
+def _numbers(lines: _Lines, broken: list[int]) -> Array:
+    """Ranges and the two poses, (n_scans, n_beams + 6); rows with non-numbers leave `lines` too."""
+    if not lines.stamps:
+        return np.empty((0, 6))
+    width = lines.beams[0] + 6
+    try:
+        values = np.array(b" ".join(lines.numbers).split(), dtype="S24").astype(np.float64)
+    except ValueError:
+        rows, good = [], []
+        for index, text in enumerate(lines.numbers):
+            try:
+                rows.append([float(word) for word in text.split()])
+                good.append(index)
+            except ValueError:
+                broken.append(lines.line_numbers[index])
+        values = np.array(rows)
+        _replace(lines, good)
+    values = values.reshape(-1, width)
+    finite = np.isfinite(values[:, -6:]).all(axis=1)
+    if not finite.all():
+        broken.extend(lines.line_numbers[index] for index in np.flatnonzero(~finite))
+        _replace(lines, np.flatnonzero(finite).tolist())
+    return values[finite]
+
+
+def _replace(lines: _Lines, keep: list[int]) -> None:
+    kept = _select(lines, keep)
+    lines.numbers, lines.beams, lines.stamps = kept.numbers, kept.beams, kept.stamps
+    lines.line_numbers, lines.views = kept.line_numbers, kept.views
+
+
+def _normalised(readings: Array, notes: list[str]) -> tuple[NDArray[np.float32], float]:
+    """REP-117 ranges and the largest range: codes for "no return" become +inf, readings <= 0 NaN."""
+    readings = np.where(readings > 0.0, readings, np.nan)
+    limit = no_return_value(readings)
+    far = readings >= limit
+    near = readings[~far & np.isfinite(readings)]
+    if not near.size:
+        notes.append("no beam of the whole log measured anything")
+    elif far.any():
+        notes.append(f"readings of {limit:g} m and more are 'no return' ({100.0 * far.mean():.1f} %)")
+    range_max = float(math.ceil(near.max())) if near.size else FAR
+    ranges = np.where(far, np.inf, readings).astype(np.float32)
+    return ranges, range_max
+
+
+def no_return_value(readings: Array) -> float:
+    """Least reading that means "no return" [m]; +inf when the log has no such code.
+
+    Anything past 50 m is one (the SICK's are 81.83 and 81.91); otherwise the largest reading is,
+    when it stands out as a spike of equal values.
+    """
+    finite = readings[np.isfinite(readings)]
+    if not finite.size:
+        return math.inf
+    top = float(finite.max())
+    if top >= FAR:
+        return float(finite[finite >= FAR].min())
+    spike = np.count_nonzero(finite == top)
+    below = np.count_nonzero((finite < top) & (finite > 0.95 * top))
+    return top if spike >= _SPIKE_SHARE * finite.size and spike > 3 * below else math.inf
+
+
+def _field_of_view(lines: _Lines, notes: list[str]) -> tuple[float, float]:
+    """First angle and increment [rad]: stated, or the half circle that FLASER lines leave unsaid."""
+    if lines.views:
+        views = Counter(lines.views)
+        if len(views) > 1:
+            notes.append("the stated field of view changes; the most frequent one is used")
+        return views.most_common(1)[0][0]
+    n = lines.beams[0]
+    if n not in (180, 181, 360, 361):
+        notes.append(f"{n} beams: a field of view of 180 degrees is assumed")
+    steps = n - 1 if n % 2 and n > 1 else n
+    return -math.pi / 2.0, math.pi / steps
+
+
+def _laser_pose(T_odom_base: SE2, T_odom_lidar: SE2, params: dict[bytes, bytes], notes: list[str]) -> SE2:
+    """Where the laser sits on the robot: from the two poses of each line, else from the parameters."""
+    relative = (T_odom_base.inverse() @ T_odom_lidar).xyt
+    median = np.median(relative, axis=0)
+    spread = np.median(np.abs(relative - median), axis=0)
+    if spread.max() < 2e-3 and np.abs(median).max() > 1e-4:
+        return SE2.from_array(np.round(median, 4))
+    try:
+        offset = float(params.get(b"robot_frontlaser_offset", b"0"))
+    except ValueError:
+        offset = 0.0
+    if spread.max() >= 2e-3:
+        notes.append(
+            f"laser and robot poses are not rigidly linked; laser taken {offset:g} m ahead of the robot"
+        )
+    return SE2.from_xyt(offset, 0.0, 0.0)
+
+
+def _period(stamps: Stamps) -> float:
+    """Usual time between scans [s]."""
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) * 1e-9 if steps.size else 0.0

@@ -1,0 +1,159 @@
+"""CARMEN logs: what the lines mean, and what damaged ones do."""
+
+import bz2
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.carmen import no_return_value
+from datasets.errors import InputError
+from datasets.recordings import load_recording
+from datasets.relations import load_relations
+
+RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
+radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
+
+
+def flaser(ranges, laser=(0.0, 0.0, 0.0), robot=(0.0, 0.0, 0.0), stamp="12.345678"):
+    readings = " ".join(f"{r:.2f}" for r in ranges)
+    poses = " ".join(f"{v:.6f}" for v in (*laser, *robot))
+    return f"FLASER {len(ranges)} {readings} {poses} {stamp} nohost 0.5\n"
+
+
+def write(tmp_path, text, name="a.clf"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_stamp_pose_and_beams_of_a_line(tmp_path):
+    ranges = np.linspace(1.0, 2.0, 180)
+    path = write(tmp_path, flaser(ranges, (0.96, 2.0, 0.0), (1.0, 2.0, 0.0), "1071078718.462310"))
+    recording = load_recording(path)
+    assert recording.stamps_ns.tolist() == [1071078718462310000]
+    np.testing.assert_allclose(recording.ranges[0], np.round(ranges, 2), atol=1e-6)
+    np.testing.assert_allclose(recording.T_odom_base.xyt, [[1.0, 2.0, 0.0]])
+    np.testing.assert_allclose(recording.T_base_lidar.xyt, [-0.04, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("beams", "last_deg", "step_deg"),
+    [(180, 89.0, 1.0), (181, 90.0, 1.0), (360, 89.5, 0.5), (361, 90.0, 0.5)],
+)
+def test_field_of_view_follows_from_the_number_of_beams(tmp_path, beams, last_deg, step_deg):
+    lidar = load_recording(write(tmp_path, flaser(np.ones(beams)))).lidar
+    assert math.degrees(lidar.angles[0]) == pytest.approx(-90.0)
+    assert math.degrees(lidar.angles[-1]) == pytest.approx(last_deg)
+    assert math.degrees(lidar.angle_increment) == pytest.approx(step_deg)
+
+
+def test_robotlaser_line_states_its_field_of_view(tmp_path):
+    readings = " ".join(["1.5"] * 5)
+    line = (
+        f"ROBOTLASER1 0 -2.0 4.0 1.0 30.0 0.01 0 5 {readings} 2 7 8 "
+        "0.1 0.0 0.0 0.0 0.0 0.0 0.2 0.3 0.1 0.1 0.5 99.5 host 1.0\n"
+    )
+    recording = load_recording(write(tmp_path, line))
+    np.testing.assert_allclose(recording.lidar.angles, [-2.0, -1.0, 0.0, 1.0, 2.0])
+    np.testing.assert_allclose(recording.T_base_lidar.xyt, [0.1, 0.0, 0.0])
+    assert recording.stamps_ns.tolist() == [99_500_000_000]
+
+
+def test_far_readings_become_no_return_and_bad_ones_nan(tmp_path):
+    ranges = np.full(180, 3.0)
+    ranges[:4] = [81.83, 81.91, 0.0, 26.4]
+    recording = load_recording(write(tmp_path, flaser(ranges)))
+    assert np.isposinf(recording.ranges[0, :2]).all()
+    assert np.isnan(recording.ranges[0, 2])
+    assert recording.lidar.range_max == 27.0
+
+
+def test_short_range_lidar_shows_its_no_return_value_as_a_spike():
+    rng = np.random.default_rng(0)
+    readings = rng.uniform(0.5, 5.0, (100, 180))
+    readings[:, :20] = 5.6
+    assert no_return_value(readings) == 5.6
+    assert no_return_value(rng.uniform(0.5, 5.0, (100, 180))) == math.inf
+
+
+def test_file_order_survives_stamps_that_go_back(tmp_path):
+    text = "".join(flaser(np.ones(180), stamp=s) for s in ("3.0", "1.0", "2.0"))
+    recording = load_recording(write(tmp_path, text))
+    assert recording.stamps_ns.tolist() == [3 * 10**9, 10**9, 2 * 10**9]
+    assert any("go back" in note for note in recording.notes)
+
+
+def test_damaged_lines_are_skipped_and_counted(tmp_path):
+    good = flaser(np.ones(180))
+    bad = [
+        good[:300] + "\n",
+        good.replace("1.00", "x.yz", 1),
+        "FLASER many 1 2\n",
+        good.replace("nohost", ""),
+    ]
+    bad.append(flaser(np.ones(180), robot=(math.nan, 0.0, 0.0)))
+    recording = load_recording(write(tmp_path, good + "".join(bad) + good + flaser(np.ones(90))))
+    assert len(recording) == 2
+    assert any(note.startswith("5 damaged lines skipped, the first is line 2") for note in recording.notes)
+    assert any("other than 180 beams" in note for note in recording.notes)
+
+
+def test_parameter_places_the_laser_when_the_poses_do_not(tmp_path):
+    text = "PARAM robot_frontlaser_offset -0.04 0 h 0\n" + flaser(np.ones(180))
+    np.testing.assert_allclose(load_recording(write(tmp_path, text)).T_base_lidar.xyt, [-0.04, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
+def test_packed_logs_read_the_same_and_cut_ones_up_to_the_cut(tmp_path, pack):
+    rng = np.random.default_rng(1)
+    text = "".join(flaser(rng.uniform(1, 9, 180), stamp=f"{k}.5") for k in range(2000))
+    plain = load_recording(write(tmp_path, text))
+    packed = pack(text.encode())
+    path = tmp_path / "a.clf.packed"
+    path.write_bytes(packed)
+    whole = load_recording(path)
+    np.testing.assert_array_equal(plain.ranges, whole.ranges)
+    path.write_bytes(packed[: len(packed) * 2 // 3])
+    try:
+        cut = load_recording(path)
+    except InputError as error:  # one bzip2 block is all or nothing
+        assert "damaged" in str(error)
+    else:
+        assert any("ends early" in note for note in cut.notes)
+        np.testing.assert_array_equal(cut.ranges, plain.ranges[: len(cut)])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "hello\n", "# CARMEN Logfile\nODOM 0 0 0 0 0 0 1.0 h 0\n", "FLASER 3 1 2\n"]
+)
+def test_a_file_without_scans_is_one_clear_line(tmp_path, text):
+    with pytest.raises(InputError) as error:
+        load_recording(write(tmp_path, text))
+    assert "a.clf" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_relations_are_read_and_wrong_lines_named(tmp_path):
+    path = write(tmp_path, "# comment\n1.5 2.5 0.1 0.2 0 0 0 -0.3\n", "a.relations")
+    relations = load_relations(path)
+    assert relations.stamps_a_ns.tolist() == [1_500_000_000]
+    np.testing.assert_allclose(relations.T_a_b.xyt, [[0.1, 0.2, -0.3]])
+    with pytest.raises(InputError, match="line 2"):
+        load_relations(write(tmp_path, "1 2 0 0 0 0 0 0\n1 2 3\n", "b.relations"))
+
+
+@radish
+@pytest.mark.parametrize(
+    ("name", "scans", "beams", "offset"), [("fr079", 4934, 360, -0.04), ("mit-csail", 1988, 361, 0.0)]
+)
+def test_public_logs(name, scans, beams, offset):
+    recording = load_recording(RADISH / f"{name}.clf.bz2")
+    assert recording.ranges.shape == (scans, beams)
+    assert recording.T_base_lidar.xyt.tolist() == [offset, 0.0, 0.0]
+    relations = load_relations(RADISH / f"{name}.relations")
+    # The relations of CSAIL carry five decimals, its log six.
+    nearest = np.abs(relations.stamps_a_ns[:, None] - recording.stamps_ns).min(axis=1)
+    assert nearest.max() <= 10_000
