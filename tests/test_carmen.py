@@ -117,13 +117,10 @@ def test_packed_logs_read_the_same_and_cut_ones_up_to_the_cut(tmp_path, pack):
     whole = load_recording(path)
     np.testing.assert_array_equal(plain.ranges, whole.ranges)
     path.write_bytes(packed[: len(packed) * 2 // 3])
-    try:
-        cut = load_recording(path)
-    except InputError as error:  # one bzip2 block is all or nothing
-        assert "damaged" in str(error)
-    else:
-        assert any("ends early" in note for note in cut.notes)
-        np.testing.assert_array_equal(cut.ranges, plain.ranges[: len(cut)])
+    cut = load_recording(path)
+    assert any("ends early" in note for note in cut.notes)
+    assert 0 < len(cut) < 2000
+    np.testing.assert_array_equal(cut.ranges, plain.ranges[: len(cut)])
 
 
 @pytest.mark.parametrize(
