@@ -1,0 +1,146 @@
+"""The run log: one row for each control tick of a closed-loop run, saved as runlog.csv."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError
+from datasets.se2 import SE2, Array
+from datasets.types import Stamps, Twist
+
+_NUMBERS = (
+    "true_x",
+    "true_y",
+    "true_yaw",
+    "estimate_x",
+    "estimate_y",
+    "estimate_yaw",
+    "odom_x",
+    "odom_y",
+    "odom_yaw",
+    "cmd_v",
+    "cmd_w",
+    "clearance_m",
+)
+COLUMNS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state")
+_NOWHERE = (float("nan"),) * 3
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """Columns of a run, each (n,): poses in m and rad, the command of the tick in m/s and rad/s.
+
+    `T_map_base` is the estimate, NaN while the robot does not know where it is; `goal_index` is -1
+    without a goal; `state` is the driver's own word for what it was doing.
+    """
+
+    t_ns: Stamps
+    T_world_base: SE2
+    T_map_base: SE2
+    T_odom_base: SE2
+    v: Array
+    w: Array
+    clearance_m: Array
+    contact_visible: NDArray[np.bool_]
+    contact_low: NDArray[np.bool_]
+    goal_index: NDArray[np.int64]
+    state: list[str]
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def save(self, path: Path) -> None:
+        """Write CSV; numbers with 6 decimals, NaN as an empty field."""
+        poses = (self.T_world_base.xyt, self.T_map_base.xyt, self.T_odom_base.xyt)
+        numbers = np.column_stack([*poses, self.v, self.w, self.clearance_m]).tolist()
+        with path.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for k, row in enumerate(numbers):
+                texts = ["" if value != value else f"{value:.6f}" for value in row]
+                flags = (int(self.contact_visible[k]), int(self.contact_low[k]))
+                writer.writerow([int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k]])
+
+    @staticmethod
+    def load(path: Path) -> RunLog:
+        """Read a CSV written by `save`; InputError names the line that is wrong."""
+        if not path.is_file():
+            raise InputError(f"{path}: no such run log")
+        builder = RunLogBuilder()
+        with path.open(newline="") as file:
+            rows = csv.reader(file)
+            if tuple(next(rows, ())) != COLUMNS:
+                raise InputError(f"{path}: not a run log (its first line is not the expected header)")
+            for number, row in enumerate(rows, start=2):
+                try:
+                    visible, low, goal, state = row[13:]
+                    builder.stamps.append(int(row[0]))
+                    builder.numbers.append([float(text) if text else float("nan") for text in row[1:13]])
+                    builder.flags.append((bool(int(visible)), bool(int(low)), int(goal)))
+                    builder.states.append(state)
+                except ValueError:
+                    raise InputError(f"{path}, line {number}: not a row of a run log") from None
+        return builder.build()
+
+
+class RunLogBuilder:
+    """Collects the rows of a run while it happens."""
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self.numbers: list[list[float]] = []
+        self.flags: list[tuple[bool, bool, int]] = []
+        self.states: list[str] = []
+
+    def append(
+        self,
+        stamp_ns: int,
+        *,
+        T_world_base: SE2,
+        T_map_base: SE2 | None,
+        T_odom_base: SE2,
+        command: Twist,
+        clearance_m: float,
+        contact_visible: bool,
+        contact_low: bool,
+        goal_index: int,
+        state: str,
+    ) -> None:
+        """Add the row of one control tick."""
+        estimate = _NOWHERE if T_map_base is None else T_map_base.xyt.tolist()
+        self.stamps.append(stamp_ns)
+        self.numbers.append(
+            [
+                *T_world_base.xyt.tolist(),
+                *estimate,
+                *T_odom_base.xyt.tolist(),
+                command.v,
+                command.w,
+                clearance_m,
+            ]
+        )
+        self.flags.append((contact_visible, contact_low, goal_index))
+        self.states.append(state)
+
+    def build(self) -> RunLog:
+        """The log of all rows so far."""
+        table = np.array(self.numbers, dtype=np.float64).reshape(-1, len(_NUMBERS))
+        flags = np.array(self.flags, dtype=np.int64).reshape(-1, 3)
+        return RunLog(
+            t_ns=np.array(self.stamps, dtype=np.int64),
+            T_world_base=SE2.from_array(table[:, 0:3]),
+            T_map_base=SE2.from_array(table[:, 3:6]),
+            T_odom_base=SE2.from_array(table[:, 6:9]),
+            v=table[:, 9],
+            w=table[:, 10],
+            clearance_m=table[:, 11],
+            contact_visible=flags[:, 0].astype(bool),
+            contact_low=flags[:, 1].astype(bool),
+            goal_index=flags[:, 2],
+            state=list(self.states),
+        )
