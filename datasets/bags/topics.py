@@ -1,0 +1,140 @@
+"""The topics of our bags: type and quality of service of each, and rosbag2's metadata about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import yaml
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+METADATA_VERSION = 9
+METADATA_FILE = "metadata.yaml"
+DATA_FILE = "bag_0.mcap"
+"""One name whatever the folder is called: the same run gives the same bytes wherever it is written."""
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """Message type and the publisher's quality of service."""
+
+    msgtype: str
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    depth: int = 10
+
+    def qos(self) -> list[dict[str, Any]]:
+        """`offered_qos_profiles` as metadata version 9 writes them."""
+        return [
+            {
+                "history": "keep_last",
+                "depth": self.depth,
+                "reliability": self.reliability,
+                "durability": self.durability,
+                "deadline": dict(_FOREVER),
+                "lifespan": dict(_FOREVER),
+                "liveliness": "automatic",
+                "liveliness_lease_duration": dict(_FOREVER),
+                "avoid_ros_namespace_conventions": False,
+            }
+        ]
+
+
+TOPICS: dict[str, Topic] = {
+    "/scan": Topic("sensor_msgs/msg/LaserScan", reliability="best_effort", depth=5),
+    "/imu": Topic("sensor_msgs/msg/Imu", reliability="best_effort", depth=5),
+    "/odom": Topic("nav_msgs/msg/Odometry"),
+    "/joint_states": Topic("sensor_msgs/msg/JointState"),
+    "/tf": Topic("tf2_msgs/msg/TFMessage", depth=100),
+    "/tf_static": Topic("tf2_msgs/msg/TFMessage", durability="transient_local", depth=1),
+    "/cmd_vel": Topic("geometry_msgs/msg/Twist"),
+    "/map": Topic("nav_msgs/msg/OccupancyGrid", durability="transient_local", depth=1),
+    "/amcl_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped"),
+    "/particlecloud": Topic("geometry_msgs/msg/PoseArray"),
+    "/plan": Topic("nav_msgs/msg/Path"),
+    "/goal_pose": Topic("geometry_msgs/msg/PoseStamped"),
+    "/ground_truth/odom": Topic("nav_msgs/msg/Odometry"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSummary:
+    """What the metadata says of one recorded topic."""
+
+    name: str
+    msgtype: str
+    qos: Sequence[Mapping[str, Any]]
+    type_hash: str
+    count: int
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Message definitions of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@lru_cache(maxsize=64)
+def definition(msgtype: str) -> tuple[str, str]:
+    """Full text of a message definition and its RIHS01 hash."""
+    store = typestore()
+    text, _ = store.generate_msgdef(msgtype, ros_version=2)
+    return text, store.hash_rihs01(msgtype)
+
+
+def bag_metadata(
+    topics: Sequence[TopicSummary], span_ns: tuple[int, int], custom: Mapping[str, str], file: str = DATA_FILE
+) -> dict[str, Any]:
+    """rosbag2's description of a one-file bag, the content of metadata.yaml."""
+    start, duration = span_ns[0], span_ns[1] - span_ns[0]
+    count = sum(topic.count for topic in topics)
+    return {
+        "version": METADATA_VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": duration},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.msgtype,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": list(topic.qos),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file],
+        "files": [
+            {
+                "path": file,
+                "starting_time": {"nanoseconds_since_epoch": start},
+                "duration": {"nanoseconds": duration},
+                "message_count": count,
+            }
+        ],
+        "custom_data": dict(custom) or None,
+        "ros_distro": "jazzy",
+    }
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """No anchors: rosbag2 reads them, people do not."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def metadata_text(value: Any) -> str:
+    """YAML as rosbag2 writes it: block style, order kept."""
+    return yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, default_flow_style=False)

@@ -1,0 +1,214 @@
+"""Recording: observations, commands and truth as a rosbag2 folder with one MCAP file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from datasets.bags import cdr
+from datasets.bags.mcap import McapWriter
+from datasets.bags.topics import (
+    DATA_FILE,
+    METADATA_FILE,
+    TOPICS,
+    TopicSummary,
+    bag_metadata,
+    definition,
+    metadata_text,
+)
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2, Array
+from datasets.types import Imu, LidarSpec, Observation, Scan, Twist
+
+_POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+"""Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
+_TRUTH_VARIANCES = (0.0,) * 6
+_WHEELS = ("wheel_left_joint", "wheel_right_joint")
+_GYRO_VARIANCE, _ACCELERATION_VARIANCE = 4e-8, 2.89e-4
+
+
+class BagWriter:
+    """Writes a bag; a context manager.
+
+    A chunk reaches the operating system after each second of recording at the latest, so a kill
+    loses less than two. metadata.yaml and the file's index are written by `close` only; Ctrl-C
+    closes properly, any other error leaves the bag visibly unfinished, for `bag recover`.
+    """
+
+    def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._mcap = McapWriter(folder / DATA_FILE)
+        except FileExistsError:
+            raise InputError(f"{folder}: there is a bag already; choose another folder") from None
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+        self._folder = folder
+        self._custom = dict(custom)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._closed = False
+        self._odom = cdr.odometry("odom", "base_footprint", _POSE_VARIANCES)
+        self._truth = cdr.odometry("world", "base_footprint", _TRUTH_VARIANCES)
+        self._tf_odom = cdr.transform("odom", "base_footprint")
+        self._tf_map = cdr.transform("map", "odom")
+        self._joints = cdr.joint_state("base_link", _WHEELS)
+        self._imu = cdr.imu("imu_link", _GYRO_VARIANCE, _ACCELERATION_VARIANCE)
+        self._twist = cdr.twist()
+        self._amcl = cdr.pose_with_covariance("map")
+        self._goal = cdr.pose_stamped("map")
+        self._scans: dict[LidarSpec, cdr.Template] = {}
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None or issubclass(kind, KeyboardInterrupt):
+            self.close()
+        elif not self._closed:
+            self._closed = True
+            self._mcap.abort()
+
+    def close(self) -> None:
+        """Finish the file, then write metadata.yaml."""
+        if self._closed:
+            return
+        self._closed = True
+        self._mcap.flush()
+        information = bag_metadata(self._summaries(), self._mcap.span_ns, self._custom)
+        self._mcap.close({"rosbag2": {"serialized_metadata": metadata_text(information)}})
+        unfinished = self._folder / (METADATA_FILE + ".tmp")
+        unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
+        unfinished.rename(self._folder / METADATA_FILE)
+
+    def static_transforms(
+        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
+    ) -> None:
+        """/tf_static: (parent, child, (x, y, z) [m], yaw [rad]) of each link."""
+        self._write("/tf_static", stamp_ns, cdr.transforms(stamp_ns, links))
+
+    def observation(self, observation: Observation) -> None:
+        """/imu, /odom, /tf, /joint_states and, when a sweep was completed, /scan."""
+        for sample in observation.imu:
+            self._imu_sample(sample)
+        odometry, stamp = observation.odometry, observation.odometry.stamp_ns
+        x, y, yaw = odometry.T_odom_base.xyt.tolist()
+        template = self._odom
+        template.patch_stamp(stamp)
+        template.patch_pose(x, y, yaw)
+        template.patch_twist(odometry.twist.v, odometry.twist.w)
+        self._write("/odom", stamp, bytes(template.data))
+        template = self._tf_odom
+        template.patch_stamp(stamp)
+        template.patch_pose(x, y, yaw)
+        self._write("/tf", stamp, bytes(template.data))
+        template = self._joints
+        template.patch_stamp(observation.joints.stamp_ns)
+        template.patch_doubles("position", observation.joints.position)
+        template.patch_doubles("velocity", observation.joints.velocity)
+        self._write("/joint_states", observation.joints.stamp_ns, bytes(template.data))
+        if observation.scan is not None:
+            self._scan(observation.stamp_ns, observation.scan)
+
+    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
+        """/ground_truth/odom, in the frame world; never in /tf."""
+        template = self._truth
+        template.patch_stamp(stamp_ns)
+        template.patch_pose(*T_world_base.xyt.tolist())
+        template.patch_twist(twist.v, twist.w)
+        self._write("/ground_truth/odom", stamp_ns, bytes(template.data))
+
+    def command(self, stamp_ns: int, twist: Twist) -> None:
+        """/cmd_vel; a Twist has no header, its time is the log time."""
+        self._twist.patch_twist(twist.v, twist.w)
+        self._write("/cmd_vel", stamp_ns, bytes(self._twist.data))
+
+    def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
+        """/map."""
+        data = cdr.occupancy_grid("map", stamp_ns, grid.cells, grid.resolution, grid.T_map_grid.xyt)
+        self._write("/map", stamp_ns, data)
+
+    def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
+        """/amcl_pose with the (3, 3) covariance of x, y, yaw."""
+        template = self._amcl
+        template.patch_stamp(stamp_ns)
+        template.patch_pose(*T_map_base.xyt.tolist())
+        template.patch_doubles("covariance", cdr.planar_covariance(covariance))
+        self._write("/amcl_pose", stamp_ns, bytes(template.data))
+
+    def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
+        """The localiser's transform, on /tf."""
+        template = self._tf_map
+        template.patch_stamp(stamp_ns)
+        template.patch_pose(*T_map_odom.xyt.tolist())
+        self._write("/tf", stamp_ns, bytes(template.data))
+
+    def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
+        """/particlecloud from a batch of poses (n,)."""
+        self._write("/particlecloud", stamp_ns, cdr.pose_array("map", stamp_ns, T_map_base))
+
+    def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
+        """/plan from a batch of poses (n,)."""
+        self._write("/plan", stamp_ns, cdr.path("map", stamp_ns, T_map_base))
+
+    def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
+        """/goal_pose."""
+        self._goal.patch_stamp(stamp_ns)
+        self._goal.patch_pose(*T_map_goal.xyt.tolist())
+        self._write("/goal_pose", stamp_ns, bytes(self._goal.data))
+
+    def _imu_sample(self, sample: Imu) -> None:
+        template = self._imu
+        template.patch_stamp(sample.stamp_ns)
+        template.patch_doubles("angular", sample.angular_velocity.tolist())
+        template.patch_doubles("linear", sample.linear_acceleration.tolist())
+        self._write("/imu", sample.stamp_ns, bytes(template.data))
+
+    def _scan(self, log_time_ns: int, scan: Scan) -> None:
+        template = self._scans.get(scan.lidar)
+        if template is None:
+            lidar = scan.lidar
+            last = lidar.angle_min + (lidar.n_beams - 1) * lidar.angle_increment
+            template = self._scans[lidar] = cdr.laser_scan(
+                "base_scan",
+                (
+                    lidar.angle_min,
+                    last,
+                    lidar.angle_increment,
+                    lidar.time_increment,
+                    lidar.scan_time,
+                    lidar.range_min,
+                    lidar.range_max,
+                ),
+                lidar.n_beams,
+            )
+        template.patch_stamp(scan.stamp_ns)
+        start = template.places["ranges"]
+        template.data[start : start + 4 * scan.lidar.n_beams] = scan.ranges.astype("<f4").tobytes()
+        self._write("/scan", log_time_ns, bytes(template.data))
+
+    def _write(self, topic: str, log_time_ns: int, data: bytes) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic)
+        self._mcap.write(channel, log_time_ns, data)
+
+    def _register(self, topic: str) -> int:
+        kind = TOPICS[topic]
+        text, type_hash = definition(kind.msgtype)
+        if kind.msgtype not in self._schemas:
+            self._schemas[kind.msgtype] = self._mcap.add_schema(kind.msgtype, text)
+        metadata = {"offered_qos_profiles": metadata_text(kind.qos()), "topic_type_hash": type_hash}
+        return self._mcap.add_channel(topic, self._schemas[kind.msgtype], metadata)
+
+    def _summaries(self) -> list[TopicSummary]:
+        return [
+            TopicSummary(
+                topic, TOPICS[topic].msgtype, TOPICS[topic].qos(), definition(TOPICS[topic].msgtype)[1], count
+            )
+            for topic, count in zip(self._channels, self._mcap.counts, strict=True)
+        ]
