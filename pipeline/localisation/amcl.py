@@ -1,0 +1,217 @@
+"""Adaptive Monte Carlo localisation: where on a known map is the robot, and so where is `odom`.
+
+Fox 2003 (KLD-sampling), Thrun, Burgard, Fox: Probabilistic Robotics, chapters 4, 6 and 8 (augmented MCL).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2, Array, wrap
+from datasets.types import LidarSpec, Scan
+from pipeline.localisation import motion, sampling
+from pipeline.localisation.beams import Beams, prepare
+from pipeline.localisation.estimate import Estimate, main_cluster
+from pipeline.localisation.field import distance_field
+from pipeline.localisation.free_space import FreeSpace
+from pipeline.localisation.parameters import AmclConfig
+from pipeline.localisation.refine import refine
+from pipeline.localisation.sensor import make_sensor_model
+
+
+class Amcl:
+    """Particle filter over the base's pose in `map`; its one output is `T_map_odom`.
+
+    It has no pose until `initialise` or `initialise_globally` was called and a scan was taken in.
+    """
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        lidar: LidarSpec,
+        T_base_lidar: SE2,
+        config: AmclConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        self.config = config
+        self._rng = rng
+        self._T_base_lidar = T_base_lidar
+        self._limits = (
+            config.laser_min_range if config.laser_min_range >= 0.0 else lidar.range_min,
+            config.laser_max_range if config.laser_max_range >= 0.0 else lidar.range_max,
+        )
+        self._field = distance_field(grid, config.likelihood_max_dist)
+        self._sensor = make_sensor_model(config, self._field, self._limits[1])
+        self._free = FreeSpace(grid)
+        self._poses = np.zeros((0, 3))
+        self._weights = np.zeros(0)
+        self._T_odom_base: SE2 | None = None  # odometry at the last filter update
+        self._T_map_odom: SE2 | None = None
+        self._estimate: Estimate | None = None
+        self._slow = self._fast = 0.0
+        self._updates = 0
+
+    @property
+    def initialised(self) -> bool:
+        """Whether the filter was told, or told to find out, where it is."""
+        return len(self._poses) > 0
+
+    @property
+    def converged(self) -> bool:
+        """Whether the whole cloud is one narrow cluster (see `convergence_xy`, `convergence_yaw`)."""
+        if self._estimate is None:
+            return False
+        std = np.sqrt(np.diag(self._estimate.covariance))
+        return bool(
+            max(std[0], std[1]) <= self.config.convergence_xy and std[2] <= self.config.convergence_yaw
+        )
+
+    @property
+    def T_map_odom(self) -> SE2:
+        """Odometry's frame on the map; ValueError before the first update."""
+        if self._T_map_odom is None:
+            raise ValueError("the filter has no pose yet: initialise it and update it with a scan")
+        return self._T_map_odom
+
+    def T_map_base(self, T_odom_base: SE2) -> SE2:
+        """The estimate now, given odometry now."""
+        return self.T_map_odom @ T_odom_base
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the whole cloud about the estimate at the last update, (3, 3): x, y, yaw."""
+        if self._estimate is None:
+            raise ValueError("the filter has no pose yet: initialise it and update it with a scan")
+        return self._estimate.covariance
+
+    @property
+    def particles(self) -> SE2:
+        """The cloud in the map frame, (n,)."""
+        return SE2(self._poses.copy())
+
+    @property
+    def weights(self) -> Array:
+        """Normalised weights, (n,)."""
+        return self._weights.copy()
+
+    def initialise(
+        self, T_map_base: SE2, covariance: Array | None = None, T_odom_base: SE2 | None = None
+    ) -> None:
+        """Spread the cloud about a pose estimate (covariance (3, 3), default: initial_cov_*).
+
+        With `T_odom_base`, the odometry now, `T_map_odom` is set at once; otherwise the pose is taken
+        to hold at the next scan.
+        """
+        c = self.config
+        if covariance is None:
+            covariance = np.diag([c.initial_cov_xx, c.initial_cov_yy, c.initial_cov_aa])
+        noise = self._rng.multivariate_normal(np.zeros(3), covariance, size=c.max_particles, method="eigh")
+        poses = T_map_base.xyt + noise
+        poses[:, 2] = wrap(poses[:, 2])
+        self._restart(poses)
+        self._T_odom_base = T_odom_base
+        if T_odom_base is not None:
+            self._T_map_odom = T_map_base @ T_odom_base.inverse()
+
+    def initialise_globally(self) -> None:
+        """Spread the cloud over all free cells, all headings."""
+        self._restart(self._free.sample(self.config.global_particles, self._rng))
+
+    def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
+        """Take in a scan; True when the filter used it, False when the robot had hardly moved.
+
+        `T_odom_base` is odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp
+        + n_beams * time_increment), with which a turning lidar's motion is undone. ValueError when
+        the filter is not initialised or odometry is not finite.
+        """
+        self._check(T_odom_base)
+        if not self._moved_enough(T_odom_base):
+            return False
+        sweep = None if T_odom_base_end is None else T_odom_base.inverse() @ T_odom_base_end
+        beams = prepare(scan, self._T_base_lidar, sweep, self._limits)
+        self._predict(T_odom_base)
+        if len(beams) > 0:
+            self._weigh(beams)
+            self._resample(beams)
+        self._estimate_pose(beams, T_odom_base)
+        self._updates += 1
+        return True
+
+    def _restart(self, poses: Array) -> None:
+        self._poses = poses
+        self._weights = np.full(len(poses), 1.0 / len(poses))
+        self._T_odom_base = self._T_map_odom = self._estimate = None
+        self._slow = self._fast = 0.0
+        self._updates = 0
+
+    def _check(self, T_odom_base: SE2) -> None:
+        if not self.initialised:
+            raise ValueError("the filter has no initial pose")
+        if not np.isfinite(T_odom_base.xyt).all():
+            raise ValueError("odometry is not finite")
+
+    def _moved_enough(self, T_odom_base: SE2) -> bool:
+        if self._updates == 0 or self._T_odom_base is None:
+            return True
+        x, y, yaw = (self._T_odom_base.inverse() @ T_odom_base).xyt
+        return bool(np.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a)
+
+    def _predict(self, T_odom_base: SE2) -> None:
+        if self._T_odom_base is not None:
+            c = self.config
+            step = motion.decompose(self._T_odom_base.inverse() @ T_odom_base)
+            std = motion.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
+            motion.move(self._poses, step, self._rng.standard_normal(self._poses.shape) * std)
+        self._T_odom_base = T_odom_base
+
+    def _weigh(self, beams: Beams) -> None:
+        log_weights, mean_probability = self._sensor.weigh(self._poses, beams)
+        log_weights += np.log(np.maximum(self._weights, 1e-300))
+        weights = np.exp(log_weights - log_weights.max())
+        self._weights = weights / weights.sum()
+        average = float(mean_probability.mean())
+        c = self.config
+        self._slow = (
+            average if self._slow == 0.0 else self._slow + c.recovery_alpha_slow * (average - self._slow)
+        )
+        self._fast = (
+            average if self._fast == 0.0 else self._fast + c.recovery_alpha_fast * (average - self._fast)
+        )
+
+    def _resample(self, beams: Beams) -> None:
+        c = self.config
+        share = max(0.0, 1.0 - self._fast / self._slow) if c.recovery_alpha_slow > 0.0 else 0.0
+        crowded = len(self._poses) > c.max_particles
+        if not crowded and share == 0.0:
+            if (self._updates + 1) % c.resample_interval:
+                return
+            if c.selective_resampling and sampling.effective_size(self._weights) > 0.5 * len(self._poses):
+                return
+        pool = sampling.low_variance(self._weights, c.max_particles, self._rng.random())
+        keys = sampling.bin_keys(self._poses[self._rng.permutation(pool)], c.kld_bin_xy, c.kld_bin_yaw)
+        count = sampling.kld_count(keys, c.kld_err, c.kld_z, c.min_particles)
+        strangers = int(share * count)
+        kept = self._poses[sampling.low_variance(self._weights, count - strangers, self._rng.random())]
+        if strangers:
+            kept = np.concatenate([kept, self._free.sample(strangers, self._rng)])
+            self._slow = self._fast = 0.0
+        self._poses = kept
+        self._weights = np.full(len(kept), 1.0 / len(kept))
+
+    def _estimate_pose(self, beams: Beams, T_odom_base: SE2) -> None:
+        estimate = main_cluster(self._poses, self._weights, self.config)
+        T_map_base = estimate.T_map_base
+        if self.config.refine and len(beams) > 0:
+            c = self.config
+            T_map_base, _ = refine(
+                self._field,
+                T_map_base,
+                estimate.information,
+                beams.points,
+                sigma_hit=c.sigma_hit,
+                odds_rand=c.z_rand / self._limits[1] / c.z_hit,
+                beam_share=min(1.0, c.max_beams / len(beams)),
+            )
+        self._estimate = estimate
+        self._T_map_odom = T_map_base @ T_odom_base.inverse()
