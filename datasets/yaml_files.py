@@ -1,0 +1,64 @@
+"""Typed YAML files: read as keys and values, checked against a pydantic model, errors in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from datasets.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """A YAML file that holds a mapping; InputError says what else it is."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{path}{line}: not valid YAML") from None
+    except (OSError, UnicodeDecodeError):
+        raise InputError(f"{path}: cannot be read as text") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected keys and values, found a {type(data).__name__}")
+    return data
+
+
+def checked(model: type[Model], data: Any, *, where: str) -> Model:
+    """`data` as the model, or an InputError with the first wrong key."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "top level"
+        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+        raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
+
+
+def load_model(model: type[Model], path: Path) -> Model:
+    """A YAML file as the model."""
+    return checked(model, read_mapping(path), where=str(path))
+
+
+def find_named(name_or_path: str, folder: Path, kind: str) -> Path:
+    """File of a built-in `kind` by name, or the file itself by path; InputError lists the known names."""
+    if name_or_path.endswith((".yaml", ".yml")) or "/" in name_or_path:
+        path = Path(name_or_path)
+        if not path.is_file():
+            raise InputError(f"{name_or_path}: no such {kind} file")
+        return path
+    path = folder / f"{name_or_path}.yaml"
+    if not path.is_file():
+        raise InputError(f"unknown {kind} '{name_or_path}': known are {', '.join(known_names(folder))}")
+    return path
+
+
+def known_names(folder: Path) -> list[str]:
+    """Names of the YAML files in a folder, sorted."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))

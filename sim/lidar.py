@@ -1,0 +1,90 @@
+"""The lidar: beams through the outlines at its height, each at its own instant, with noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import Array
+from datasets.types import LidarSpec
+from sim.raycast import beam_rays, cast
+from sim.robots import RobotSpec
+from sim.shapes import Solid, sections
+
+
+class LidarConfig(BaseModel):
+    """How the lidar measures.
+
+    `gazebo`: Gaussian noise of `sigma`. `datasheet`: of the LDS-01, +-15 mm below 0.5 m and +-5 % of
+    the range beyond, read as three standard deviations of a beam.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    turning: bool = True
+    noise: Literal["gazebo", "datasheet", "none"] = "gazebo"
+    sigma: Annotated[float, Field(ge=0.0)] = 0.01
+    dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Chance that a beam comes back as no return (+inf)."""
+    reflectivity: bool = True
+    """Whether dark or transparent solids swallow beams."""
+
+
+class Lidar:
+    """Turns base poses over a sweep into ranges."""
+
+    def __init__(
+        self, solids: Sequence[Solid], robot: RobotSpec, config: LidarConfig, rng: np.random.Generator
+    ) -> None:
+        self.spec: LidarSpec = robot.lidar.spec(config.turning)
+        self._config, self._rng = config, rng
+        self._outlines = sections([solid for solid in solids if solid.crosses(robot.lidar_height)])
+        returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
+        self._returns = returns if config.reflectivity and returns.min() < 1.0 else None
+        self._T_base_lidar = robot.T_base_lidar.xyt
+        n = self.spec.n_beams
+        self._sweep = np.arange(n) * (self.spec.time_increment / self.spec.scan_time)
+
+    def true_ranges(self, poses: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Distances (n_beams,) without noise or limits below, and the outline each beam hit.
+
+        poses (k, 3): base poses in the world, at equal steps from the first beam's instant to the
+        end of the sweep; one row for a lidar that takes all beams at once.
+        """
+        when = self._sweep * (len(poses) - 1)
+        origins, directions = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
+        return cast(origins, directions, self._outlines.segments, self._outlines.circles, self.spec.range_max)
+
+    def measure(self, poses: Array) -> NDArray[np.float32]:
+        """Ranges (n_beams,) as the driver would publish them (REP-117)."""
+        ranges, hits = self.true_ranges(poses)
+        low, high = self.spec.range_min, self.spec.range_max
+        valid = (ranges >= low) & (ranges < high)
+        noisy = np.clip(ranges + self._noise(ranges), low, high)
+        out = np.where(valid, noisy, np.where(ranges < low, -np.inf, np.inf))
+        if self._returns is not None:
+            out = np.where(self._rng.random(len(out)) < self._returns[hits], out, np.inf)
+        if self._config.dropout > 0.0:
+            out = np.where(self._rng.random(len(out)) < self._config.dropout, np.inf, out)
+        return _between(out.astype(np.float32), self.spec)
+
+    def _noise(self, ranges: Array) -> Array:
+        if self._config.noise == "none":
+            return np.zeros(len(ranges))
+        unit = self._rng.standard_normal(len(ranges))
+        if self._config.noise == "gazebo":
+            return self._config.sigma * unit
+        finite = np.where(np.isfinite(ranges), ranges, 0.0)
+        return np.where(finite < 0.5, 0.015, 0.05 * finite) / 3.0 * unit
+
+
+def _between(ranges: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.float32]:
+    """Rounding to float32 must not push a valid reading over its limits."""
+    low, high = np.float32(spec.range_min), np.float32(spec.range_max)
+    low = np.nextafter(low, np.float32(np.inf)) if low < spec.range_min else low
+    high = np.nextafter(high, np.float32(0.0)) if high > spec.range_max else high
+    finite = np.isfinite(ranges)
+    return np.where(finite, np.clip(ranges, low, high), ranges)

@@ -1,0 +1,199 @@
+"""Bullet: the floor, the solids, and the robot as an articulated body that only its wheels move."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pybullet
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2
+from sim.robots import RobotSpec
+from sim.shapes import Solid, as_rectangle
+from sim.urdf import composite, urdf
+
+CONTACT_GAP_M = 5e-4
+"""Bullet keeps points of bodies that are merely near; nearer than this they touch."""
+
+
+class PhysicsConfig(BaseModel):
+    """Friction coefficients are of the pairing with floor and solids (whose own is 1)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    friction: float = Field(0.5, gt=0.0)
+    """Wheels on the floor."""
+    body_friction: float = Field(0.1, ge=0.0)
+    """Caster on the floor, body on walls."""
+    substeps: int = Field(8, ge=8)
+    """Physics steps a control step: 8 is 240 Hz."""
+    solver_iterations: int = Field(30, ge=1)
+
+
+class Physics:
+    """One Bullet client with one robot in it. Poses are of base_footprint in the world frame."""
+
+    def __init__(
+        self, solids: Sequence[Solid], robot: RobotSpec, config: PhysicsConfig, control_dt: float
+    ) -> None:
+        self._solids, self._robot, self._config, self._dt = solids, robot, config, control_dt
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self._com = tuple(composite(robot.parts)[1])
+        self._n_wheels = 2 * len(robot.wheels.pairs_x)
+        self._forces = [robot.wheels.torque] * self._n_wheels
+
+    def __enter__(self) -> Physics:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect from Bullet; closing twice is harmless."""
+        if self._client >= 0:
+            pybullet.disconnect(self._client)
+            self._client = -1
+
+    @property
+    def client(self) -> int:
+        """Bullet's client id."""
+        return self._client
+
+    def reset(self, T_world_base: SE2) -> None:
+        """Build everything anew with the robot at a pose, and let it settle on its wheels."""
+        client = self._client
+        pybullet.resetSimulation(physicsClientId=client)
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=self._dt,
+            numSubSteps=self._config.substeps,
+            numSolverIterations=self._config.solver_iterations,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        floor = pybullet.createMultiBody(
+            0.0,
+            pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client),
+            physicsClientId=client,
+        )
+        pybullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)
+        self._solid_of = {
+            _create(solid, client): number
+            for number, solid in enumerate(self._solids)
+            if solid.z_min < self._robot.height and solid.z_max > 0.0
+        }
+        self._load_robot(T_world_base)
+        for _ in range(round(0.5 / self._dt)):
+            self.step(0.0, 0.0)
+
+    def _load_robot(self, T_world_base: SE2) -> None:
+        client, config = self._client, self._config
+        x, y, yaw = (float(value) for value in T_world_base.xyt)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "robot.urdf"
+            path.write_text(urdf(self._robot))
+            self.body = pybullet.loadURDF(
+                str(path),
+                [x, y, 0.0],
+                pybullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER,
+                physicsClientId=client,
+            )
+        self._joints = list(range(self._n_wheels))
+        for link, friction in [(-1, config.body_friction)] + [(j, config.friction) for j in self._joints]:
+            pybullet.changeDynamics(
+                self.body,
+                link,
+                lateralFriction=friction,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                physicsClientId=client,
+            )
+
+    def step(self, left: float, right: float) -> None:
+        """One control step with the wheel motors aiming at these speeds [rad/s]."""
+        pybullet.setJointMotorControlArray(
+            self.body,
+            self._joints,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[left, right] * (self._n_wheels // 2),
+            forces=self._forces,
+            physicsClientId=self._client,
+        )
+        pybullet.stepSimulation(physicsClientId=self._client)
+
+    def pose(self) -> tuple[float, float, float]:
+        """x, y, yaw of base_footprint."""
+        (px, py, _), (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(
+            self.body, physicsClientId=self._client
+        )
+        cx, cy, cz = self._com
+        # First two rows of the rotation matrix, applied to the centre of mass in the base frame.
+        x = px - (
+            (1.0 - 2.0 * (qy * qy + qz * qz)) * cx
+            + 2.0 * (qx * qy - qz * qw) * cy
+            + 2.0 * (qx * qz + qy * qw) * cz
+        )
+        y = py - (
+            2.0 * (qx * qy + qz * qw) * cx
+            + (1.0 - 2.0 * (qx * qx + qz * qz)) * cy
+            + 2.0 * (qy * qz - qx * qw) * cz
+        )
+        return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+
+    def velocity(self, yaw: float) -> tuple[float, float]:
+        """Forward speed of base_footprint [m/s] and yaw rate [rad/s], for a base at that yaw."""
+        (vx, vy, _), (_, _, w) = pybullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        # The centre of mass lies off the turning axis: take away w x offset (its part along x).
+        return vx * math.cos(yaw) + vy * math.sin(yaw) + w * self._com[1], w
+
+    def wheels(self) -> tuple[float, float, float, float]:
+        """Angles (left, right) [rad] and speeds (left, right) [rad/s] of the front pair of wheels."""
+        left, right = pybullet.getJointStates(self.body, [0, 1], physicsClientId=self._client)
+        return left[0], right[0], left[1], right[1]
+
+    def touched(self) -> set[int]:
+        """Indices of the solids that the robot touches now."""
+        found = set()
+        for point in pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client):
+            number = self._solid_of.get(point[2])
+            if number is not None and (point[9] > 0.0 or point[8] < CONTACT_GAP_M):
+                found.add(number)
+        return found
+
+
+def _create(solid: Solid, client: int) -> int:
+    """A static body for a solid; returns its id."""
+    height, middle = solid.z_max - solid.z_min, 0.5 * (solid.z_max + solid.z_min)
+    position, yaw = [*solid.center, middle], 0.0
+    rectangle = None if solid.is_cylinder else as_rectangle(solid.polygon)
+    if solid.is_cylinder:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=solid.radius, height=height, physicsClientId=client
+        )
+    elif rectangle is not None:
+        x, y, length, width, yaw = rectangle
+        position = [x, y, middle]
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[length / 2.0, width / 2.0, height / 2.0], physicsClientId=client
+        )
+    else:
+        outline = solid.polygon - np.array(solid.center)
+        vertices = [[float(x), float(y), z] for z in (-height / 2.0, height / 2.0) for x, y in outline]
+        shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=vertices, physicsClientId=client)
+    body = pybullet.createMultiBody(
+        0.0,
+        shape,
+        basePosition=position,
+        baseOrientation=pybullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
+        physicsClientId=client,
+    )
+    pybullet.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=client)
+    return int(body)

@@ -1,0 +1,93 @@
+"""The true map of a world: what a perfect lidar, carried everywhere, would draw.
+
+A cell is OCCUPIED when a surface passes through it that can be seen from the floor space reachable
+from the spawn, FREE when it belongs to that space, and UNKNOWN elsewhere: inside solids, behind
+walls, outside. So the map is comparable, cell by cell, with one built from scans, which never see
+the inside of a wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.se2 import SE2, Array
+from sim.shapes import Solid, contains
+
+INSET_M = 1e-3
+"""Surfaces are sampled this far inside the solid: one that lies on a cell border belongs to the solid's cell."""
+
+
+def true_map(
+    solids: Sequence[Solid],
+    bounds: tuple[float, float, float, float],
+    start_xy: Array,
+    resolution: float,
+) -> OccupancyGrid:
+    """True map of the given sections over `bounds` (x_min, x_max, y_min, y_max), seen from start_xy."""
+    # Whole cells, aligned to multiples of the resolution.
+    x0, y0 = np.floor(bounds[0] / resolution + 1e-9), np.floor(bounds[2] / resolution + 1e-9)
+    cols = int(np.ceil(bounds[1] / resolution - 1e-9) - x0)
+    rows = int(np.ceil(bounds[3] / resolution - 1e-9) - y0)
+    cells = np.full((rows, cols), UNKNOWN, dtype=np.int8)
+    grid = OccupancyGrid(cells, resolution, SE2.from_xyt(x0 * resolution, y0 * resolution, 0.0))
+
+    surface = _surface_cells(grid, solids)
+    rr, cc = np.indices((rows, cols))
+    centers = grid.center_of(np.stack([rr, cc], axis=-1)).reshape(-1, 2)
+    open_floor = ~surface & ~contains(solids, centers).reshape(rows, cols)
+    regions, _ = ndimage.label(open_floor)
+    start = grid.cell_of(np.asarray(start_xy))
+    region = regions[tuple(start)] if grid.contains(start) else 0
+    free = (regions == region) & open_floor if region else np.zeros_like(open_floor)
+
+    seen = ndimage.binary_dilation(free, structure=np.ones((3, 3), dtype=bool))
+    cells[free] = FREE
+    cells[surface & seen] = OCCUPIED
+    return grid
+
+
+def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid]) -> np.ndarray:
+    """Cells through which an uncovered surface passes, (rows, cols) bool."""
+    step = grid.resolution / 25.0
+    samples = [np.zeros((0, 2))]
+    for solid in solids:
+        points, outward = _outline(solid, step)
+        # A stretch that is sunk in another solid is no surface.
+        others = [other for other in solids if other is not solid and _near(other, solid)]
+        exposed = ~contains(others, points + 2.0 * INSET_M * outward)
+        samples.append((points - INSET_M * outward)[exposed])
+    hit = grid.cell_of(np.vstack(samples))
+    hit = hit[grid.contains(hit)]
+    out = np.zeros(grid.shape, dtype=bool)
+    out[hit[:, 0], hit[:, 1]] = True
+    return out
+
+
+def _near(a: Solid, b: Solid) -> bool:
+    ax0, ax1, ay0, ay1 = a.bounds()
+    bx0, bx1, by0, by1 = b.bounds()
+    pad = 4.0 * INSET_M
+    return ax0 - pad < bx1 and bx0 - pad < ax1 and ay0 - pad < by1 and by0 - pad < ay1
+
+
+def _outline(solid: Solid, step: float) -> tuple[Array, Array]:
+    """Points along a solid's outline at most `step` apart, and the outward normal at each, (n, 2) both."""
+    if solid.is_cylinder:
+        n = max(16, int(np.ceil(2.0 * np.pi * solid.radius / step)))
+        angles = np.arange(n) * (2.0 * np.pi / n)
+        normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        return np.array(solid.center) + solid.radius * normals, normals
+    points, normals = [], []
+    for a, b in zip(solid.polygon, np.roll(solid.polygon, -1, axis=0), strict=True):
+        length = float(np.linalg.norm(b - a))
+        if length < 1e-9:
+            continue
+        fractions = np.linspace(0.0, 1.0, max(2, int(np.ceil(length / step)) + 1))
+        points.append(a + fractions[:, None] * (b - a))
+        normal = np.array([b[1] - a[1], a[0] - b[0]]) / length
+        normals.append(np.broadcast_to(normal, points[-1].shape))
+    return np.vstack(points), np.vstack(normals)

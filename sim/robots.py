@@ -1,0 +1,178 @@
+"""Robots: YAML specifications of differential drives with a planar lidar."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.types import LidarSpec, RobotModel
+from datasets.yaml_files import find_named, known_names, load_model
+from sim.worlds import load_world
+
+FOLDER = Path(__file__).parent / "robots"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class _Spec(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Limits(_Spec):
+    """What the motor layer allows, whoever commands: speeds, accelerations, and rim acceleration."""
+
+    max_v: Positive
+    max_w: Positive
+    max_dv: Positive
+    max_dw: Positive
+    wheel_acceleration: Positive
+
+
+class _Part(_Spec):
+    """A rigid part of the body: collision shape at `center`, mass at `com`, all in base_footprint."""
+
+    name: str
+    center: Vector
+    mass: Positive
+    com: Vector
+    inertia: tuple[Positive, Positive, Positive]
+
+
+class BoxPart(_Part):
+    """A box-shaped part."""
+
+    kind: Literal["box"]
+    size: tuple[Positive, Positive, Positive]
+
+
+class CylinderPart(_Part):
+    """An upright cylinder."""
+
+    kind: Literal["cylinder"]
+    radius: Positive
+    length: Positive
+
+
+class SpherePart(_Part):
+    """A ball: casters."""
+
+    kind: Literal["sphere"]
+    radius: Positive
+
+
+Part = Annotated[BoxPart | CylinderPart | SpherePart, Field(discriminator="kind")]
+
+
+class Wheels(_Spec):
+    """Two driven wheels; `joint_y` is where they stand, `separation` what the controller believes."""
+
+    radius: Positive
+    width: Positive
+    joint_y: Positive
+    separation: Positive
+    mass: Positive
+    inertia: tuple[Positive, Positive, Positive]
+    torque: Positive
+    encoder_ticks: int = Field(gt=0)
+    pairs_x: tuple[Finite, ...] = (0.0,)
+    """x of each axle: one for a differential drive, two for a skid-steered four-wheeler."""
+
+
+class Lidar(_Spec):
+    """A planar lidar at `pose` in base_footprint, `height` over the floor."""
+
+    pose: Vector
+    height: Positive
+    n_beams: int = Field(gt=0)
+    angle_min: Finite
+    angle_increment_deg: Positive
+    range_min: Positive
+    range_max: Positive
+    rate_hz: Positive
+    sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    """Part of a turn of the head during which beams are taken."""
+
+    def spec(self, turning: bool) -> LidarSpec:
+        """Its geometry; with `turning` off all beams are taken at once."""
+        period = 1.0 / self.rate_hz
+        return LidarSpec(
+            self.n_beams,
+            self.angle_min,
+            float(np.deg2rad(self.angle_increment_deg)),
+            self.range_min,
+            self.range_max,
+            period * self.sweep / self.n_beams if turning else 0.0,
+            period,
+        )
+
+
+class ImuMount(_Spec):
+    """Where the IMU sits in base_footprint."""
+
+    position: Vector
+
+
+class RobotSpec(_Spec):
+    """A robot file."""
+
+    name: str
+    height: Positive
+    footprint: list[tuple[Finite, Finite]] = Field(min_length=3)
+    limits: Limits
+    parts: list[Part] = Field(min_length=1)
+    wheels: Wheels
+    lidar: Lidar
+    imu: ImuMount
+
+    @property
+    def T_base_lidar(self) -> SE2:
+        """Lidar in base_footprint."""
+        return SE2.from_xyt(*self.lidar.pose)
+
+    @property
+    def lidar_height(self) -> float:
+        """Height of the lidar plane over the floor [m]."""
+        return self.lidar.height
+
+    @cached_property
+    def model(self) -> RobotModel:
+        """What planners may know of it."""
+        limits = self.limits
+        return RobotModel(
+            self.name,
+            np.array(self.footprint, dtype=np.float64),
+            limits.max_v,
+            limits.max_w,
+            limits.max_dv,
+            limits.max_dw,
+        )
+
+
+def load_robot(name_or_path: str) -> RobotSpec:
+    """A built-in robot by name or a YAML file by path; InputError for unknown names lists the known."""
+    path = find_named(name_or_path, FOLDER, "robot")
+    spec = load_model(RobotSpec, path)
+    steps_per_scan = 30.0 / spec.lidar.rate_hz
+    if steps_per_scan < 1.0 or abs(steps_per_scan - round(steps_per_scan)) > 1e-9:
+        raise InputError(
+            f"{path}: lidar.rate_hz: 30 must be a whole multiple of it, got {spec.lidar.rate_hz}"
+        )
+    return spec
+
+
+def robot_names() -> list[str]:
+    """Names of the built-in robots."""
+    return known_names(FOLDER)
+
+
+def default_robot(world_name: str) -> str:
+    """The robot a world is meant for."""
+    return load_world(world_name).robot

@@ -1,0 +1,179 @@
+"""A robot in a world: commands in, observations out. Truth is beside it, never in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from datasets.errors import InputError
+from datasets.se2 import SE2, Array
+from datasets.seeds import stream
+from datasets.types import Joints, Observation, Odometry, Scan, Twist
+from sim.lidar import Lidar, LidarConfig
+from sim.physics import Physics, PhysicsConfig
+from sim.raycast import distance_to_outlines, distance_to_point
+from sim.robots import RobotSpec
+from sim.shapes import contains, sections
+from sim.wheels import Calibration, Motors, OdometryConfig, WheelOdometry
+from sim.worlds import World
+
+CONTROL_HZ = 30
+CONTACT_REACH_M = 0.05
+"""Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
+
+
+class SimConfig(BaseModel):
+    """Everything that can be switched in the simulator."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    physics: PhysicsConfig = PhysicsConfig()
+    lidar: LidarConfig = LidarConfig()
+    odometry: OdometryConfig = OdometryConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What only the simulator knows: true pose and twist, and whether the robot touched anything but the floor.
+
+    A contact is `visible` when the touched solid crosses the lidar plane, else `low`.
+    """
+
+    stamp_ns: int
+    T_world_base: SE2
+    twist: Twist
+    contact_visible: bool
+    contact_low: bool
+
+
+def stamp_of(step: int) -> int:
+    """Stamp of a control step [ns]; a whole nanosecond number."""
+    return round(step * 10**9 / CONTROL_HZ)
+
+
+class Simulator:
+    """Steps of 1/30 s, each of eight or more physics steps. A context manager: it owns a Bullet client.
+
+    `reset` first, then `step` as often as wanted. Same world, robot, config, seed and commands give
+    the same observations to the last bit.
+    """
+
+    def __init__(
+        self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
+    ) -> None:
+        self.world, self.robot, self.config, self.seed = world, robot, config or SimConfig(), seed
+        self._solids = world.shapes
+        self._reachable = sections(world.below(robot.height))
+        self._visible = [solid.crosses(robot.lidar_height) for solid in self._solids]
+        self._footprint = robot.model.footprint
+        self._radius = robot.model.circumscribed_radius
+        self._steps_per_scan = round(CONTROL_HZ / robot.lidar.rate_hz)
+        self._physics = Physics(self._solids, robot, self.config.physics, 1.0 / CONTROL_HZ)
+        self._step = -1
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the physics client back."""
+        self._physics.close()
+
+    def reset(self, T_world_base: SE2 | None = None) -> Observation:
+        """Put the robot down (default: the world's spawn) at time 0; odometry starts at that pose.
+
+        InputError when the pose overlaps a solid.
+        """
+        start = self.world.spawn if T_world_base is None else T_world_base
+        self._check_free(start)
+        dt = 1.0 / CONTROL_HZ
+        calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
+        self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
+        self._motors = Motors(self.robot, calibration, dt)
+        self._odometry = WheelOdometry(self.robot, calibration, start, dt)
+        self._physics.reset(start)
+        self._step = 0
+        self._sweep = np.zeros((self._steps_per_scan + 1, 3))
+        self._scan_truth = start
+        return self._observe()
+
+    def step(self, command: Twist) -> Observation:
+        """Drive for one control period."""
+        if self._step < 0:
+            raise RuntimeError("reset the simulator before the first step")
+        self._physics.step(*self._motors.step(command))
+        self._step += 1
+        return self._observe()
+
+    @property
+    def truth(self) -> Truth:
+        """True state after the last step."""
+        return self._truth
+
+    @property
+    def scan_truth(self) -> SE2:
+        """True base pose at the stamp of the last completed scan."""
+        return self._scan_truth
+
+    def clearance(self) -> float:
+        """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
+        footprint = self._truth.T_world_base @ self._footprint
+        return float(distance_to_outlines(footprint, self._reachable.segments, self._reachable.circles))
+
+    def _observe(self) -> Observation:
+        stamp = stamp_of(self._step)
+        x, y, yaw = self._physics.pose()
+        left, right, left_speed, right_speed = self._physics.wheels()
+        visible, low = self._contacts(x, y)
+        pose = np.array([x, y, yaw])
+        self._truth = Truth(stamp, SE2(pose), Twist(*self._physics.velocity(yaw)), visible, low)
+        return Observation(
+            stamp,
+            Odometry(stamp, *self._odometry.update(left, right)),
+            Joints(stamp, (left, right), (left_speed, right_speed)),
+            self._sweep_on(pose, stamp),
+        )
+
+    def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:
+        """Collect poses; the scan when its sweep ends in this step."""
+        place = self._step % self._steps_per_scan
+        if not self.config.lidar.turning:
+            if place:
+                return None
+            self._scan_truth = SE2(pose)
+            return Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
+        if self._step == 0 or place:
+            self._sweep[place] = pose
+            return None
+        self._sweep[-1] = pose
+        ranges = self._lidar.measure(self._sweep)
+        self._scan_truth = SE2(self._sweep[0].copy())
+        self._sweep[0] = pose
+        return Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
+
+    def _contacts(self, x: float, y: float) -> tuple[bool, bool]:
+        outlines = self._reachable
+        if distance_to_point(x, y, outlines.segments, outlines.circles) > self._radius + CONTACT_REACH_M:
+            return False, False
+        touched = [self._visible[number] for number in self._physics.touched()]
+        return any(touched), not all(touched)
+
+    def _check_free(self, start: SE2) -> None:
+        footprint = start @ self._footprint
+        outlines = self._reachable
+        solids = self.world.below(self.robot.height)
+        if (
+            not np.all(np.isfinite(start.xyt))
+            or distance_to_outlines(footprint, outlines.segments, outlines.circles) == 0.0
+            or contains(solids, start.xy[None])[0]
+        ):
+            x, y = float(start.x), float(start.y)
+            raise InputError(
+                f"start pose {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
+            )

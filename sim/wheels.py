@@ -1,0 +1,79 @@
+"""Motor layer and wheel odometry: what the robot's own board does, with the numbers it believes."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2
+from datasets.types import Twist
+from sim.robots import RobotSpec
+
+
+class OdometryConfig(BaseModel):
+    """Calibration: the believed wheel radius and track are off by up to these fractions, drawn once a run."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    track_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+
+
+class Calibration:
+    """Wheel radius and track [m] as the board believes them."""
+
+    def __init__(self, robot: RobotSpec, config: OdometryConfig, rng: np.random.Generator) -> None:
+        radius, track = rng.uniform(-1.0, 1.0, 2)
+        self.radius = robot.wheels.radius * (1.0 + config.radius_error * float(radius))
+        self.track = robot.wheels.separation * (1.0 + config.track_error * float(track))
+
+
+class Motors:
+    """Commands to wheel speeds, within the limits of speed and acceleration, whoever commands."""
+
+    def __init__(self, robot: RobotSpec, calibration: Calibration, dt: float) -> None:
+        self._limits, self._calibration, self._dt = robot.limits, calibration, dt
+        self._v = self._w = self._left = self._right = 0.0
+
+    def step(self, command: Twist) -> tuple[float, float]:
+        """Target speeds of the left and right wheel [rad/s] for the next control step."""
+        limits, dt = self._limits, self._dt
+        v = min(max(command.v, -limits.max_v), limits.max_v) if math.isfinite(command.v) else 0.0
+        w = min(max(command.w, -limits.max_w), limits.max_w) if math.isfinite(command.w) else 0.0
+        self._v = _approach(self._v, v, limits.max_dv * dt)
+        self._w = _approach(self._w, w, limits.max_dw * dt)
+        # Rim speeds; each wheel has its own ramp, as in the Gazebo plugin.
+        swing = 0.5 * self._calibration.track * self._w
+        self._left = _approach(self._left, self._v - swing, limits.wheel_acceleration * dt)
+        self._right = _approach(self._right, self._v + swing, limits.wheel_acceleration * dt)
+        return self._left / self._calibration.radius, self._right / self._calibration.radius
+
+
+def _approach(value: float, target: float, step: float) -> float:
+    return min(max(target, value - step), value + step)
+
+
+class WheelOdometry:
+    """Encoder ticks integrated by the mid-point rule, starting at a given pose."""
+
+    def __init__(self, robot: RobotSpec, calibration: Calibration, start: SE2, dt: float) -> None:
+        self._rad_per_tick = 2.0 * math.pi / robot.wheels.encoder_ticks
+        self._calibration, self._dt = calibration, dt
+        self._x, self._y, self._yaw = (float(value) for value in start.xyt)
+        self._ticks: tuple[int, int] | None = None
+
+    def update(self, left_rad: float, right_rad: float) -> tuple[SE2, Twist]:
+        """Pose in odom and twist after the wheels reached these true angles [rad]."""
+        ticks = (math.floor(left_rad / self._rad_per_tick), math.floor(right_rad / self._rad_per_tick))
+        last = self._ticks or ticks
+        self._ticks = ticks
+        scale = self._rad_per_tick * self._calibration.radius
+        left, right = (ticks[0] - last[0]) * scale, (ticks[1] - last[1]) * scale
+        forward, turn = 0.5 * (left + right), (right - left) / self._calibration.track
+        self._x += forward * math.cos(self._yaw + 0.5 * turn)
+        self._y += forward * math.sin(self._yaw + 0.5 * turn)
+        self._yaw = (self._yaw + turn + math.pi) % (2.0 * math.pi) - math.pi
+        T_odom_base = SE2(np.array([self._x, self._y, self._yaw]))
+        return T_odom_base, Twist(forward / self._dt, turn / self._dt)

@@ -1,0 +1,154 @@
+"""Worlds: YAML files of upright solids with a spawn pose, and the true map of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2, Array
+from datasets.yaml_files import checked, find_named, known_names, read_mapping
+from sim.rasterize import true_map
+from sim.shapes import Solid, box, cylinder, prism
+
+FOLDER = Path(__file__).parent / "worlds"
+MARGIN_M = 0.5
+"""Free border around the outermost solid in a true map."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Point = tuple[Finite, Finite]
+
+
+class _Spec(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _ShapeSpec(_Spec):
+    name: str = ""
+    z: tuple[Finite, Finite]
+    reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
+    option: str | None = None
+    """Left out of the world unless this option is chosen (e.g. `gate: shut`)."""
+
+
+class BoxSpec(_ShapeSpec):
+    """A box: centre, size along its own axes, yaw."""
+
+    kind: Literal["box"]
+    center: Point
+    size: tuple[Positive, Positive]
+    yaw: Finite = 0.0
+
+    def solid(self) -> Solid:
+        """The solid it describes."""
+        return box(self.name, self.center, self.size, self.yaw, self.z, self.reflectivity)
+
+
+class CylinderSpec(_ShapeSpec):
+    """An upright cylinder."""
+
+    kind: Literal["cylinder"]
+    center: Point
+    radius: Positive
+
+    def solid(self) -> Solid:
+        """The solid it describes."""
+        return cylinder(self.name, self.center, self.radius, self.z, self.reflectivity)
+
+
+class PrismSpec(_ShapeSpec):
+    """An upright prism over a convex outline."""
+
+    kind: Literal["prism"]
+    polygon: list[Point] = Field(min_length=3)
+
+    def solid(self) -> Solid:
+        """The solid it describes."""
+        return prism(self.name, np.array(self.polygon), self.z, self.reflectivity)
+
+
+ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec, Field(discriminator="kind")]
+
+
+class WorldSpec(_Spec):
+    """A world file."""
+
+    name: str
+    robot: str = "burger"
+    spawn: tuple[Finite, Finite, Finite]
+    bounds: tuple[Finite, Finite, Finite, Finite] | None = None
+    shapes: list[ShapeSpec]
+    keepout: list[list[Point]] = []
+    routes: dict[str, list[Point]] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Solids on an endless floor at z = 0, and where a robot starts.
+
+    `keepout` are outlines (n, 2) that planners may be told to avoid because a planar lidar cannot
+    see what stands there; `routes` are named way points (n, 2) for scripted driving.
+    """
+
+    name: str
+    robot: str
+    spawn: SE2
+    shapes: tuple[Solid, ...]
+    bounds: tuple[float, float, float, float]
+    keepout: tuple[Array, ...]
+    routes: dict[str, Array]
+
+    def crossing(self, z: float) -> list[Solid]:
+        """Solids that a horizontal plane at z cuts: what a lidar at that height can see."""
+        return [solid for solid in self.shapes if solid.crosses(z)]
+
+    def below(self, z: float) -> list[Solid]:
+        """Solids that reach into the space over the floor and below z: what a robot that high can touch."""
+        return [solid for solid in self.shapes if solid.z_min < z and solid.z_max > 0.0]
+
+    def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
+        """The true map at height z, as a perfect lidar there would draw it (see sim.rasterize)."""
+        return true_map(self.crossing(z), self.bounds, self.spawn.xy, resolution)
+
+
+def load_world(name_or_path: str) -> World:
+    """A built-in world by name or a YAML file by path; InputError for unknown names lists the known."""
+    path = find_named(name_or_path, FOLDER, "world")
+    spec = checked(WorldSpec, read_mapping(path), where=str(path))
+    try:
+        solids = tuple(shape.solid() for shape in spec.shapes)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    return World(
+        name=spec.name,
+        robot=spec.robot,
+        spawn=SE2.from_xyt(*spec.spawn),
+        shapes=solids,
+        bounds=spec.bounds or bounds_of(solids, MARGIN_M),
+        keepout=tuple(np.array(outline, dtype=np.float64) for outline in spec.keepout),
+        routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
+    )
+
+
+def world_names() -> list[str]:
+    """Names of the built-in worlds."""
+    return known_names(FOLDER)
+
+
+def bounds_of(solids: tuple[Solid, ...], margin: float) -> tuple[float, float, float, float]:
+    """(x_min, x_max, y_min, y_max) around solids; 10 m about the origin when there are none."""
+    if not solids:
+        return -10.0, 10.0, -10.0, 10.0
+    each = np.array([solid.bounds() for solid in solids])
+    return (
+        float(each[:, 0].min() - margin),
+        float(each[:, 1].max() + margin),
+        float(each[:, 2].min() - margin),
+        float(each[:, 3].max() + margin),
+    )
