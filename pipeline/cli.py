@@ -16,6 +16,7 @@ from pipeline.console import set_verbosity
 VERBS: dict[str, tuple[str, str]] = {
     "record": ("record", "drive a simulated robot by a script and record a bag"),
     "map": ("map", "build a map from a bag or log"),
+    "localise": ("localise", "find where a recorded robot was on a map"),
     "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
     "report": ("report", "make a page of stage outputs"),
     "bag": ("bag", "look at bags: info"),

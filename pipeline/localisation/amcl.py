@@ -39,7 +39,9 @@ class Amcl:
         self._T_base_lidar = T_base_lidar
         self._limits = (
             config.laser_min_range if config.laser_min_range >= 0.0 else lidar.range_min,
-            config.laser_max_range if config.laser_max_range >= 0.0 else lidar.range_max,
+            min(config.laser_max_range, lidar.range_max)
+            if config.laser_max_range >= 0.0
+            else lidar.range_max,
         )
         self._field = distance_field(grid, config.likelihood_max_dist)
         self._sensor = make_sensor_model(config, self._field, self._limits[1])
@@ -89,6 +91,11 @@ class Amcl:
     def particles(self) -> SE2:
         """The cloud in the map frame, (n,)."""
         return SE2(self._poses.copy())
+
+    @property
+    def size(self) -> int:
+        """How many particles there are."""
+        return len(self._poses)
 
     @property
     def weights(self) -> Array:

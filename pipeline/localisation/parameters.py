@@ -17,49 +17,51 @@ class AmclConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    min_particles: int = Field(500, ge=2)
-    max_particles: int = Field(2000, ge=2)
-    global_particles: int = Field(20000, ge=2)  # spread over the free space; the best are kept
-    kld_err: float = Field(0.02, gt=0.0)
-    kld_z: float = Field(2.33, gt=0.0)  # quantile of the normal distribution itself, as in ROS
-    kld_bin_xy: float = Field(0.25, gt=0.0)
-    kld_bin_yaw: float = Field(math.radians(10.0), gt=0.0)
+    min_particles: int = Field(default=500, ge=2)
+    max_particles: int = Field(default=2000, ge=2)
+    global_particles: int = Field(default=20000, ge=2)  # spread over the free space; the best are kept
+    kld_err: float = Field(default=0.02, gt=0.0)
+    kld_z: float = Field(default=2.33, gt=0.0)  # quantile of the normal distribution itself, as in ROS
+    kld_bin_xy: float = Field(default=0.25, gt=0.0)
+    kld_bin_yaw: float = Field(default=math.radians(10.0), gt=0.0)
 
-    update_min_d: float = Field(0.05, ge=0.0)
-    update_min_a: float = Field(0.05, ge=0.0)
-    resample_interval: int = Field(1, ge=1)
+    update_min_d: float = Field(default=0.05, ge=0.0)
+    update_min_a: float = Field(default=0.05, ge=0.0)
+    resample_interval: int = Field(default=1, ge=1)
     selective_resampling: bool = True  # resample only when fewer than half of the particles count
 
     # Differential odometry: the sums below are VARIANCES (Thrun's text, Nav2); ROS 1's plain "diff"
     # hands the same sums over as standard deviations.
-    alpha1: float = Field(0.02, ge=0.0)  # rotation from rotation
-    alpha2: float = Field(0.02, ge=0.0)  # rotation [rad] from translation [m]
-    alpha3: float = Field(0.01, ge=0.0)  # translation from translation
-    alpha4: float = Field(0.005, ge=0.0)  # translation [m] from rotation [rad]
+    alpha1: float = Field(default=0.02, ge=0.0)  # rotation from rotation
+    alpha2: float = Field(default=0.02, ge=0.0)  # rotation [rad] from translation [m]
+    alpha3: float = Field(default=0.01, ge=0.0)  # translation from translation
+    alpha4: float = Field(default=0.005, ge=0.0)  # translation [m] from rotation [rad]
 
     laser_model_type: Literal["likelihood_field", "beam"] = "likelihood_field"
     aggregation: Literal["product", "cubes"] = "product"
-    max_beams: int = Field(60, ge=1)
+    max_beams: int = Field(default=60, ge=1)
     laser_min_range: float = -1.0  # -1: the sensor's own
     laser_max_range: float = -1.0
-    likelihood_max_dist: float = Field(2.0, gt=0.0)
-    sigma_hit: float = Field(0.1, gt=0.0)
-    z_hit: float = Field(0.9, ge=0.0)
-    z_short: float = Field(0.05, ge=0.0)  # beam model only
-    z_max: float = Field(0.05, ge=0.0)  # beam model only
-    z_rand: float = Field(0.1, gt=0.0)
-    lambda_short: float = Field(0.1, gt=0.0)  # beam model only
+    likelihood_max_dist: float = Field(default=2.0, gt=0.0)
+    sigma_hit: float = Field(default=0.1, gt=0.0)
+    z_hit: float = Field(default=0.9, gt=0.0)
+    z_short: float = Field(default=0.05, ge=0.0)  # beam model only
+    z_max: float = Field(default=0.05, ge=0.0)  # beam model only
+    z_rand: float = Field(default=0.1, gt=0.0)
+    lambda_short: float = Field(default=0.1, gt=0.0)  # beam model only
 
-    recovery_alpha_slow: float = Field(0.001, ge=0.0, le=1.0)
-    recovery_alpha_fast: float = Field(0.1, ge=0.0, le=1.0)
+    recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)
+    recovery_alpha_fast: float = Field(default=0.1, ge=0.0, le=1.0)
 
     refine: bool = True  # the estimate is polished on the field with all beams
-    convergence_xy: float = Field(0.15, gt=0.0)  # standard deviation below which the cloud has converged
-    convergence_yaw: float = Field(0.1, gt=0.0)
+    convergence_xy: float = Field(
+        default=0.15, gt=0.0
+    )  # standard deviation below which the cloud has converged
+    convergence_yaw: float = Field(default=0.1, gt=0.0)
 
-    initial_cov_xx: float = Field(0.25, ge=0.0)
-    initial_cov_yy: float = Field(0.25, ge=0.0)
-    initial_cov_aa: float = Field((math.pi / 12.0) ** 2, ge=0.0)
+    initial_cov_xx: float = Field(default=0.25, ge=0.0)
+    initial_cov_yy: float = Field(default=0.25, ge=0.0)
+    initial_cov_aa: float = Field(default=(math.pi / 12.0) ** 2, ge=0.0)
 
     @model_validator(mode="after")
     def _check(self) -> AmclConfig:

@@ -1,0 +1,45 @@
+"""`turtlebag localise`: AMCL over a bag or log."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pipeline.commands.arguments import add_config, add_output, pose, seed
+
+EXAMPLE = (
+    "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("bag", type=Path, metavar="BAG", help="a record's folder, a bag or a CARMEN log")
+    parser.add_argument("--map", type=Path, required=True, metavar="MAP.yaml", help="map to localise on")
+    parser.add_argument(
+        "--initial-pose", metavar="X,Y,YAW|global", help="where the robot starts on the map, or search for it"
+    )
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
+    parser.add_argument("--seed", type=seed, default=1, help="seed of the particles (default 1)")
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Localise; 0 done, 1 rejected."""
+    from pipeline.localise import load_localise_config, localise
+
+    initial = args.initial_pose
+    if initial is not None and initial != "global":
+        initial = pose(initial, "--initial-pose")
+    return localise(
+        args.bag,
+        args.map,
+        args.out,
+        initial_pose=initial,
+        truth=args.truth,
+        config=load_localise_config(args.config, args.settings),
+        seed=args.seed,
+        force=args.force,
+        command=args.command_line,
+    )

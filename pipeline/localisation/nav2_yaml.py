@@ -1,0 +1,93 @@
+"""Settings of the filter from a Nav2 (or ROS 1) amcl parameter file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from datasets.errors import InputError
+
+_SAME = [
+    "min_particles",
+    "max_particles",
+    "kld_err",
+    "kld_z",
+    "update_min_d",
+    "update_min_a",
+    "resample_interval",
+    "selective_resampling",
+    "laser_model_type",
+    "laser_min_range",
+    "laser_max_range",
+    "recovery_alpha_slow",
+    "recovery_alpha_fast",
+    "initial_cov_xx",
+    "initial_cov_yy",
+    "initial_cov_aa",
+    "sigma_hit",
+    "z_hit",
+    "z_short",
+    "z_max",
+    "z_rand",
+    "lambda_short",
+    "max_beams",
+    "alpha1",
+    "alpha2",
+    "alpha3",
+    "alpha4",
+]
+# Theirs -> ours. ROS 1 puts odom_ and laser_ before many names; Nav2 calls the KLD pair pf_err, pf_z.
+NAMES: dict[str, str] = {
+    **{name: name for name in _SAME},
+    "pf_err": "kld_err",
+    "pf_z": "kld_z",
+    "laser_likelihood_max_dist": "likelihood_max_dist",
+    "likelihood_max_dist": "likelihood_max_dist",
+    **{f"odom_alpha{i}": f"alpha{i}" for i in range(1, 5)},
+    **{f"laser_{name}": name for name in ("max_beams", "z_hit", "z_short", "z_max", "z_rand")},
+    "laser_sigma_hit": "sigma_hit",
+    "laser_lambda_short": "lambda_short",
+}
+# Their laser model -> ours and how it joins beams: their plain likelihood field adds up cubes.
+MODELS: dict[str, tuple[str, str]] = {
+    "likelihood_field": ("likelihood_field", "cubes"),
+    "likelihood_field_prob": ("likelihood_field", "product"),
+    "beam": ("beam", "product"),
+}
+
+
+@dataclass(frozen=True)
+class ForeignParameters:
+    """What was understood of a foreign file (our names), and the names that were not."""
+
+    known: dict[str, Any]
+    ignored: tuple[str, ...]
+
+
+def is_nav2(data: dict[str, Any]) -> bool:
+    """Whether a parsed YAML file has an amcl node with ros__parameters."""
+    node = _amcl_node(data)
+    return isinstance(node, dict) and "ros__parameters" in node
+
+
+def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
+    """Parameters of the `amcl` node; InputError when its laser model is unknown."""
+    node = _amcl_node(data)
+    parameters = node.get("ros__parameters") if isinstance(node, dict) else None
+    if not isinstance(parameters, dict):
+        raise InputError(f"{where}: no amcl: ros__parameters: in it")
+    known = {NAMES[name]: value for name, value in parameters.items() if name in NAMES}
+    if "laser_model_type" in known:
+        model = known["laser_model_type"]
+        if model not in MODELS:
+            raise InputError(f"{where}: laser_model_type {model}: known are {', '.join(MODELS)}")
+        known["laser_model_type"], known["aggregation"] = MODELS[model]
+    return ForeignParameters(known, tuple(sorted(str(name) for name in parameters if name not in NAMES)))
+
+
+def _amcl_node(data: dict[str, Any]) -> Any:
+    """The amcl node, at the top or below a namespace (`/**:`, `robot1:`)."""
+    if "amcl" in data:
+        return data["amcl"]
+    spaces = (value for value in data.values() if isinstance(value, dict))
+    return next((space["amcl"] for space in spaces if "amcl" in space), None)
