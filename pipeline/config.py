@@ -7,49 +7,20 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from datasets.errors import InputError
+from datasets.yaml_files import checked, read_mapping
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def load_config(model: type[Model], path: Path | None = None, settings: Sequence[str] = ()) -> Model:
     """The model filled from `path` (YAML) and `settings` ("a.b=value"); InputError names the bad key."""
-    data = read_yaml(path) if path is not None else {}
+    data = read_mapping(path) if path is not None else {}
     for setting in settings:
         _apply(data, setting)
-    return validated(model, data, where=str(path) if path is not None else "--set")
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file that holds a mapping; InputError says what else it is."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        data = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{path}{line}: not valid YAML") from None
-    except (OSError, UnicodeDecodeError):
-        raise InputError(f"{path}: cannot be read as text") from None
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: expected keys and values, found a {type(data).__name__}")
-    return data
-
-
-def validated(model: type[Model], data: Any, *, where: str) -> Model:
-    """`data` as the model, or an InputError with the first wrong key."""
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "top level"
-        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
-        raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
+    return checked(model, data, where=str(path) if path is not None else "--set")
 
 
 def config_text(config: BaseModel) -> str:

@@ -4,7 +4,8 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
-from pipeline.config import config_text, load_config, read_yaml
+from datasets.yaml_files import read_mapping
+from pipeline.config import config_text, load_config
 
 
 class Inner(BaseModel):
@@ -58,4 +59,4 @@ def test_resolved_configuration_reads_back(tmp_path):
     path = tmp_path / "c.yaml"
     path.write_text(config_text(Outer(name="z")))
     assert load_config(Outer, path) == Outer(name="z")
-    assert read_yaml(path)["name"] == "z"
+    assert read_mapping(path)["name"] == "z"
