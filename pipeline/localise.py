@@ -19,7 +19,8 @@ from datasets.se2 import SE2
 from datasets.seeds import stream
 from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording, Trajectory, seconds
-from pipeline.config import config_text, load_config, read_yaml
+from datasets.yaml_files import read_mapping
+from pipeline.config import config_text, load_config
 from pipeline.console import log, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
@@ -168,7 +169,7 @@ def sweep_ends(recording: Recording) -> SE2 | None:
 
 def load_localise_config(path: Path | None, settings: Sequence[str]) -> LocaliseConfig:
     """Ours, or the amcl part of a Nav2 parameter file (what it ignores is logged)."""
-    if path is None or not is_nav2(data := read_yaml(path)):
+    if path is None or not is_nav2(data := read_mapping(path)):
         return load_config(LocaliseConfig, path, settings)
     foreign = read_nav2(data, where=str(path))
     if foreign.ignored:
