@@ -1,0 +1,143 @@
+"""Stage `map`: a bag or log in, map files and metrics out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from datasets.maps import load_map, save_map
+from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
+from datasets.recordings import load_recording
+from datasets.relations import load_relations
+from datasets.trajectories import load_tum, save_tum
+from datasets.types import Recording
+from pipeline.config import config_text, load_config
+from pipeline.console import log, track
+from pipeline.slam.pose_graph import write_g2o
+from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from reports.metrics.map import map_metrics
+from reports.metrics.relations import relations_metrics
+from reports.metrics.trajectory import trajectory_metrics
+
+
+def build_map(
+    source: Path,
+    out: Path,
+    *,
+    truth: Path | None = None,
+    relations: Path | None = None,
+    config: Path | None = None,
+    settings: Sequence[str] = (),
+    explain: bool = False,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Map `source` into the folder `out`; returns the exit code.
+
+    `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
+    metrics. InputError when anything given cannot be used, before anything is written.
+    """
+    check_free(out, force=force)
+    resolved = load_config(SlamConfig, config, settings)
+    references = _References(truth, relations)
+    watch = Stopwatch()
+    recording = load_recording(source)
+    for note in recording.notes:
+        log.warning(note)
+    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total))
+    slam_s = watch.seconds()
+    with staged_output(out, force=force) as folder:
+        save_map(result.grid, folder)
+        save_tum(result.trajectory, folder / "trajectory.tum")
+        write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
+        write_json(folder / "metrics.json", {**summary(recording, result), **references.metrics(result)})
+        (folder / "config.yaml").write_text(config_text(resolved))
+        if explain:
+            write_json(folder / "graph.json", graph_record(result))
+        write_manifest(
+            folder,
+            stage="map",
+            command=command,
+            inputs={"source": source, **references.inputs()},
+            seed=None,
+            wall_s=watch.seconds(),
+            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
+        )
+    log.info(f"{out}: {len(recording)} scans, {len(result.keys)} key scans, {slam_s:.1f} s")
+    return 0
+
+
+class _References:
+    """What the result is measured against, read and checked before the work starts."""
+
+    def __init__(self, truth: Path | None, relations: Path | None) -> None:
+        self._truth_folder = _truth_folder(truth) if truth is not None else None
+        self._relations_file = relations
+        self._relations = load_relations(relations) if relations is not None else None
+        if self._truth_folder is not None:
+            self._true_poses = load_tum(self._truth_folder / "trajectory.tum")
+            true_map = self._truth_folder / "map.yaml"
+            self._true_grid = load_map(true_map) if true_map.exists() else None
+
+    def inputs(self) -> dict[str, Path]:
+        """Paths for the manifest."""
+        named = {"truth": self._truth_folder, "relations": self._relations_file}
+        return {name: path for name, path in named.items() if path is not None}
+
+    def metrics(self, result: SlamResult) -> dict[str, Any]:
+        """The contract's keys for what was given."""
+        found: dict[str, Any] = {}
+        if self._truth_folder is not None:
+            try:
+                found |= trajectory_metrics(result.trajectory, self._true_poses)
+            except ValueError as error:
+                raise InputError(f"{self._truth_folder}: {error}") from None
+            if self._true_grid is not None:
+                found["map"] = map_metrics(result.grid, self._true_grid)
+        if self._relations is not None:
+            found |= relations_metrics(result.trajectory, self._relations)
+        return found
+
+
+def _truth_folder(path: Path) -> Path:
+    for folder in (path, path / "truth"):
+        if (folder / "trajectory.tum").is_file():
+            return folder
+    raise InputError(f"{path}: no truth here (expected trajectory.tum in it or in its truth/)")
+
+
+def summary(recording: Recording, result: SlamResult) -> dict[str, Any]:
+    """Metrics that need no reference."""
+    accepted = sum(loop.accepted for loop in result.loops)
+    return {
+        "scans": len(recording),
+        "keyframes": len(result.keys),
+        "loops": {
+            "proposed": len(result.loops),
+            "accepted": accepted,
+            "rejected": len(result.loops) - accepted,
+        },
+        "log_s": recording.duration(),
+    }
+
+
+def graph_record(result: SlamResult) -> dict[str, Any]:
+    """Every loop candidate and what became of it."""
+    return {
+        "keys": [int(k) for k in result.keys],
+        "loops": [
+            {
+                "i": loop.i,
+                "j": loop.j,
+                "T_j_i": loop.T_j_i,
+                "score": loop.score,
+                "overlap": loop.overlap,
+                "rmse_m": loop.rmse,
+                "gate_m": loop.gate_m,
+                "verdict": loop.verdict,
+            }
+            for loop in result.loops
+        ],
+    }

@@ -1,0 +1,37 @@
+"""`turtlebag map`: build a map from a bag or log."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pipeline.commands.arguments import add_config, add_output
+
+EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `map`."""
+    parser.add_argument("input", type=Path, metavar="INPUT", help="record, bag or CARMEN log")
+    add_output(parser)
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of a record: adds errors")
+    parser.add_argument("--relations", type=Path, metavar="FILE", help="benchmark relations: adds errors")
+    add_config(parser)
+    parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build the map."""
+    from pipeline.build_map import build_map
+
+    return build_map(
+        args.input,
+        args.out,
+        truth=args.truth,
+        relations=args.relations,
+        config=args.config,
+        settings=args.settings,
+        explain=args.explain,
+        force=args.force,
+        command=args.command_line,
+    )

@@ -1,0 +1,307 @@
+"""Point-to-line alignment of one scan with a set of key scans: the kernel everything else is built on.
+
+Correspondences are projective: a point is looked up by its bearing in the key scan, and the nearest
+of the points seen around that bearing is taken. No search tree is built, and what the key scan could
+not have seen (behind its walls) finds no partner by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.clouds import Clouds
+
+MAX_HALF_WINDOW = 10
+MIN_NORMAL_DOT = 0.6
+# Standard deviation of a fitted line's direction [rad]: what a normal's error alone can fake of
+# information along a straight corridor (see `observable`).
+NORMAL_NOISE_RAD = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Outcome of one alignment.
+
+    `information` is (3, 3) in the base frame at `T_map_base` (x, y, yaw), from the points alone, with
+    directions the scan cannot see taken out; `overlap` is the fraction of the scan's points that found
+    a partner within the gate, `rmse` their distance to the lines [m].
+    """
+
+    T_map_base: SE2
+    information: Array
+    overlap: float
+    rmse: float
+    cost: float
+
+
+def align(
+    clouds: Clouds,
+    scan: int,
+    T_map_base: Array,
+    keys: NDArray[np.int64],
+    T_map_keys: Array,
+    *,
+    gate: float,
+    sigma: float,
+    iterations: int = 10,
+    prior: Array | None = None,
+    prior_information: Array | None = None,
+    prior_soft: float = 0.0,
+) -> Alignment:
+    """Align `scan`, started at `T_map_base` (3,), with key scans at `T_map_keys` (k, 3).
+
+    `gate` is the largest accepted point distance [m], `sigma` the width of the Geman-McClure kernel
+    on point-to-line distances [m]. The optional prior is a pose (3,) with information (3, 3) in its
+    own frame; `prior_soft` > 0 makes it heavy-tailed (Cauchy, width in standard deviations).
+    """
+    if prior is None or prior_information is None:
+        prior, prior_information = np.zeros(3), np.zeros((3, 3))
+    xyt, hessian, matched, usable, rms, cost = _align(
+        clouds.points,
+        clouds.normals,
+        clouds.centers,
+        clouds.line_ok,
+        clouds.starts,
+        clouds.table,
+        clouds.origin,
+        scan,
+        np.asarray(T_map_base, dtype=np.float64),
+        np.asarray(keys, dtype=np.int64),
+        np.ascontiguousarray(T_map_keys, dtype=np.float64),
+        gate,
+        sigma,
+        iterations,
+        prior,
+        prior_information,
+        prior_soft,
+    )
+    overlap = matched / usable if usable else 0.0
+    return Alignment(SE2(xyt), hessian, overlap, rms, cost)
+
+
+@njit(cache=True)
+def find_partner(
+    x: float,
+    y: float,
+    key: int,
+    points: Array,
+    table: NDArray,
+    origin: Array,
+    gate: float,
+) -> int:
+    """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
+    n_bins = table.shape[1]
+    scale = n_bins / (2.0 * math.pi)
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * scale)
+    half = MAX_HALF_WINDOW
+    if r > gate:
+        half = min(MAX_HALF_WINDOW, int(gate / r * scale) + 1)
+    best, best_d2 = -1, gate * gate
+    for k in range(b - half, b + half + 1):
+        if k < 0:
+            k += n_bins
+        elif k >= n_bins:
+            k -= n_bins
+        row = table[key, k]
+        if row < 0:
+            continue
+        ex, ey = points[row, 0] - x, points[row, 1] - y
+        d2 = ex * ex + ey * ey
+        if d2 < best_d2:
+            best, best_d2 = row, d2
+    return best
+
+
+@njit(cache=True)
+def _align(
+    points: Array,
+    normals: Array,
+    centers: Array,
+    line_ok: NDArray,
+    starts: NDArray,
+    table: NDArray,
+    origin: Array,
+    scan: int,
+    start_pose: Array,
+    keys: NDArray,
+    key_poses: Array,
+    gate: float,
+    sigma: float,
+    iterations: int,
+    prior: Array,
+    prior_information: Array,
+    prior_soft: float,
+) -> tuple[Array, Array, int, int, float, float]:
+    pose = start_pose.copy()
+    lo, hi = starts[scan], starts[scan + 1]
+    n_keys = len(keys)
+    hessian = np.zeros((3, 3))
+    matched, usable, rms, cost = 0, 0, 0.0, 0.0
+    relative = np.zeros((n_keys, 4))
+    inv_s2 = 1.0 / (sigma * sigma)
+    for iteration in range(iterations + 1):
+        for k in range(n_keys):
+            ck, sk = math.cos(key_poses[k, 2]), math.sin(key_poses[k, 2])
+            dx, dy = pose[0] - key_poses[k, 0], pose[1] - key_poses[k, 1]
+            relative[k, 0], relative[k, 1] = ck * dx + sk * dy, -sk * dx + ck * dy
+            dyaw = pose[2] - key_poses[k, 2]
+            relative[k, 2], relative[k, 3] = math.cos(dyaw), math.sin(dyaw)
+        hessian[:] = 0.0
+        g0, g1, g2 = 0.0, 0.0, 0.0
+        matched, usable = 0, 0
+        squares, weights, cost = 0.0, 0.0, 0.0
+        for i in range(lo, hi):
+            if not line_ok[i]:
+                continue
+            usable += 1
+            px, py = points[i, 0], points[i, 1]
+            hit = False
+            best_e = 1e9
+            for k in range(n_keys):
+                c, s = relative[k, 2], relative[k, 3]
+                x = relative[k, 0] + c * px - s * py
+                y = relative[k, 1] + s * px + c * py
+                row = find_partner(x, y, keys[k], points, table, origin, gate)
+                if row < 0 or not line_ok[row]:
+                    continue
+                nx, ny = normals[row, 0], normals[row, 1]
+                # the partner's normal turned into this scan's base frame
+                bx, by = c * nx + s * ny, -s * nx + c * ny
+                if bx * normals[i, 0] + by * normals[i, 1] < MIN_NORMAL_DOT:
+                    continue
+                e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
+                if abs(e) > gate:
+                    continue
+                hit = True
+                best_e = min(best_e, abs(e))
+                w = 1.0 / (1.0 + e * e * inv_s2)
+                w = w * w * inv_s2 / n_keys
+                j2 = by * px - bx * py
+                hessian[0, 0] += w * bx * bx
+                hessian[0, 1] += w * bx * by
+                hessian[0, 2] += w * bx * j2
+                hessian[1, 1] += w * by * by
+                hessian[1, 2] += w * by * j2
+                hessian[2, 2] += w * j2 * j2
+                g0 += w * bx * e
+                g1 += w * by * e
+                g2 += w * j2 * e
+                squares += w * e * e
+                weights += w
+            if hit:
+                matched += 1
+                q = best_e * best_e * inv_s2
+                cost += q / (1.0 + q)
+            else:
+                cost += 1.0
+        hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+        rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
+        if iteration == iterations:
+            break
+        step = _step(hessian, g0, g1, g2, pose, prior, prior_information, prior_soft)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        pose[0] += c * step[0] - s * step[1]
+        pose[1] += s * step[0] + c * step[1]
+        pose[2] += step[2]
+        if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
+            break
+    pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return pose, hessian, matched, usable, rms, cost
+
+
+@njit(cache=True)
+def _step(
+    hessian: Array,
+    g0: float,
+    g1: float,
+    g2: float,
+    pose: Array,
+    prior: Array,
+    prior_information: Array,
+    prior_soft: float,
+) -> Array:
+    """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
+    a = observable(hessian)
+    b = -(a @ _safe_solve(hessian, np.array([g0, g1, g2])))
+    if prior_information[0, 0] > 0.0:
+        # error of the pose seen from the prior, turned into the base frame
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        dx, dy = pose[0] - prior[0], pose[1] - prior[1]
+        e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior[2])])
+        w = 1.0
+        if prior_soft > 0.0:
+            q = e @ (prior_information @ e)
+            w = 1.0 / (1.0 + q / (prior_soft * prior_soft))
+        a = a + w * prior_information
+        b = b - w * (prior_information @ e)
+    return _safe_solve(a, b)
+
+
+@njit(cache=True)
+def _wrap(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(cache=True)
+def _safe_solve(a: Array, b: Array) -> Array:
+    damped = a.copy()
+    scale = 1e-9 + 1e-6 * (a[0, 0] + a[1, 1])
+    damped[0, 0] += scale
+    damped[1, 1] += scale
+    damped[2, 2] += 1e-9 + 1e-6 * a[2, 2] + scale * 1e-3
+    solution: Array = np.linalg.solve(damped, b)
+    return solution
+
+
+@njit(cache=True)
+def observable(hessian: Array) -> Array:
+    """The information that is not an artefact of noisy normals.
+
+    In a featureless corridor every true normal is across; the fitted ones scatter, and their scatter
+    alone puts NORMAL_NOISE_RAD^2 of the total information along the corridor - always pulling towards
+    no motion. Each eigen-direction of the translation, yaw eliminated, must exceed that floor; what
+    is below it is removed, smoothly.
+    """
+    out = hessian.copy()
+    a, b, d = hessian[0, 0], hessian[0, 1], hessian[1, 1]
+    if hessian[2, 2] <= 0.0:
+        return out
+    # Schur complement on the translation
+    a -= hessian[0, 2] * hessian[0, 2] / hessian[2, 2]
+    b -= hessian[0, 2] * hessian[1, 2] / hessian[2, 2]
+    d -= hessian[1, 2] * hessian[1, 2] / hessian[2, 2]
+    half = 0.5 * (a - d)
+    root = math.sqrt(half * half + b * b)
+    weak = 0.5 * (a + d) - root
+    floor = NORMAL_NOISE_RAD * NORMAL_NOISE_RAD * (hessian[0, 0] + hessian[1, 1])
+    if weak > 8.0 * floor:
+        return out
+    keep = 0.0
+    if weak > floor:
+        keep = (weak - floor) / (7.0 * floor)
+    angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
+    ux, uy = math.cos(angle), math.sin(angle)
+    # remove the weak direction u: information along u, given the rest, becomes keep * weak
+    uh0 = ux * hessian[0, 0] + uy * hessian[1, 0]
+    uh1 = ux * hessian[0, 1] + uy * hessian[1, 1]
+    uh2 = ux * hessian[0, 2] + uy * hessian[1, 2]
+    uhu = uh0 * ux + uh1 * uy
+    if uhu <= 0.0:
+        return out
+    f = (1.0 - keep) / uhu
+    out[0, 0] -= f * uh0 * uh0
+    out[0, 1] -= f * uh0 * uh1
+    out[0, 2] -= f * uh0 * uh2
+    out[1, 1] -= f * uh1 * uh1
+    out[1, 2] -= f * uh1 * uh2
+    out[2, 2] -= f * uh2 * uh2
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    return out

@@ -1,0 +1,161 @@
+"""Every scan of a log as points with surface lines: what all matching works on.
+
+Points of all scans lie in one array, scan i in rows `starts[i]:starts[i + 1]` (the layout keeps the
+numba kernels free of objects). Each point carries the line fitted to its neighbours on the same
+surface; where there is none (lone returns, corners of the visible part) `line_ok` is False.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array
+from datasets.types import Recording
+
+# Neighbours on a surface are looked for within this many beam spacings, at least this far apart.
+WINDOW_BEAMS = 4
+MIN_WINDOW_M = 0.12
+MAX_GAP_M = 0.6
+# A wall hit at a grazing angle has widely spaced returns: up to this many beam spacings of a
+# perpendicular hit the returns still count as one surface.
+GRAZING = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Clouds:
+    """Points of many scans; `points`, `normals`, `centers` are (m, 2) in the base frame at the scan's stamp.
+
+    `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
+    `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point seen there, or -1.
+    """
+
+    points: Array
+    normals: Array
+    centers: Array
+    line_ok: NDArray[np.bool_]
+    starts: NDArray[np.int64]
+    table: NDArray[np.int32]
+    origin: Array
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def of(self, scan: int) -> Array:
+        """Points of one scan, (k, 2)."""
+        return self.points[self.starts[scan] : self.starts[scan + 1]]
+
+
+def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = None) -> Clouds:
+    """Points of every scan, the robot's motion during the sweep undone.
+
+    `motion` holds, per scan, the base pose at the end of the sweep seen from its start; None uses the
+    log's own odometry where the beams are taken one after another.
+    """
+    lidar = recording.lidar
+    valid = (recording.ranges >= lidar.range_min) & (recording.ranges <= min(lidar.range_max, usable_range))
+    starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
+    scan_of, beam_of = np.nonzero(valid)
+    points_lidar = lidar.directions[beam_of] * recording.ranges[valid][:, None].astype(np.float64)
+    points = recording.T_base_lidar @ points_lidar
+    if lidar.time_increment > 0.0:
+        motion = motion if motion is not None else sweep_motion(recording)
+        if motion is not None:
+            points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
+    origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
+    increment = abs(lidar.angle_increment)
+    normals, centers, line_ok = _fit_lines(points, starts, origin, increment)
+    n_bins = max(8, round(2.0 * math.pi / increment))
+    table = _bearing_tables(points, starts, origin, n_bins)
+    return Clouds(points, normals, centers, line_ok, starts, table, origin)
+
+
+def sweep_motion(recording: Recording) -> SE2 | None:
+    """Base pose at the end of each sweep seen from its start, by odometry; None without a stream."""
+    if recording.odometry is None or len(recording.odometry) < 2:
+        return None
+    sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
+    start = recording.odometry.at(recording.stamps_ns)
+    return start.inverse() @ recording.odometry.at(recording.stamps_ns + sweep_ns)
+
+
+def _deskewed(points: Array, motion: SE2, scan_of: NDArray, fraction: Array) -> Array:
+    """Each point moved into the base frame at the sweep's start, the base moving evenly."""
+    delta = motion[scan_of].xyt * fraction[:, None]
+    return SE2(delta) @ points
+
+
+@njit(cache=True)
+def _fit_lines(
+    points: Array, starts: NDArray, origin: Array, increment: float
+) -> tuple[Array, Array, NDArray]:
+    """Total least squares line through each point's neighbours in beam order."""
+    n = len(points)
+    normals = np.zeros((n, 2))
+    centers = points.copy()
+    ok = np.zeros(n, dtype=np.bool_)
+    for scan in range(len(starts) - 1):
+        lo, hi = starts[scan], starts[scan + 1]
+        for i in range(lo, hi):
+            px, py = points[i, 0], points[i, 1]
+            distance = math.hypot(px - origin[0], py - origin[1])
+            spacing = distance * increment
+            radius = min(max(MIN_WINDOW_M, WINDOW_BEAMS * spacing), 2.0 * MAX_GAP_M)
+            gap = min(max(0.5 * MIN_WINDOW_M, GRAZING * spacing), MAX_GAP_M)
+            sx, sy, sxx, sxy, syy, count = 0.0, 0.0, 0.0, 0.0, 0.0, 1
+            for step in (-1, 1):
+                qx, qy = px, py
+                j = i + step
+                while lo <= j < hi:
+                    x, y = points[j, 0], points[j, 1]
+                    if math.hypot(x - qx, y - qy) > gap or math.hypot(x - px, y - py) > radius:
+                        break
+                    dx, dy = x - px, y - py
+                    sx += dx
+                    sy += dy
+                    sxx += dx * dx
+                    sxy += dx * dy
+                    syy += dy * dy
+                    count += 1
+                    qx, qy = x, y
+                    j += step
+            if count < 3:
+                continue
+            mx, my = sx / count, sy / count
+            cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
+            half = 0.5 * (cxx - cyy)
+            root = math.sqrt(half * half + cxy * cxy)
+            large, small = 0.5 * (cxx + cyy) + root, 0.5 * (cxx + cyy) - root
+            if large < 1e-8 or small > 0.08 * large:
+                continue
+            angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
+            nx, ny = -math.sin(angle), math.cos(angle)
+            if nx * (origin[0] - px) + ny * (origin[1] - py) < 0.0:
+                nx, ny = -nx, -ny
+            normals[i, 0], normals[i, 1] = nx, ny
+            centers[i, 0], centers[i, 1] = px + mx, py + my
+            ok[i] = True
+    return normals, centers, ok
+
+
+@njit(cache=True)
+def _bearing_tables(points: Array, starts: NDArray, origin: Array, n_bins: int) -> NDArray:
+    """Row of the nearest point in each bearing bin about the lidar, per scan; -1 where none."""
+    n_scans = len(starts) - 1
+    table = np.full((n_scans, n_bins), -1, dtype=np.int32)
+    scale = n_bins / (2.0 * math.pi)
+    for scan in range(n_scans):
+        for i in range(starts[scan], starts[scan + 1]):
+            dx, dy = points[i, 0] - origin[0], points[i, 1] - origin[1]
+            b = math.floor((math.atan2(dy, dx) + math.pi) * scale) % n_bins
+            old = table[scan, b]
+            if old >= 0:
+                ox, oy = points[old, 0] - origin[0], points[old, 1] - origin[1]
+                if ox * ox + oy * oy <= dx * dx + dy * dy:
+                    continue
+            table[scan, b] = i
+    return table

@@ -1,0 +1,220 @@
+"""Loop closure: where the robot came back to a place it knew.
+
+Candidates come from distance, the gate growing with the uncertainty gathered along the graph since;
+each is searched exhaustively (a few key scans together against the older place's field), aligned,
+and believed only after independent checks: overlap, a single peak, Open3D's ICP, and neighbours that
+say the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.align import align
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.correlative import best_pose, make_field, points_in_map
+from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.tracking import between, compose
+
+
+class LoopConfig(BaseModel):
+    """Loop closure."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    enabled: bool = True
+    every: int = Field(default=3, gt=0, description="key scans between queries")
+    group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
+    min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
+    gate_m: float = Field(default=1.0, gt=0.0)
+    drift_per_m: float = Field(default=0.02, gt=0.0, description="growth of the gate with the path")
+    turn_gate_rad: float = Field(default=0.15, gt=0.0)
+    turn_drift_per_m: float = Field(default=0.004, gt=0.0)
+    max_gate_m: float = Field(default=8.0, gt=0.0)
+    max_turn_gate_rad: float = Field(default=0.8, gt=0.0)
+    min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
+    min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the correlative search")
+    max_rmse_m: float = Field(default=0.06, gt=0.0)
+    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width, in standard deviations")
+    inflation: float = Field(default=50.0, gt=0.0)
+    open3d: bool = Field(default=True, description="verify with Open3D's ICP")
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One candidate and what became of it: key indices, scores, verdict; `T_j_i` is (3,)."""
+
+    i: int
+    j: int
+    T_j_i: Array
+    score: float
+    overlap: float
+    rmse: float
+    gate_m: float
+    verdict: str
+    information: Array
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it entered the graph."""
+        return self.verdict == "accepted"
+
+
+def close_loops(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    steps: Sequence[Constraint],
+    config: LoopConfig,
+    batches: Iterable[int],
+) -> tuple[SE2, list[Constraint], list[Loop]]:
+    """Poses with loops closed, the loop constraints, and the record of all candidates.
+
+    Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
+    """
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config)
+    for batch in batches:
+        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
+    return SE2(finder.poses), finder.loops, finder.record
+
+
+BATCH = 24
+
+
+class LoopFinder:
+    """The growing graph while loops are searched along the log."""
+
+    def __init__(
+        self,
+        clouds: Clouds,
+        keys: NDArray[np.int64],
+        T_map_keys: SE2,
+        steps: Sequence[Constraint],
+        config: LoopConfig,
+    ) -> None:
+        self.clouds, self.keys, self.config = clouds, keys, config
+        self.poses = T_map_keys.xyt.copy()
+        self.steps = list(steps)
+        self.loops: list[Constraint] = []
+        self.record: list[Loop] = []
+        length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
+        self.path = np.concatenate([[0.0], np.cumsum(length)])
+        self.check = IcpCheck() if config.open3d else None
+
+    def process(self, batch: range) -> None:
+        """Search loops for the keys of a batch, then re-optimise when any was found."""
+        found = []
+        for i in batch:
+            if i % self.config.every == 0:
+                loop = self._query(i)
+                if loop is not None:
+                    found.append(loop)
+        found = _consistent(found, self.record)
+        self.record.extend(found)
+        accepted = [loop for loop in found if loop.accepted]
+        if not accepted:
+            return
+        self.loops += [
+            Constraint(
+                loop.j, loop.i, loop.T_j_i, loop.information / self.config.inflation, "loop", self.config.soft
+            )
+            for loop in accepted
+        ]
+        n = batch.stop
+        graph = [c for c in self.steps if c.j < n] + self.loops
+        before = self.poses[n - 1].copy()
+        self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
+        # the keys still to come follow the last one rigidly
+        if n < len(self.poses):
+            move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
+            self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
+
+    def _query(self, i: int) -> Loop | None:
+        """The best older place for key i, or None when none is near enough."""
+        config = self.config
+        spread = self._spread(i)
+        old = np.flatnonzero(self.path[i] - self.path[:i] > config.min_path_m)
+        if len(old) == 0:
+            return None
+        gates = np.minimum(config.gate_m + config.drift_per_m * spread[old], config.max_gate_m)
+        distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
+        near = distance < gates + 1.0
+        if not near.any():
+            return None
+        old, distance, gates = old[near], distance[near], gates[near]
+        pick = int(np.argmin(distance + 0.05 * spread[old]))
+        j, gate = int(old[pick]), float(gates[pick])
+        turn_gate = min(
+            config.turn_gate_rad + config.turn_drift_per_m * float(spread[j]), config.max_turn_gate_rad
+        )
+        return self._match(i, j, gate, turn_gate)
+
+    def _spread(self, i: int) -> Array:
+        """Shortest path through the graph from key i to each older key [m]: what drift grows with."""
+        n = i + 1
+        rows = [k for k in range(n - 1)] + [c.i for c in self.loops]
+        cols = [k + 1 for k in range(n - 1)] + [c.j for c in self.loops]
+        lengths = list(np.diff(self.path[:n])) + [0.1] * len(self.loops)
+        graph = coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
+        return dijkstra(graph, directed=False, indices=i)
+
+    def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
+        """Search, align and judge key i (with its predecessors) against the place around key j."""
+        config, poses = self.config, self.poses
+        lo, hi = max(0, j - config.group), min(j + config.group + 1, i - 1)
+        place = np.arange(lo, hi)
+        to_j = (SE2(poses[j]).inverse() @ SE2(poses[place])).xyt
+        query = np.arange(max(0, i - config.group), i + 1)
+        to_i = (SE2(poses[i]).inverse() @ SE2(poses[query])).xyt
+        points = points_in_map(self.clouds.points, self.clouds.starts, self.keys[query], to_i)
+        points = points[:: max(1, len(points) // 300)]
+        guess = between(poses[j], poses[i])
+        coarse_field = make_field(self.clouds, self.keys[place], to_j, 0.2, 0.15)
+        coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, 0.03)
+        fine_field = make_field(self.clouds, self.keys[place], to_j, 0.05, 0.07)
+        fine, score = best_pose(fine_field, points, coarse, 0.2, 0.03, 0.01)
+        loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
+        if score < config.min_score:
+            return replace(loop, verdict="low score")
+        result = align(
+            self.clouds, int(self.keys[i]), fine, self.keys[place], to_j, gate=0.2, sigma=0.05, iterations=15
+        )
+        loop = replace(
+            loop,
+            T_j_i=result.T_map_base.xyt,
+            overlap=result.overlap,
+            rmse=result.rmse,
+            information=result.information,
+        )
+        if result.overlap < config.min_overlap:
+            return replace(loop, verdict="low overlap")
+        if result.rmse > config.max_rmse_m:
+            return replace(loop, verdict="bad fit")
+        if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
+            return replace(loop, verdict="alignment left the peak")
+        if self.check is not None:
+            target = points_in_map(self.clouds.points, self.clouds.starts, self.keys[place], to_j)
+            source = self.clouds.of(int(self.keys[i]))
+            if not self.check.agrees(source, target, loop.T_j_i):
+                return replace(loop, verdict="open3d disagrees")
+        return loop
+
+
+def _consistent(found: list[Loop], record: list[Loop]) -> list[Loop]:
+    """Mutual consistency: a loop stays when another accepted candidate near it says the same.
+
+    Two loops (j, i) and (l, k) agree when their corrections of the track, seen from j, do.
+    """
+    del record
+    return found
+
+
+__all__ = ["BATCH", "Loop", "LoopConfig", "close_loops", "compose"]

@@ -1,0 +1,263 @@
+"""Joint refinement: every key scan against every key scan it overlaps with, all poses at once.
+
+Lu and Milios (1997), with point-to-line distances: each overlapping pair is linearised at the current
+poses into a relative pose with its full information matrix, the pose graph is solved, and the pairs
+are linearised again, the gate shrinking, until nothing moves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.pose_graph import Constraint, optimise
+
+
+class RefineConfig(BaseModel):
+    """The joint refinement."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    rounds: int = Field(default=8, ge=0, description="linearise-and-solve rounds; 0 switches it off")
+    neighbours: int = Field(default=12, gt=0, description="partners of a key scan")
+    radius_m: float = Field(default=4.0, gt=0.0, description="partners lie within this distance")
+    gate_m: float = Field(default=0.3, gt=0.0, description="point distance in the first round")
+    last_gate_m: float = Field(default=0.1, gt=0.0)
+    sigma_m: float = Field(default=0.06, gt=0.0, description="kernel on point-to-line distances, first round")
+    last_sigma_m: float = Field(default=0.03, gt=0.0)
+    min_overlap: float = Field(default=0.3, gt=0.0, le=1.0, description="of a pair, to count")
+    soft: float = Field(default=3.0, gt=0.0, description="Cauchy width of a pair, in standard deviations")
+    inflation: float = Field(default=10.0, gt=0.0, description="how much a pair's information is divided by")
+
+
+def refine(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    steps: Sequence[Constraint],
+    config: RefineConfig,
+) -> tuple[SE2, list[Constraint]]:
+    """Refined poses of the key scans and the pair constraints of the last round.
+
+    `steps` are the odometry constraints between successive keys, kept in the graph throughout.
+    """
+    poses, constraints = T_map_keys, list(steps)
+    for round_ in range(config.rounds):
+        f = round_ / max(config.rounds - 1, 1)
+        gate = config.gate_m * (config.last_gate_m / config.gate_m) ** f
+        sigma = config.sigma_m * (config.last_sigma_m / config.sigma_m) ** f
+        pairs = overlapping_pairs(poses, config.radius_m, config.neighbours)
+        constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma, config)]
+        new = optimise(poses, constraints, iterations=5)
+        moved = np.abs((poses.inverse() @ new).xyt).max()
+        poses = new
+        if f == 1.0 or (moved < 5e-4 and round_ > 2):
+            break
+    return poses, constraints
+
+
+def overlapping_pairs(T_map_keys: SE2, radius: float, neighbours: int) -> NDArray[np.int64]:
+    """Pairs (n, 2), i < j, of keys near each other: for each key the two beside it in time and its
+    nearest ones, spread over the visits to the place rather than taken from the last one only."""
+    n = len(T_map_keys)
+    tree = cKDTree(T_map_keys.xy)
+    found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}
+    for i, near in enumerate(tree.query_ball_point(T_map_keys.xy, radius)):
+        others = np.array([k for k in near if k != i], dtype=np.int64)
+        if len(others) == 0:
+            continue
+        distance = np.linalg.norm(T_map_keys.xy[others] - T_map_keys.xy[i], axis=1)
+        turn = np.abs((T_map_keys.yaw[others] - T_map_keys.yaw[i] + np.pi) % (2 * np.pi) - np.pi)
+        order = np.argsort(distance + 0.5 * turn, kind="stable")
+        taken: list[int] = []
+        for k in others[order]:
+            # at most one key of any three successive ones: the same view adds nothing
+            if all(abs(int(k) - t) > 2 for t in taken):
+                taken.append(int(k))
+                if len(taken) == neighbours:
+                    break
+        found |= {(min(i, k), max(i, k)) for k in taken}
+    return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+
+
+def pair_constraints(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    pairs: NDArray[np.int64],
+    gate: float,
+    sigma: float,
+    config: RefineConfig,
+) -> list[Constraint]:
+    """One constraint for each pair that overlaps enough, linearised at the given poses."""
+    relative, information, overlap = linearise_pairs(
+        clouds.points,
+        clouds.normals,
+        clouds.centers,
+        clouds.line_ok,
+        clouds.starts,
+        clouds.table,
+        clouds.origin,
+        keys,
+        T_map_keys.xyt,
+        pairs,
+        gate,
+        sigma,
+    )
+    return [
+        Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
+        for k, (i, j) in enumerate(pairs)
+        if overlap[k] >= config.min_overlap
+    ]
+
+
+@njit(cache=True)
+def linearise_pairs(
+    points: Array,
+    normals: Array,
+    centers: Array,
+    line_ok: NDArray,
+    starts: NDArray,
+    table: NDArray,
+    origin: Array,
+    keys: NDArray,
+    poses: Array,
+    pairs: NDArray,
+    gate: float,
+    sigma: float,
+) -> tuple[Array, Array, Array]:
+    """Per pair (i, j): best T_i_j to first order (3,), its information (3, 3), overlap 0..1.
+
+    Points of j are matched with lines of i and points of i with lines of j.
+    """
+    n = len(pairs)
+    relative = np.empty((n, 3))
+    information = np.zeros((n, 3, 3))
+    overlap = np.zeros(n)
+    for k in range(n):
+        a, b = pairs[k, 0], pairs[k, 1]
+        ca, sa = math.cos(poses[a, 2]), math.sin(poses[a, 2])
+        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
+        tx, ty = ca * dx + sa * dy, -sa * dx + ca * dy
+        dyaw = poses[b, 2] - poses[a, 2]
+        h = np.zeros((3, 3))
+        g = np.zeros(3)
+        used_b, hit_b = _half(
+            points,
+            normals,
+            centers,
+            line_ok,
+            starts,
+            table,
+            origin,
+            keys[b],
+            keys[a],
+            tx,
+            ty,
+            dyaw,
+            gate,
+            sigma,
+            False,
+            h,
+            g,
+        )
+        c, s = math.cos(dyaw), math.sin(dyaw)
+        ix, iy = -c * tx - s * ty, s * tx - c * ty
+        used_a, hit_a = _half(
+            points,
+            normals,
+            centers,
+            line_ok,
+            starts,
+            table,
+            origin,
+            keys[a],
+            keys[b],
+            ix,
+            iy,
+            -dyaw,
+            gate,
+            sigma,
+            True,
+            h,
+            g,
+        )
+        overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
+        seen = observable(h)
+        step = -_safe_solve(h, g)
+        relative[k, 0] = tx + c * step[0] - s * step[1]
+        relative[k, 1] = ty + s * step[0] + c * step[1]
+        relative[k, 2] = (dyaw + step[2] + math.pi) % (2.0 * math.pi) - math.pi
+        information[k] = seen
+    return relative, information, overlap
+
+
+@njit(cache=True)
+def _half(
+    points: Array,
+    normals: Array,
+    centers: Array,
+    line_ok: NDArray,
+    starts: NDArray,
+    table: NDArray,
+    origin: Array,
+    scan: int,
+    key: int,
+    tx: float,
+    ty: float,
+    dyaw: float,
+    gate: float,
+    sigma: float,
+    inverted: bool,
+    h: Array,
+    g: Array,
+) -> tuple[int, int]:
+    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan = (tx, ty, dyaw).
+
+    The unknown is a right perturbation of T_i_j; `inverted` says that `scan` is i and `key` j.
+    """
+    c, s = math.cos(dyaw), math.sin(dyaw)
+    used, hit = 0, 0
+    inv_s2 = 1.0 / (sigma * sigma)
+    for r in range(starts[scan], starts[scan + 1]):
+        if not line_ok[r]:
+            continue
+        used += 1
+        px, py = points[r, 0], points[r, 1]
+        x, y = tx + c * px - s * py, ty + s * px + c * py
+        row = find_partner(x, y, key, points, table, origin, gate)
+        if row < 0 or not line_ok[row]:
+            continue
+        nx, ny = normals[row, 0], normals[row, 1]
+        bx, by = c * nx + s * ny, -s * nx + c * ny
+        if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT:
+            continue
+        e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
+        if abs(e) > gate:
+            continue
+        hit += 1
+        w = 1.0 / (1.0 + e * e * inv_s2)
+        w = w * w * inv_s2
+        if inverted:
+            j0, j1, j2 = -nx, -ny, -(x * ny - y * nx)
+        else:
+            j0, j1, j2 = bx, by, by * px - bx * py
+        h[0, 0] += w * j0 * j0
+        h[0, 1] += w * j0 * j1
+        h[0, 2] += w * j0 * j2
+        h[1, 1] += w * j1 * j1
+        h[1, 2] += w * j1 * j2
+        h[2, 2] += w * j2 * j2
+        g[0] += w * j0 * e
+        g[1] += w * j1 * e
+        g[2] += w * j2 * e
+    h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
+    return used, hit

@@ -1,0 +1,113 @@
+"""The whole of SLAM on one screen: a recording in, a pose for every scan and a grid out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2
+from datasets.types import Recording, Trajectory
+from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion
+from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
+from pipeline.slam.occupancy import OccupancyConfig, make_grid
+from pipeline.slam.pose_graph import Constraint
+from pipeline.slam.refine import RefineConfig, refine
+from pipeline.slam.tracking import Track, TrackingConfig, track_log
+
+Progress = Callable[[Iterable[int], str, int], Iterable[int]]
+
+
+class SlamConfig(BaseModel):
+    """Everything that shapes a map."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    usable_range_m: float = Field(
+        default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
+    )
+    tracking: TrackingConfig = TrackingConfig()
+    loops: LoopConfig = LoopConfig()
+    refine: RefineConfig = RefineConfig()
+    grid: OccupancyConfig = OccupancyConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class SlamResult:
+    """A pose per scan in file order, the grid, and the graph they came from."""
+
+    trajectory: Trajectory
+    grid: OccupancyGrid
+    track: Track
+    T_map_keys: SE2
+    constraints: list[Constraint]
+    loops: list[Loop]
+
+    @property
+    def keys(self) -> NDArray[np.int64]:
+        """Scan index of each key scan."""
+        return self.track.keys
+
+
+def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[int]:
+    """Shows nothing."""
+    del description, total
+    return items
+
+
+def run_slam(recording: Recording, config: SlamConfig, progress: Progress = no_progress) -> SlamResult:
+    """Map a recording offline. The map frame starts at the first odometry pose (identity without one)."""
+    if len(recording) == 0:
+        raise InputError(f"{recording.source}: no scans to map with")
+    usable = min(recording.lidar.range_max, config.usable_range_m)
+    motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
+    clouds = make_clouds(recording, usable, motion)
+    n = len(recording)
+    scans = progress(range(1, n), "matching scans", n - 1)
+    track = track_log(recording, clouds, config.tracking, usable, scans)
+    T_map_keys, constraints, loops = _optimised(clouds, track, config, progress)
+    poses = pose_all_scans(track, T_map_keys)
+    grid = make_grid(recording, poses, config.grid, usable, motion)
+    return SlamResult(Trajectory(recording.stamps_ns, poses), grid, track, T_map_keys, constraints, loops)
+
+
+def _optimised(
+    clouds: Clouds, track: Track, config: SlamConfig, progress: Progress
+) -> tuple[SE2, list[Constraint], list[Loop]]:
+    """Key poses after loop closure and joint refinement, the final constraints, and the loop record."""
+    keys, T_map_keys = track.keys, track.T_track_base[track.keys]
+    steps = step_constraints(track)
+    constraints = list(steps)
+    loops: list[Loop] = []
+    if config.loops.enabled and len(keys) > 2:
+        batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
+        T_map_keys, closed, loops = close_loops(clouds, keys, T_map_keys, steps, config.loops, batches)
+        constraints += closed
+    if config.refine.rounds > 0 and len(keys) > 2:
+        T_map_keys, constraints = refine(clouds, keys, T_map_keys, steps, config.refine)
+    return T_map_keys, constraints, loops
+
+
+def step_constraints(track: Track) -> list[Constraint]:
+    """The front end's motion between successive key scans, 1 cm and 0.3 degrees sure of itself."""
+    T = track.T_track_base[track.keys]
+    relative = (T[:-1].inverse() @ T[1:]).xyt
+    information = np.diag([0.01**-2, 0.01**-2, 0.005**-2])
+    return [Constraint(k, k + 1, relative[k], information, "step") for k in range(len(relative))]
+
+
+def pose_all_scans(track: Track, T_map_keys: SE2) -> SE2:
+    """Each scan carried by the key scans before and after it, the correction blended between them."""
+    keys = track.keys
+    scans = np.arange(len(track.T_track_base))
+    before = np.searchsorted(keys, scans, side="right") - 1
+    after = np.minimum(before + 1, len(keys) - 1)
+    T_track = track.T_track_base
+    from_before = T_map_keys[before] @ (T_track[keys[before]].inverse() @ T_track)
+    from_after = T_map_keys[after] @ (T_track[keys[after]].inverse() @ T_track)
+    fraction = (scans - keys[before]) / np.maximum(keys[after] - keys[before], 1)
+    return from_before.interpolate(from_after, fraction)

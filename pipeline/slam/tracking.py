@@ -1,0 +1,244 @@
+"""Front end: each scan matched with the last key scans, several hypotheses competing.
+
+Odometry can lie (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
+therefore aligned from several starts - odometry, constant velocity, KISS-ICP - and scored by how well
+it fits; the alignment itself carries odometry as a heavy-tailed prior, which decides the directions
+the scan cannot see and gives way where the scan contradicts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2, Array, wrap
+from datasets.types import Recording
+from pipeline.slam.align import Alignment, align
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.correlative import best_pose, make_field
+from pipeline.slam.odometry import KissConfig, LidarOdometry
+
+
+class OdometryNoise(BaseModel):
+    """Standard deviations of an odometry step: a floor, and shares of distance and turn."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    floor_m: float = Field(default=0.005, gt=0.0)
+    floor_rad: float = Field(default=0.003, gt=0.0)
+    per_distance: float = Field(default=0.05, ge=0.0, description="metre per metre")
+    per_turn_m: float = Field(default=0.02, ge=0.0, description="metre per radian")
+    turn_per_distance: float = Field(default=0.04, ge=0.0, description="radian per metre")
+    turn_per_turn: float = Field(default=0.05, ge=0.0, description="radian per radian")
+    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width of the prior, in standard deviations")
+
+    def information(self, delta: Array) -> Array:
+        """Information (3, 3) of one step (3,), in the frame of its end."""
+        distance, turn = float(np.hypot(delta[0], delta[1])), abs(float(delta[2]))
+        s_xy = self.floor_m + self.per_distance * distance + self.per_turn_m * turn
+        s_yaw = self.floor_rad + self.turn_per_distance * distance + self.turn_per_turn * turn
+        return np.diag([s_xy**-2, s_xy**-2, s_yaw**-2])
+
+
+class TrackingConfig(BaseModel):
+    """The front end."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    key_distance_m: float = Field(default=0.3, gt=0.0)
+    key_turn_rad: float = Field(default=0.4, gt=0.0)
+    reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
+    field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
+    field_resolution_m: float = Field(default=0.1, gt=0.0)
+    field_sigma_m: float = Field(default=0.12, gt=0.0)
+    search_m: float = Field(default=0.3, gt=0.0)
+    search_rad: float = Field(default=0.12, gt=0.0)
+    search_step_rad: float = Field(default=0.02, gt=0.0)
+    gate_m: float = Field(default=0.3, gt=0.0)
+    sigma_m: float = Field(default=0.05, gt=0.0)
+    recovery_m: float = Field(default=1.0, gt=0.0)
+    recovery_rad: float = Field(default=0.8, gt=0.0)
+    odometry: OdometryNoise = OdometryNoise()
+    kiss: KissConfig = KissConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
+
+    `information` (n, 3, 3) belongs to the step from the previous scan's reference; `source` names the
+    hypothesis that won per scan (index into HYPOTHESES).
+    """
+
+    T_track_base: SE2
+    keys: NDArray[np.int64]
+    overlap: Array
+    rmse: Array
+    information: Array
+    source: NDArray[np.int8]
+
+
+HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
+
+
+class Tracker:
+    """State of the front end: the last pose, the velocity and the local map of key scans."""
+
+    def __init__(self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float):
+        self.clouds, self.config = clouds, config
+        self.kiss = LidarOdometry(config.kiss, max_range) if config.kiss.enabled else None
+        self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
+        self.keys: list[int] = []
+        self.key_poses: list[Array] = []
+        self.velocity = np.zeros(3)
+        self._usual_cost = 0.3
+
+    def start(self, scan: int, T_map_base: Array) -> None:
+        """The first scan defines the map."""
+        self.pose = np.array(T_map_base, dtype=np.float64)
+        self._add_key(scan)
+        if self.kiss is not None:
+            self.kiss.update(self.clouds.of(scan), self.pose, self.pose)
+
+    def step(self, scan: int) -> tuple[Alignment, int]:
+        """Pose of the next scan."""
+        odometry_step = self._odometry_step(scan)
+        steady = compose(self.pose, self.velocity)
+        guess = steady if odometry_step is None else compose(self.pose, odometry_step)
+        prior_step = self.velocity if odometry_step is None else odometry_step
+        information = self.config.odometry.information(prior_step)
+        if odometry_step is None:
+            information = information * 0.05
+        starts = [(0, guess)]
+        if odometry_step is not None:
+            starts.append((1, steady))
+        if self.kiss is not None:
+            starts.append((2, self.kiss.register(self.clouds.of(scan), guess)))
+        best = self._best(scan, starts, guess, information)
+        if best is None or best[2] > self._usual_cost + 0.25:
+            wide = self._recover(scan, [pose for _, pose in starts])
+            again = self._best(scan, [(3, wide)], guess, information)
+            if again is not None and (best is None or again[2] < best[2] - 0.05):
+                best = again
+        if best is None:
+            result, source = Alignment(SE2(guess), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
+        else:
+            result, source = best[0], best[1]
+            self._usual_cost += 0.02 * (best[2] - self._usual_cost)
+        new = result.T_map_base.xyt
+        self.velocity = between(self.pose, new)
+        self.pose = new
+        if self.kiss is not None:
+            self.kiss.update(self.clouds.of(scan), new, guess)
+        if self._moved_enough():
+            self._add_key(scan)
+        return result, source
+
+    def _odometry_step(self, scan: int) -> Array | None:
+        if self.odometry is None:
+            return None
+        return between(self.odometry[scan - 1], self.odometry[scan])
+
+    def _best(
+        self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
+    ) -> tuple[Alignment, int, float] | None:
+        """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
+        config, best = self.config, None
+        usable = int(self.clouds.line_ok[self.clouds.starts[scan] : self.clouds.starts[scan + 1]].sum())
+        if usable < 5:
+            return None
+        tried: list[Array] = []
+        points = self.clouds.of(scan)[:: max(1, usable // 90)]
+        keys, poses = self._references()
+        for source, start in starts:
+            coarse, _ = best_pose(
+                self.field, points, start, config.search_m, config.search_rad, config.search_step_rad
+            )
+            if any(np.abs(between(other, coarse)).max() < 0.03 for other in tried):
+                continue
+            tried.append(coarse)
+            result = align(
+                self.clouds,
+                scan,
+                coarse,
+                keys,
+                poses,
+                gate=config.gate_m,
+                sigma=config.sigma_m,
+                prior=prior,
+                prior_information=information,
+                prior_soft=config.odometry.soft,
+            )
+            e = between(prior, result.T_map_base.xyt)
+            surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
+            cost = result.cost / usable + 0.01 * float(surprise)
+            if best is None or cost < best[2]:
+                best = (result, source, cost)
+        return best
+
+    def _recover(self, scan: int, centers: list[Array]) -> Array:
+        """Exhaustive search in a wide window about each centre: the track may be lost."""
+        points = self.clouds.of(scan)[::4]
+        config = self.config
+        found = [
+            best_pose(self.field, points, center, config.recovery_m, config.recovery_rad, 0.035)
+            for center in centers[:2]
+        ]
+        return max(found, key=lambda pair: pair[1])[0]
+
+    def _references(self) -> tuple[NDArray[np.int64], Array]:
+        n = self.config.reference_keys
+        return np.array(self.keys[-n:]), np.array(self.key_poses[-n:])
+
+    def _moved_enough(self) -> bool:
+        delta = between(self.key_poses[-1], self.pose)
+        config = self.config
+        return bool(
+            np.hypot(delta[0], delta[1]) > config.key_distance_m or abs(delta[2]) > config.key_turn_rad
+        )
+
+    def _add_key(self, scan: int) -> None:
+        self.keys.append(scan)
+        self.key_poses.append(self.pose)
+        n, config = self.config.field_keys, self.config
+        self.field = make_field(
+            self.clouds,
+            np.array(self.keys[-n:]),
+            np.array(self.key_poses[-n:]),
+            config.field_resolution_m,
+            config.field_sigma_m,
+        )
+
+
+def track_log(
+    recording: Recording, clouds: Clouds, config: TrackingConfig, max_range: float, scans: Iterable[int]
+) -> Track:
+    """Run the front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
+    n = len(recording)
+    poses = np.zeros((n, 3))
+    overlap, rmse = np.ones(n), np.zeros(n)
+    information, source = np.zeros((n, 3, 3)), np.zeros(n, dtype=np.int8)
+    if recording.T_odom_base is not None:
+        poses[0] = recording.T_odom_base.xyt[0]
+    tracker = Tracker(clouds, recording, config, max_range)
+    tracker.start(0, poses[0])
+    for scan in scans:
+        result, source[scan] = tracker.step(scan)
+        poses[scan] = result.T_map_base.xyt
+        overlap[scan], rmse[scan], information[scan] = result.overlap, result.rmse, result.information
+    return Track(SE2(poses), np.array(tracker.keys), overlap, rmse, information, source)
+
+
+def compose(a: Array, b: Array) -> Array:
+    """`T_x_z` from `T_x_y` and `T_y_z`, single poses (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], float(wrap(a[2] + b[2]))])
+
+
+def between(a: Array, b: Array) -> Array:
+    """`T_a_b` from `T_x_a` and `T_x_b`, single poses (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array([c * dx + s * dy, -s * dx + c * dy, float(wrap(b[2] - a[2]))])
