@@ -46,7 +46,7 @@ class Lidar:
         self._returns = returns if config.reflectivity and returns.min() < 1.0 else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         n = self.spec.n_beams
-        self._sweep = np.arange(n) * (self.spec.time_increment / self.spec.scan_time)
+        self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
 
     def true_ranges(self, poses: Array) -> tuple[Array, NDArray[np.int64]]:
         """Distances (n_beams,) without noise or limits below, and the outline each beam hit.
@@ -54,7 +54,7 @@ class Lidar:
         poses (k, 3): base poses in the world, at equal steps from the first beam's instant to the
         end of the sweep; one row for a lidar that takes all beams at once.
         """
-        when = self._sweep * (len(poses) - 1)
+        when: Array = self._sweep * float(len(poses) - 1)
         origins, directions = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
         return cast(origins, directions, self._outlines.segments, self._outlines.circles, self.spec.range_max)
 

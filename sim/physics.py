@@ -7,12 +7,13 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Annotated
 
 import numpy as np
-import pybullet
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2
+from sim.bullet import bullet
 from sim.robots import RobotSpec
 from sim.shapes import Solid, as_rectangle
 from sim.urdf import composite, urdf
@@ -25,13 +26,13 @@ class PhysicsConfig(BaseModel):
     """Friction coefficients are of the pairing with floor and solids (whose own is 1)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    friction: float = Field(0.5, gt=0.0)
+    friction: Annotated[float, Field(gt=0.0)] = 0.5
     """Wheels on the floor."""
-    body_friction: float = Field(0.1, ge=0.0)
+    body_friction: Annotated[float, Field(ge=0.0)] = 0.1
     """Caster on the floor, body on walls."""
-    substeps: int = Field(8, ge=8)
+    substeps: Annotated[int, Field(ge=8)] = 8
     """Physics steps a control step: 8 is 240 Hz."""
-    solver_iterations: int = Field(30, ge=1)
+    solver_iterations: Annotated[int, Field(ge=1)] = 30
 
 
 class Physics:
@@ -41,7 +42,7 @@ class Physics:
         self, solids: Sequence[Solid], robot: RobotSpec, config: PhysicsConfig, control_dt: float
     ) -> None:
         self._solids, self._robot, self._config, self._dt = solids, robot, config, control_dt
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(composite(robot.parts)[1])
         self._n_wheels = 2 * len(robot.wheels.pairs_x)
         self._forces = [robot.wheels.torque] * self._n_wheels
@@ -57,7 +58,7 @@ class Physics:
     def close(self) -> None:
         """Disconnect from Bullet; closing twice is harmless."""
         if self._client >= 0:
-            pybullet.disconnect(self._client)
+            bullet.disconnect(self._client)
             self._client = -1
 
     @property
@@ -68,21 +69,21 @@ class Physics:
     def reset(self, T_world_base: SE2) -> None:
         """Build everything anew with the robot at a pose, and let it settle on its wheels."""
         client = self._client
-        pybullet.resetSimulation(physicsClientId=client)
-        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
-        pybullet.setPhysicsEngineParameter(
+        bullet.resetSimulation(physicsClientId=client)
+        bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        bullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt,
             numSubSteps=self._config.substeps,
             numSolverIterations=self._config.solver_iterations,
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        floor = pybullet.createMultiBody(
+        floor = bullet.createMultiBody(
             0.0,
-            pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client),
+            bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client),
             physicsClientId=client,
         )
-        pybullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)
+        bullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)
         self._solid_of = {
             _create(solid, client): number
             for number, solid in enumerate(self._solids)
@@ -98,16 +99,16 @@ class Physics:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.urdf"
             path.write_text(urdf(self._robot))
-            self.body = pybullet.loadURDF(
+            self.body = bullet.loadURDF(
                 str(path),
                 [x, y, 0.0],
-                pybullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER,
+                bullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
+                flags=bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER,
                 physicsClientId=client,
             )
         self._joints = list(range(self._n_wheels))
         for link, friction in [(-1, config.body_friction)] + [(j, config.friction) for j in self._joints]:
-            pybullet.changeDynamics(
+            bullet.changeDynamics(
                 self.body,
                 link,
                 lateralFriction=friction,
@@ -119,19 +120,19 @@ class Physics:
 
     def step(self, left: float, right: float) -> None:
         """One control step with the wheel motors aiming at these speeds [rad/s]."""
-        pybullet.setJointMotorControlArray(
+        bullet.setJointMotorControlArray(
             self.body,
             self._joints,
-            pybullet.VELOCITY_CONTROL,
+            bullet.VELOCITY_CONTROL,
             targetVelocities=[left, right] * (self._n_wheels // 2),
             forces=self._forces,
             physicsClientId=self._client,
         )
-        pybullet.stepSimulation(physicsClientId=self._client)
+        bullet.stepSimulation(physicsClientId=self._client)
 
     def pose(self) -> tuple[float, float, float]:
         """x, y, yaw of base_footprint."""
-        (px, py, _), (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(
+        (px, py, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(
             self.body, physicsClientId=self._client
         )
         cx, cy, cz = self._com
@@ -150,19 +151,19 @@ class Physics:
 
     def velocity(self, yaw: float) -> tuple[float, float]:
         """Forward speed of base_footprint [m/s] and yaw rate [rad/s], for a base at that yaw."""
-        (vx, vy, _), (_, _, w) = pybullet.getBaseVelocity(self.body, physicsClientId=self._client)
+        (vx, vy, _), (_, _, w) = bullet.getBaseVelocity(self.body, physicsClientId=self._client)
         # The centre of mass lies off the turning axis: take away w x offset (its part along x).
         return vx * math.cos(yaw) + vy * math.sin(yaw) + w * self._com[1], w
 
     def wheels(self) -> tuple[float, float, float, float]:
         """Angles (left, right) [rad] and speeds (left, right) [rad/s] of the front pair of wheels."""
-        left, right = pybullet.getJointStates(self.body, [0, 1], physicsClientId=self._client)
+        left, right = bullet.getJointStates(self.body, [0, 1], physicsClientId=self._client)
         return left[0], right[0], left[1], right[1]
 
     def touched(self) -> set[int]:
         """Indices of the solids that the robot touches now."""
         found = set()
-        for point in pybullet.getContactPoints(bodyA=self.body, physicsClientId=self._client):
+        for point in bullet.getContactPoints(bodyA=self.body, physicsClientId=self._client):
             number = self._solid_of.get(point[2])
             if number is not None and (point[9] > 0.0 or point[8] < CONTACT_GAP_M):
                 found.add(number)
@@ -175,25 +176,25 @@ def _create(solid: Solid, client: int) -> int:
     position, yaw = [*solid.center, middle], 0.0
     rectangle = None if solid.is_cylinder else as_rectangle(solid.polygon)
     if solid.is_cylinder:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_CYLINDER, radius=solid.radius, height=height, physicsClientId=client
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_CYLINDER, radius=solid.radius, height=height, physicsClientId=client
         )
     elif rectangle is not None:
         x, y, length, width, yaw = rectangle
         position = [x, y, middle]
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=[length / 2.0, width / 2.0, height / 2.0], physicsClientId=client
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=[length / 2.0, width / 2.0, height / 2.0], physicsClientId=client
         )
     else:
         outline = solid.polygon - np.array(solid.center)
         vertices = [[float(x), float(y), z] for z in (-height / 2.0, height / 2.0) for x, y in outline]
-        shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=vertices, physicsClientId=client)
-    body = pybullet.createMultiBody(
+        shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices, physicsClientId=client)
+    body = bullet.createMultiBody(
         0.0,
         shape,
         basePosition=position,
-        baseOrientation=pybullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
+        baseOrientation=bullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
         physicsClientId=client,
     )
-    pybullet.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=client)
+    bullet.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=client)
     return int(body)

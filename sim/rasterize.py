@@ -18,7 +18,7 @@ from datasets.se2 import SE2, Array
 from sim.shapes import Solid, contains
 
 INSET_M = 1e-3
-"""Surfaces are sampled this far inside the solid: one that lies on a cell border belongs to the solid's cell."""
+"""Surfaces are sampled this far inside the solid, so that one on a cell border falls in the solid's cell."""
 
 
 def true_map(
@@ -79,9 +79,10 @@ def _outline(solid: Solid, step: float) -> tuple[Array, Array]:
     if solid.is_cylinder:
         n = max(16, int(np.ceil(2.0 * np.pi * solid.radius / step)))
         angles = np.arange(n) * (2.0 * np.pi / n)
-        normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return np.array(solid.center) + solid.radius * normals, normals
-    points, normals = [], []
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        return np.array(solid.center) + solid.radius * around, around
+    points: list[Array] = []
+    normals: list[Array] = []
     for a, b in zip(solid.polygon, np.roll(solid.polygon, -1, axis=0), strict=True):
         length = float(np.linalg.norm(b - a))
         if length < 1e-9:

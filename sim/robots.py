@@ -126,6 +126,8 @@ class RobotSpec(_Spec):
     name: str
     height: Positive
     footprint: list[tuple[Finite, Finite]] = Field(min_length=3)
+    axle_height: Positive = 0.010
+    """Height of base_link over base_footprint (the TurtleBot3 URDFs' own choice)."""
     limits: Limits
     parts: list[Part] = Field(min_length=1)
     wheels: Wheels

@@ -36,7 +36,7 @@ class SimConfig(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only the simulator knows: true pose and twist, and whether the robot touched anything but the floor.
+    """What only the simulator knows: true pose and twist, and contacts with anything but the floor.
 
     A contact is `visible` when the touched solid crosses the lidar plane, else `low`.
     """

@@ -1,0 +1,42 @@
+"""turtlebag record."""
+
+from __future__ import annotations
+
+import argparse
+
+from pipeline.commands.arguments import add_config, add_output, seed
+from pipeline.config import load_config
+
+EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument("--teleop", default="tour", metavar="SCRIPT", help="script: a name or a YAML file")
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
+    )
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record a drive."""
+    from pipeline.record import record
+    from sim.simulator import SimConfig
+
+    sim = load_config(SimConfig, args.config, args.settings)
+    return record(
+        args.world,
+        args.robot,
+        args.teleop,
+        args.seed,
+        args.out,
+        sim=sim,
+        force=args.force,
+        command=args.command_line,
+    )

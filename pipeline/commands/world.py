@@ -1,0 +1,63 @@
+"""turtlebag world."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from datasets.errors import InputError
+
+EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
+    actions.add_parser("list", help="names of the built-in worlds, robots and teleop scripts")
+    show = actions.add_parser("show", help="draw a world to a PNG")
+    show.add_argument("world", metavar="W", help="world: a name or a file")
+    show.add_argument("--robot", metavar="R", help="whose lidar height to cut at (default: the world's own)")
+    show.add_argument("--out", type=Path, required=True, metavar="PNG", help="picture to write")
+    show.add_argument("--force", action="store_true", help="replace --out if it exists")
+
+
+def run(args: argparse.Namespace) -> int:
+    """List the worlds or draw one."""
+    return _list() if args.action == "list" else _show(args)
+
+
+def _list() -> int:
+    from sim.robots import robot_names
+    from sim.teleop import script_names
+    from sim.worlds import load_world, world_names
+
+    for name in world_names():
+        world = load_world(name)
+        x, y, yaw = world.spawn.xyt.tolist()
+        print(f"{name}: {len(world.shapes)} solids, spawn {x:g},{y:g},{yaw:g}, robot {world.robot}")
+    print(f"robots: {', '.join(robot_names())}")
+    print(f"teleops: {', '.join(script_names())}")
+    return 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    from datasets.outputs import check_free
+    from reports.figures.world import draw_world
+    from sim.robots import load_robot
+    from sim.worlds import load_world
+
+    check_free(args.out, force=args.force)
+    if not args.out.parent.is_dir():
+        raise InputError(f"{args.out.parent}: no such folder; create it first")
+    world = load_world(args.world)
+    robot = load_robot(args.robot or world.robot)
+    z = robot.lidar_height
+    hidden = [
+        (solid.polygon, solid.center, solid.radius)
+        for solid in world.below(robot.height)
+        if not solid.crosses(z)
+    ]
+    title = f"{world.name} at {z:g} m (lidar of {robot.name})"
+    draw_world(args.out, title, world.rasterize(z), world.spawn, hidden, world.keepout)
+    print(args.out)
+    return 0

@@ -1,0 +1,159 @@
+"""Stage `record`: a scripted drive through a world, as a bag with the truth beside it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from datasets.bags.writer import BagWriter
+from datasets.maps import save_map
+from datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
+from datasets.se2 import SE2
+from datasets.trajectories import save_tum
+from datasets.types import Observation, Trajectory, Twist, seconds
+from pipeline.config import config_text
+from pipeline.console import log
+from sim.robots import RobotSpec, load_robot
+from sim.simulator import SimConfig, Simulator
+from sim.teleop import Script, check_script, commands, load_script
+from sim.worlds import World, load_world
+
+
+class RecordConfig(BaseModel):
+    """The resolved settings of a recording."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    world: str
+    robot: str
+    teleop: str
+    seed: int
+    sim: SimConfig = SimConfig()
+
+
+@dataclass
+class TruthLog:
+    """True base pose at the stamp of each scan, for `truth/trajectory.tum`."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    poses: list[SE2] = field(default_factory=list)
+
+    def add(self, observation: Observation, simulator: Simulator) -> None:
+        """Note the pose when the observation carries a scan."""
+        if observation.scan is not None:
+            self.stamps_ns.append(observation.scan.stamp_ns)
+            self.poses.append(simulator.scan_truth)
+
+    def save(self, folder: Path, world: World, robot: RobotSpec) -> None:
+        """Write `truth/`: the trajectory and the world's map at the height of the lidar plane."""
+        folder.mkdir()
+        poses = SE2.stack(self.poses) if self.poses else SE2.identity(0)
+        save_tum(Trajectory(np.array(self.stamps_ns, dtype=np.int64), poses), folder / "trajectory.tum")
+        save_map(world.rasterize(robot.lidar_height), folder)
+
+
+def record(
+    world: str,
+    robot: str | None,
+    teleop: str,
+    seed: int,
+    out: Path,
+    *,
+    sim: SimConfig | None = None,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Record a drive; returns the exit code (0, or 130 when it was interrupted and closed early)."""
+    watch = Stopwatch()
+    world_loaded = load_world(world)
+    robot_name = robot or world_loaded.robot
+    robot_loaded, script = load_robot(robot_name), load_script(teleop)
+    check_script(script, world_loaded)
+    config = RecordConfig(world=world, robot=robot_name, teleop=teleop, seed=seed, sim=sim or SimConfig())
+    with staged_output(out, force=force) as folder:
+        text = config_text(config)
+        (folder / "config.yaml").write_text(text)
+        truth = TruthLog()
+        custom = {"seed": str(seed), "config_sha256": sha256_text(text)}
+        with (
+            Simulator(world_loaded, robot_loaded, config.sim, seed) as simulator,
+            BagWriter(folder / "bag", custom=custom) as bag,
+            deferred_interrupt() as interrupted,
+        ):
+            duration = _drive(simulator, script, bag, truth, interrupted)
+        truth.save(folder / "truth", world_loaded, robot_loaded)
+        wall = watch.seconds()
+        write_manifest(
+            folder,
+            stage="record",
+            command=command,
+            inputs={},
+            seed=seed,
+            wall_s=wall,
+            extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
+        )
+    log.info("recorded %.1f s in %.1f s (%.0f x real time): %s", duration, wall, duration / wall, out)
+    return 130 if interrupted else 0
+
+
+def _drive(
+    simulator: Simulator, script: Script, bag: BagWriter, truth: TruthLog, interrupted: list[int]
+) -> float:
+    """Run the script to its end or to an interrupt; returns the simulated time [s]."""
+    observation = simulator.reset()
+    limits = simulator.robot.limits
+    driver = commands(script, simulator.world, limits.max_v, limits.max_w)
+    bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
+    next(driver)
+    while True:
+        bag.observation(observation)
+        truth.add(observation, simulator)
+        now = simulator.truth
+        bag.truth(now.stamp_ns, now.T_world_base, now.twist)
+        if interrupted:
+            break
+        try:
+            command = driver.send(now)
+        except StopIteration:
+            break
+        bag.command(observation.stamp_ns, command)
+        observation = simulator.step(command)
+    bag.command(observation.stamp_ns, Twist())
+    return seconds(observation.stamp_ns)
+
+
+def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, float, float], float]]:
+    """(parent, child, xyz, yaw) of the robot's fixed frames, for /tf_static."""
+    x, y, yaw = robot.lidar.pose
+    axle = robot.axle_height
+    ix, iy, iz = robot.imu.position
+    return [
+        ("base_footprint", "base_link", (0.0, 0.0, axle), 0.0),
+        ("base_link", "base_scan", (x, y, robot.lidar.height - axle), yaw),
+        ("base_link", "imu_link", (ix, iy, iz - axle), 0.0),
+    ]
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[list[int]]:
+    """Ctrl-C within fills the list instead of raising, so that no message is cut in the middle."""
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    try:
+        before = signal.signal(signal.SIGINT, note)
+    except ValueError:  # not in the main thread: Ctrl-C is not ours to catch
+        yield received
+        return
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGINT, before)
