@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from datasets.bags.mapping_input import read_for_mapping
+from datasets.bags.source import is_bag, open_bag
 from datasets.carmen import is_carmen, parse_carmen
 from datasets.errors import InputError
 from datasets.files import read_unpacked
@@ -19,10 +21,16 @@ def load_recording(path: Path, *, T_base_lidar: SE2 | None = None) -> Recording:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    if path.is_dir():
-        raise InputError(f"{path}: not a bag or log")
+    if path.is_dir() or is_bag(path):
+        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar)
     content, problem = read_unpacked(path)
-    notes = [problem] if problem else []
     if is_carmen(content):
+        notes = [problem] if problem else []
         return parse_carmen(content, path, T_base_lidar=T_base_lidar, notes=notes)
-    raise InputError(f"{path}: neither a bag (.mcap, .db3, .bag, rosbag2 folder) nor a CARMEN log")
+    try:
+        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar)
+    except InputError as error:
+        if "not a bag" in str(error):
+            kinds = ".mcap, .db3, .bag, a rosbag2 folder or a CARMEN log"
+            raise InputError(f"{path}: not a recording; expected {kinds}") from None
+        raise

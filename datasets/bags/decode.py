@@ -1,0 +1,240 @@
+"""The few message types we understand, from their bytes: CDR of ROS 2 and the plain layout of ROS 1."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import Array
+
+_SIZES = {"i": 4, "I": 4, "f": 4, "d": 8}
+_STRUCTS: dict[tuple[str, str, int], struct.Struct] = {}
+
+
+class BadMessage(ValueError):
+    """The bytes are not a message of that type."""
+
+
+class Cursor:
+    """Reads CDR fields in order; alignment counts from after the encapsulation header."""
+
+    origin = 4
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) < 4 or data[0] != 0 or data[1] > 1:
+            raise BadMessage("not a CDR message")
+        self.data = data
+        self.at = 4
+        self.order = "<" if data[1] else ">"
+
+    def align(self, size: int) -> None:
+        """Step over padding."""
+        self.at += -(self.at - self.origin) % size
+
+    def take(self, code: str, count: int = 1) -> tuple:
+        """Values of one struct type."""
+        key = self.order, code, count
+        known = _STRUCTS.get(key)
+        if known is None:
+            known = _STRUCTS[key] = struct.Struct(f"{self.order}{count}{code}")
+        self.align(_SIZES[code])
+        try:
+            values = known.unpack_from(self.data, self.at)
+        except struct.error:
+            raise BadMessage("the message is too short") from None
+        self.at += known.size
+        return values
+
+    def count(self, least: int) -> int:
+        """Length of a sequence whose items need at least `least` bytes each."""
+        n = int(self.take("I")[0])
+        if n * least > len(self.data) - self.at + 8:
+            raise BadMessage("a sequence is longer than its message")
+        return n
+
+    def array(self, dtype: str, count: int) -> NDArray:
+        """`count` numbers, e.g. dtype "f4"."""
+        size = int(dtype[1])
+        if count:
+            self.align(size)
+        if self.at + size * count > len(self.data):
+            raise BadMessage("the message is too short")
+        values = np.frombuffer(self.data, self.order + dtype, count, self.at)
+        self.at += size * count
+        return values
+
+    def string(self) -> str:
+        """A string; frame names lose ROS 1's leading slash."""
+        n = self.count(1)
+        text = self.data[self.at : self.at + max(n - 1, 0)]
+        self.at += n
+        return text.decode("utf-8", "replace").lstrip("/")
+
+    def stamp(self) -> int:
+        """A time [ns]."""
+        sec = self.take("i")[0]
+        return int(sec) * 1_000_000_000 + int(self.take("I")[0])
+
+    def header(self) -> tuple[int, str]:
+        """(stamp [ns], frame)."""
+        return self.stamp(), self.string()
+
+
+class Ros1Cursor(Cursor):
+    """Reads ROS 1 fields: no padding, headers with a sequence number, strings without a final zero."""
+
+    origin = 0
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at, self.order = data, 0, "<"
+
+    def align(self, size: int) -> None:
+        """Nothing is padded in ROS 1."""
+
+    def string(self) -> str:
+        """A string without its leading slash."""
+        n = self.count(1)
+        text = self.data[self.at : self.at + n]
+        self.at += n
+        return text.decode("utf-8", "replace").lstrip("/")
+
+    def header(self) -> tuple[int, str]:
+        """(stamp [ns], frame)."""
+        self.take("I")
+        return super().header()
+
+
+class RawScan(NamedTuple):
+    """LaserScan; `geometry`: angle_min, angle_max, increment, time_increment, scan_time, range limits."""
+
+    stamp_ns: int
+    frame: str
+    geometry: tuple[float, ...]
+    ranges: NDArray[np.float32]
+
+
+class RawPose(NamedTuple):
+    """A stamped planar pose with its frames and, from odometry, the twist."""
+
+    stamp_ns: int
+    frame: str
+    child: str
+    x: float
+    y: float
+    yaw: float
+    v: float = 0.0
+    w: float = 0.0
+
+
+class RawTransform(NamedTuple):
+    """A stamped transform: translation and quaternion x, y, z, w."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    xyz: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+class RawImu(NamedTuple):
+    """Gyro [rad/s] and specific force [m/s^2]."""
+
+    stamp_ns: int
+    frame: str
+    angular: tuple[float, ...]
+    linear: tuple[float, ...]
+
+
+def yaw_of(quaternion: Sequence[float]) -> float:
+    """Yaw of a quaternion x, y, z, w [rad]; NaN when it has no direction."""
+    x, y, z, w = quaternion
+    norm = x * x + y * y + z * z + w * w
+    if not norm > 0.0 or not math.isfinite(norm):
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), norm - 2.0 * (y * y + z * z))
+
+
+def laser_scan(cursor: Cursor) -> RawScan:
+    """sensor_msgs/LaserScan."""
+    stamp, frame = cursor.header()
+    geometry = cursor.take("f", 7)
+    return RawScan(stamp, frame, geometry, cursor.array("f4", cursor.count(4)))
+
+
+def _pose(cursor: Cursor) -> tuple[float, float, float]:
+    x, y, _, *quaternion = cursor.take("d", 7)
+    return x, y, yaw_of(quaternion)
+
+
+def odometry(cursor: Cursor) -> RawPose:
+    """nav_msgs/Odometry."""
+    stamp, frame = cursor.header()
+    child = cursor.string()
+    x, y, yaw = _pose(cursor)
+    cursor.take("d", 36)
+    v, _, _, _, _, w = cursor.take("d", 6)
+    return RawPose(stamp, frame, child, x, y, yaw, v, w)
+
+
+def pose_stamped(cursor: Cursor) -> RawPose:
+    """geometry_msgs/PoseStamped and the beginning of PoseWithCovarianceStamped."""
+    stamp, frame = cursor.header()
+    return RawPose(stamp, frame, "", *_pose(cursor))
+
+
+def transforms(cursor: Cursor) -> list[RawTransform]:
+    """tf2_msgs/TFMessage."""
+    found = []
+    for _ in range(cursor.count(60)):
+        stamp, parent = cursor.header()
+        child = cursor.string()
+        values = cursor.take("d", 7)
+        found.append(RawTransform(stamp, parent, child, values[:3], values[3:]))
+    return found
+
+
+def imu(cursor: Cursor) -> RawImu:
+    """sensor_msgs/Imu."""
+    stamp, frame = cursor.header()
+    values = cursor.take("d", 37)
+    return RawImu(stamp, frame, values[13:16], values[25:28])
+
+
+def twist(cursor: Cursor) -> tuple[float, float]:
+    """geometry_msgs/Twist: forward and yaw speed."""
+    v, _, _, _, _, w = cursor.take("d", 6)
+    return v, w
+
+
+def twist_stamped(cursor: Cursor) -> tuple[float, float]:
+    """geometry_msgs/TwistStamped."""
+    cursor.header()
+    return twist(cursor)
+
+
+def pose_array(cursor: Cursor) -> tuple[int, Array]:
+    """geometry_msgs/PoseArray: stamp and (n, 3) x, y, yaw."""
+    stamp, _ = cursor.header()
+    rows = cursor.array("f8", 7 * cursor.count(56)).reshape(-1, 7)
+    x, y, _, qx, qy, qz, qw = rows.T
+    yaw = np.arctan2(2.0 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
+    return stamp, np.stack([x, y, yaw], axis=-1)
+
+
+def path(cursor: Cursor) -> tuple[int, Array]:
+    """nav_msgs/Path: stamp and (n, 3) x, y, yaw."""
+    stamp, _ = cursor.header()
+    rows = [pose_stamped(cursor)[3:6] for _ in range(cursor.count(64))]
+    return stamp, np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def joint_state(cursor: Cursor) -> tuple[int, list[str], Array]:
+    """sensor_msgs/JointState: stamp, names and positions."""
+    stamp, _ = cursor.header()
+    names = [cursor.string() for _ in range(cursor.count(4))]
+    return stamp, names, cursor.array("f8", cursor.count(8))

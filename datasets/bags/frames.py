@@ -1,0 +1,78 @@
+"""The frames of a recorded robot: where a sensor sits, from /tf_static and still links of /tf."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+
+from datasets.bags.decode import RawTransform
+from datasets.se2 import Array
+
+
+def matrix(xyz: Iterable[float], quaternion: Iterable[float]) -> Array:
+    """Homogeneous (4, 4) matrix of a translation and a quaternion x, y, z, w (normalised here)."""
+    x, y, z, w = np.array(list(quaternion), dtype=np.float64) / (np.linalg.norm(list(quaternion)) or 1.0)
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = list(xyz)
+    return out
+
+
+class FrameTree:
+    """Links between frames; a link that changes is kept apart as moving."""
+
+    def __init__(self) -> None:
+        self.fixed: dict[tuple[str, str], Array] = {}
+        self.moving: dict[tuple[str, str], list[RawTransform]] = {}
+        self._first: dict[tuple[str, str], RawTransform] = {}
+
+    def add(self, transform: RawTransform, *, static: bool) -> None:
+        """Take note of one transform of /tf or /tf_static; non-finite ones are ignored."""
+        link = transform.parent, transform.child
+        if not np.isfinite((*transform.xyz, *transform.quaternion)).all():
+            return
+        if link in self.moving:
+            self.moving[link].append(transform)
+            return
+        first = self._first.get(link)
+        if first is None:
+            self._first[link] = transform
+            self.fixed[link] = matrix(transform.xyz, transform.quaternion)
+        if not static:
+            self._stream(link, transform)
+
+    def _stream(self, link: tuple[str, str], transform: RawTransform) -> None:
+        """Links of the odometry are streams even while the robot stands still."""
+        first = self._first[link]
+        moved = transform.xyz != first.xyz or transform.quaternion != first.quaternion
+        if moved or link[0] in ("odom", "map", "world"):
+            self.moving[link] = [first] if moved and transform is not first else []
+            self.moving[link].append(transform)
+            self.fixed.pop(link, None)
+
+    def frames(self) -> set[str]:
+        """Every frame seen."""
+        return {frame for link in (*self.fixed, *self.moving) for frame in link}
+
+    def lookup(self, target: str, source: str) -> Array | None:
+        """`T_target_source` (4, 4) over fixed links only; None when they do not connect."""
+        found = {target: np.eye(4)}
+        queue = deque([target])
+        while queue:
+            frame = queue.popleft()
+            if frame == source:
+                return found[frame]
+            for (parent, child), T_parent_child in self.fixed.items():
+                if parent == frame and child not in found:
+                    found[child] = found[frame] @ T_parent_child
+                    queue.append(child)
+                elif child == frame and parent not in found:
+                    found[parent] = found[frame] @ np.linalg.inv(T_parent_child)
+                    queue.append(parent)
+        return found.get(source)

@@ -1,0 +1,297 @@
+"""Reading MCAP front to back, trusting nothing: damage ends the data or is stepped over, and is named.
+
+The index at the end of a file is not used for reading, so unfinished files read as far as they go. Chunk
+checksums are verified before a single message of the chunk is given out.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import lz4.frame
+import zstandard
+
+from datasets.bags.mcap import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    STATISTICS,
+)
+from datasets.errors import InputError
+
+MAX_CHUNK_BYTES = 1 << 30
+"""A chunk that claims to be larger is taken for damaged."""
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<BQHIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_LAST_OPCODE = DATA_END
+
+
+class Damage(Exception):
+    """A record that cannot be what was written."""
+
+
+@dataclass(frozen=True, slots=True)
+class McapSchema:
+    """A message definition of the file."""
+
+    name: str
+    encoding: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class McapChannel:
+    """A topic of the file."""
+
+    topic: str
+    schema: McapSchema
+    encoding: str
+    metadata: dict[str, str]
+
+
+@dataclass(slots=True)
+class McapState:
+    """What is known of a file after reading it: its parts, and what was wrong."""
+
+    channels: dict[int, McapChannel] = field(default_factory=dict)
+    schemas: dict[int, McapSchema] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    stopped: bool = False
+    complete: bool = False
+    messages: int = 0
+    claimed: int | None = None
+
+
+class _Fields:
+    """Cursor over the body of a record; running over its end is Damage."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, size: int) -> bytes:
+        piece = self.data[self.at : self.at + size]
+        if len(piece) != size:
+            raise Damage("a record ends too early")
+        self.at += size
+        return piece
+
+    def number(self, code: str) -> int:
+        return int(struct.unpack("<" + code, self.take(struct.calcsize("<" + code)))[0])
+
+    def text(self) -> str:
+        try:
+            return self.take(self.number("I")).decode()
+        except UnicodeDecodeError:
+            raise Damage("a text is not UTF-8") from None
+
+    def map(self) -> dict[str, str]:
+        inner = _Fields(self.take(self.number("I")))
+        items = {}
+        while inner.at < len(inner.data):
+            key = inner.text()
+            items[key] = inner.text()
+        return items
+
+    def end(self) -> None:
+        if self.at != len(self.data):
+            raise Damage("a record is longer than its content")
+
+
+class McapScan:
+    """One file, read sequentially; `state` fills while messages are drawn."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.state = McapState()
+        try:
+            with path.open("rb") as file:
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except ValueError:
+            raise InputError(f"{path}: the file is empty") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        if self._data[: len(MAGIC)] != MAGIC:
+            raise InputError(f"{path}: not an MCAP file (its first bytes are damaged or of another format)")
+
+    def messages(
+        self, wanted: Callable[[McapChannel], bool] | None = None, *, step_over: bool = False
+    ) -> Iterator[tuple[McapChannel, int, bytes]]:
+        """(channel, log time [ns], data) in file order, of the `wanted` channels.
+
+        At the first damage reading stops, or with `step_over` goes on at the next record that is whole.
+        """
+        self.state = state = McapState()
+        at, end = len(MAGIC), len(self._data)
+        while at < end:
+            try:
+                opcode, body, following = self._record(at)
+                if opcode == DATA_END:
+                    self._finish(at, body, following)
+                    return
+                if opcode == CHUNK:
+                    yield from self._chunk_messages(_unpack_chunk(body), wanted)
+                elif opcode == MESSAGE:
+                    yield from self._chunk_messages(self._data[at:following], wanted)
+                else:
+                    self._register(opcode, body)
+                at = following
+            except Damage as damage:
+                state.problems.append(f"damaged at byte {at} of {end}: {damage}")
+                state.stopped = not step_over
+                if not step_over:
+                    return
+                at = self._next_chunk(at + 1)
+        state.problems.append(f"the file ends without its index, after {end} bytes: recording was cut off")
+        state.stopped = True
+
+    def _record(self, at: int) -> tuple[int, bytes, int]:
+        if at + _RECORD.size > len(self._data):
+            raise Damage("the file ends inside a record")
+        opcode, size = _RECORD.unpack_from(self._data, at)
+        start = at + _RECORD.size
+        if size > len(self._data) - start:
+            raise Damage("the file ends inside a record, or its length is wrong")
+        if opcode == 0 or _LAST_OPCODE < opcode < 0x80:
+            raise Damage(f"unknown record type {opcode}")
+        if opcode == FOOTER:
+            raise Damage("the end comes before the end of the data")
+        return opcode, self._data[start : start + size], start + size
+
+    def _next_chunk(self, at: int) -> int:
+        """Where the next chunk with a plausible head begins; the end of the file if none does."""
+        while (at := self._data.find(bytes([CHUNK]), at)) >= 0:
+            try:
+                _, body, following = self._record(at)
+                _unpack_chunk(body)
+                if following == len(self._data) or self._data[following] in range(1, _LAST_OPCODE + 1):
+                    return at
+            except Damage:
+                pass
+            at += 1
+        return len(self._data)
+
+    def _register(self, opcode: int, body: bytes) -> None:
+        """Take note of a schema, a channel or metadata; check the form of the others."""
+        fields, state = _Fields(body), self.state
+        if opcode == SCHEMA:
+            number = fields.number("H")
+            name, encoding = fields.text(), fields.text()
+            state.schemas[number] = McapSchema(name, encoding, fields.text())
+        elif opcode == CHANNEL:
+            number, schema = fields.number("H"), fields.number("H")
+            topic, encoding, metadata = fields.text(), fields.text(), fields.map()
+            known = state.schemas.get(schema, McapSchema("", "", ""))
+            state.channels.setdefault(number, McapChannel(topic, known, encoding, metadata))
+        elif opcode == METADATA:
+            name = fields.text()
+            state.metadata[name] = fields.map()
+        elif opcode == MESSAGE_INDEX:
+            fields.number("H")
+            fields.take(fields.number("I"))
+        elif opcode == HEADER:
+            fields.text()
+            fields.text()
+        else:
+            return
+        fields.end()
+
+    def _chunk_messages(
+        self, records: bytes, wanted: Callable[[McapChannel], bool] | None
+    ) -> Iterator[tuple[McapChannel, int, bytes]]:
+        state, channels = self.state, self.state.channels
+        choice = {number: wanted is None or wanted(channel) for number, channel in channels.items()}
+        at, end = 0, len(records)
+        unpack = _MESSAGE.unpack_from
+        while at < end:
+            if records[at] == MESSAGE and at + _MESSAGE.size <= end:
+                _, size, number, _, log_time, _ = unpack(records, at)
+                start, at = at + 31, at + 9 + size
+                channel = channels.get(number)
+                if channel is None or at > end or size < 22:
+                    raise Damage("a message of an unknown topic, or too long")
+                state.messages += 1
+                if choice[number]:
+                    yield channel, log_time, records[start:at]
+            elif at + _RECORD.size <= end:
+                opcode, size = _RECORD.unpack_from(records, at)
+                start, at = at + _RECORD.size, at + _RECORD.size + size
+                if at > end or opcode not in (SCHEMA, CHANNEL):
+                    raise Damage("an unexpected record in a chunk")
+                self._register(opcode, records[start:at])
+                for number, channel in channels.items():
+                    if number not in choice:
+                        choice[number] = wanted is None or wanted(channel)
+            else:
+                raise Damage("a chunk ends inside a record")
+
+    def _finish(self, at: int, body: bytes, following: int) -> None:
+        """Compare what was read with what the end of the file says of it."""
+        state = self.state
+        fields = _Fields(body)
+        crc = fields.number("I")
+        if crc and crc != zlib.crc32(self._data[:at]):
+            state.problems.append(
+                "the file's checksum does not match: something outside the messages changed"
+            )
+        state.complete = self._data[-len(MAGIC) :] == MAGIC
+        try:
+            while state.complete and self._data[following] != FOOTER:
+                opcode, record, following = self._record(following)
+                if opcode == STATISTICS:
+                    state.claimed = _Fields(record).number("Q")
+        except (Damage, IndexError):
+            state.complete = False
+        if not state.complete:
+            state.problems.append("the index at the end of the file is damaged")
+        elif state.claimed is not None and state.claimed != state.messages:
+            state.problems.append(f"{state.claimed} messages were written, {state.messages} could be read")
+
+
+def _unpack_chunk(body: bytes) -> bytes:
+    """Verified records of a chunk."""
+    if len(body) < _CHUNK_HEAD.size:
+        raise Damage("a chunk without a head")
+    start, end, size, crc = _CHUNK_HEAD.unpack_from(body)
+    if start > end or size > MAX_CHUNK_BYTES:
+        raise Damage("a chunk with an impossible head")
+    fields = _Fields(body)
+    fields.at = _CHUNK_HEAD.size
+    compression = fields.text()
+    packed = fields.take(fields.number("Q"))
+    fields.end()
+    records = _decompress(compression, packed, size)
+    if len(records) != size:
+        raise Damage("a chunk of the wrong size")
+    if crc and crc != zlib.crc32(records):
+        raise Damage("the checksum of a chunk does not match")
+    return records
+
+
+def _decompress(compression: str, packed: bytes, size: int) -> bytes:
+    try:
+        if compression == "":
+            return packed
+        if compression == "zstd":
+            if zstandard.frame_content_size(packed) not in (size, -1):
+                raise Damage("a chunk of the wrong size")
+            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        if compression == "lz4":
+            return bytes(lz4.frame.decompress(packed))
+    except (zstandard.ZstdError, RuntimeError, MemoryError, ValueError) as error:
+        raise Damage(f"a chunk cannot be unpacked ({' '.join(str(error).split())[:80]})") from None
+    raise Damage(f"unknown compression {compression[:20]!r}")

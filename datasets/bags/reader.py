@@ -1,0 +1,152 @@
+"""Single streams of a bag: poses, commands, particles and plans; and what a bag holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datasets.bags import decode
+from datasets.bags.source import Topic, open_bag
+from datasets.errors import InputError
+from datasets.se2 import SE2, Array
+from datasets.types import Stamps, Trajectory
+
+_POSES = {
+    "nav_msgs/msg/Odometry": decode.odometry,
+    "geometry_msgs/msg/PoseStamped": decode.pose_stamped,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": decode.pose_stamped,
+}
+_TWISTS = {
+    "geometry_msgs/msg/Twist": decode.twist,
+    "geometry_msgs/msg/TwistStamped": decode.twist_stamped,
+}
+_ARRAYS = {"geometry_msgs/msg/PoseArray": decode.pose_array, "nav_msgs/msg/Path": decode.path}
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a bag: its message count and the log times of the first and last message [ns]."""
+
+    name: str
+    msgtype: str
+    count: int
+    start_ns: int
+    end_ns: int
+    longest_gap_ns: int
+
+    def rate_hz(self) -> float:
+        """Mean rate; 0 for a single message."""
+        span = self.end_ns - self.start_ns
+        return (self.count - 1) * 1e9 / span if span > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What a bag holds, counted message by message."""
+
+    path: Path
+    kind: str
+    files: tuple[Path, ...]
+    topics: tuple[TopicInfo, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def start_ns(self) -> int:
+        """Log time of the first message."""
+        return min((topic.start_ns for topic in self.topics), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Log time of the last message."""
+        return max((topic.end_ns for topic in self.topics), default=0)
+
+    def duration(self) -> float:
+        """Span of the log times [s]."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+
+def read_poses(path: Path, topic: str) -> Trajectory:
+    """Poses of an Odometry, PoseStamped or PoseWithCovarianceStamped topic, by header stamp, in file order.
+
+    InputError when the topic is not there or of another type.
+    """
+    bag = open_bag(path)
+    found: list[decode.RawPose] = []
+    seen: dict[str, str] = {}
+
+    def wanted(candidate: Topic) -> bool:
+        seen[candidate.name] = candidate.msgtype
+        return candidate.name == topic and candidate.msgtype in _POSES
+
+    for message in bag.messages(wanted):
+        found.append(_POSES[message.topic.msgtype](bag.cursor(message.data)))
+    if not found:
+        raise InputError(f"{path}: {_missing(topic, seen, 'poses')}")
+    stamps = np.array([pose.stamp_ns for pose in found], dtype=np.int64)
+    return Trajectory(stamps, SE2.from_array(np.array([pose[3:6] for pose in found])))
+
+
+def read_commands(path: Path, topic: str = "/cmd_vel") -> tuple[Stamps, Array, Array]:
+    """Log times [ns], forward [m/s] and yaw speeds [rad/s] of /cmd_vel (Twist or TwistStamped)."""
+    bag = open_bag(path)
+    stamps: list[int] = []
+    speeds: list[tuple[float, float]] = []
+    seen: dict[str, str] = {}
+
+    def wanted(candidate: Topic) -> bool:
+        seen[candidate.name] = candidate.msgtype
+        return candidate.name == topic and candidate.msgtype in _TWISTS
+
+    for message in bag.messages(wanted):
+        stamps.append(message.log_time_ns)
+        speeds.append(_TWISTS[message.topic.msgtype](bag.cursor(message.data)))
+    if not stamps:
+        raise InputError(f"{path}: {_missing(topic, seen, 'commands')}")
+    v, w = np.array(speeds).T
+    return np.array(stamps, dtype=np.int64), v, w
+
+
+def read_particles(path: Path, topic: str = "/particlecloud") -> list[tuple[int, SE2]]:
+    """(stamp [ns], poses (n,)) of each PoseArray message; empty when there is none."""
+    return _read_arrays(path, topic)
+
+
+def read_plans(path: Path, topic: str = "/plan") -> list[tuple[int, SE2]]:
+    """(stamp [ns], poses (n,)) of each Path message; empty when there is none."""
+    return _read_arrays(path, topic)
+
+
+def _read_arrays(path: Path, topic: str) -> list[tuple[int, SE2]]:
+    bag = open_bag(path)
+    found = []
+    for message in bag.messages(lambda candidate: candidate.name == topic and candidate.msgtype in _ARRAYS):
+        stamp, rows = _ARRAYS[message.topic.msgtype](bag.cursor(message.data))
+        found.append((stamp, SE2.from_array(rows)))
+    return found
+
+
+def _missing(topic: str, seen: dict[str, str], what: str) -> str:
+    if topic in seen:
+        return f"{topic} holds no {what} (its type is {seen[topic]})"
+    return f"no {topic} in this bag; its topics: {', '.join(sorted(seen)[:12]) or 'none'}"
+
+
+def bag_info(path: Path) -> BagInfo:
+    """Topics, counts, rates and gaps, by reading every message."""
+    bag = open_bag(path)
+    times: dict[tuple[str, str], list[int]] = {}
+    for message in bag.messages():
+        times.setdefault((message.topic.name, message.topic.msgtype), []).append(message.log_time_ns)
+    topics = []
+    for (name, msgtype), stamps in sorted(times.items()):
+        ordered = np.sort(np.array(stamps, dtype=np.int64))
+        gap = int(np.diff(ordered).max(initial=0))
+        topics.append(TopicInfo(name, msgtype, len(stamps), int(ordered[0]), int(ordered[-1]), gap))
+    return BagInfo(path, bag.kind, tuple(bag.files), tuple(topics), tuple(bag.notes))

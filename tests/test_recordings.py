@@ -1,0 +1,311 @@
+"""Whatever the bag's kind and habits: the same scans, odometry and laser pose come out."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+from bag_samples import LIDAR, LINKS, observation, pose, stamp, write_drive
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
+from datasets.bags.writer import BagWriter
+from datasets.errors import InputError
+from datasets.recordings import load_recording
+from datasets.se2 import SE2
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+FULL_TURN = 2.0 * math.pi
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive") / "bag"
+    write_drive(folder, seconds=6, navigation=True)
+    return folder
+
+
+def same(a, b):
+    assert a.stamps_ns.tolist() == b.stamps_ns.tolist()
+    np.testing.assert_array_equal(a.ranges, b.ranges)
+    np.testing.assert_array_equal(a.T_odom_base.xyt, b.T_odom_base.xyt)
+    np.testing.assert_array_equal(a.T_base_lidar.xyt, b.T_base_lidar.xyt)
+
+
+def test_scans_odometry_laser_pose_and_imu(drive):
+    recording = load_recording(drive)
+    scans = [sample.scan for step in range(1, 181) if (sample := observation(step)).scan]
+    assert recording.stamps_ns.tolist() == [scan.stamp_ns for scan in scans]
+    np.testing.assert_array_equal(recording.ranges, [scan.ranges for scan in scans])
+    np.testing.assert_allclose(recording.T_base_lidar.xyt, [-0.032, 0.0, 0.0])
+    assert recording.lidar.angle_increment == pytest.approx(LIDAR.angle_increment)
+    assert recording.lidar.time_increment == pytest.approx(1 / 1800)
+    expected = [pose(max(step - 6, 1)).xyt for step in range(6, 181, 6)]
+    np.testing.assert_allclose(recording.T_odom_base.xyt, expected, atol=1e-9)
+    assert len(recording.odometry) == 180
+    assert recording.imu.angular_velocity.shape == (540, 3)
+    assert recording.notes == ()
+
+
+def test_odometry_between_its_stamps_is_interpolated(tmp_path):
+    with BagWriter(tmp_path / "bag", custom={}) as writer:
+        writer.static_transforms(0, LINKS)
+        for step in range(0, 12):
+            sample = observation(step)
+            if sample.scan is not None:
+                scan = type(sample.scan)(stamp(2) + 10_000_000, sample.scan.ranges, LIDAR)
+                sample = type(sample)(sample.stamp_ns, sample.odometry, sample.joints, scan)
+            writer.observation(sample)
+    recording = load_recording(tmp_path / "bag")
+    between = pose(2).interpolate(pose(3), 0.3)
+    np.testing.assert_allclose(recording.T_odom_base.xyt[0], between.xyt, atol=1e-8)
+
+
+def test_every_way_to_name_the_same_bag(drive, tmp_path):
+    expected = load_recording(drive)
+    shutil.copytree(drive, tmp_path / "run" / "bag")
+    same(load_recording(tmp_path / "run"), expected)
+    same(load_recording(tmp_path / "run" / "bag" / "bag_0.mcap"), expected)
+    (tmp_path / "run" / "bag" / "metadata.yaml").unlink()
+    without = load_recording(tmp_path / "run")
+    same(without, expected)
+    assert any("metadata.yaml is missing" in note for note in without.notes)
+    (tmp_path / "run" / "bag" / "metadata.yaml").write_text("a: [")
+    same(load_recording(tmp_path / "run" / "bag"), expected)
+
+
+def test_truth_is_never_read(drive, tmp_path):
+    write_drive(tmp_path / "bag", seconds=6, truth=False)
+    with_truth, without = load_recording(drive), load_recording(tmp_path / "bag")
+    same(with_truth, without)
+
+
+def test_an_option_places_the_laser(drive):
+    T = SE2.from_xyt(0.1, 0.2, 0.3)
+    assert load_recording(drive, T_base_lidar=T).T_base_lidar is T
+
+
+def test_single_streams(drive):
+    stamps, v, w = read_commands(drive)
+    assert stamps.tolist() == [stamp(step) for step in range(180)]
+    assert set(v) == {0.2}
+    assert set(w) == {0.1}
+    truth = read_poses(drive, "/ground_truth/odom")
+    np.testing.assert_allclose(truth.poses.xyt, [pose(step).xyt for step in range(1, 181)], atol=1e-12)
+    estimate = read_poses(drive, "/amcl_pose")
+    assert estimate.stamps_ns.tolist() == [stamp(step) for step in range(30, 181, 30)]
+    batch = [[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, -3.0]]
+    for stream in (read_particles(drive), read_plans(drive)):
+        assert [time for time, _ in stream] == [stamp(step) for step in range(30, 181, 30)]
+        np.testing.assert_allclose(stream[0][1].xyt, batch, atol=1e-12)
+    with pytest.raises(InputError, match="no /nothing"):
+        read_poses(drive, "/nothing")
+    with pytest.raises(InputError, match="holds no poses"):
+        read_poses(drive, "/scan")
+
+
+def test_info_counts_rates_and_gaps(drive):
+    info = bag_info(drive)
+    topics = {topic.name: topic for topic in info.topics}
+    assert topics["/scan"].count == 30
+    assert topics["/scan"].rate_hz() == pytest.approx(5.0)
+    assert topics["/odom"].longest_gap_ns == pytest.approx(1e9 / 30, abs=1)
+    assert info.duration() == pytest.approx(6.0)
+    assert info.count == sum(topic.count for topic in info.topics)
+
+
+# Bags of other recorders, written with rosbags.
+
+
+def header(stamp_ns, frame, types=TYPES, **extra):
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **extra)
+
+
+def laser_scan(stamp_ns, ranges, frame="base_scan", **changes):
+    n = len(ranges)
+    values = {
+        "angle_min": 0.0,
+        "angle_max": math.radians(n - 1),
+        "angle_increment": math.radians(1.0),
+        "time_increment": 0.0,
+        "scan_time": 0.2,
+        "range_min": 0.12,
+        "range_max": 3.5,
+    }
+    return TYPES["sensor_msgs/msg/LaserScan"](
+        header=header(stamp_ns, frame),
+        ranges=np.asarray(ranges, dtype=np.float32),
+        intensities=np.zeros(0, dtype=np.float32),
+        **{**values, **changes},
+    )
+
+
+def transform(stamp_ns, parent, child, xyz, quaternion):
+    vector = TYPES["geometry_msgs/msg/Vector3"](*xyz)
+    rotation = TYPES["geometry_msgs/msg/Quaternion"](*quaternion)
+    return TYPES["geometry_msgs/msg/TransformStamped"](
+        header(stamp_ns, parent), child, TYPES["geometry_msgs/msg/Transform"](vector, rotation)
+    )
+
+
+def write_foreign(folder, messages, storage=StoragePlugin.MCAP):
+    """`messages`: (topic, type, log time, message)."""
+    with Writer2(folder, version=9, storage_plugin=storage) as writer:
+        connections = {}
+        for topic, msgtype, time, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=STORE)
+            writer.write(connections[topic], time, bytes(STORE.serialize_cdr(message, msgtype)))
+    return folder
+
+
+SCAN, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
+
+
+def tf(*transforms):
+    return TYPES[TF](list(transforms))
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_odometry_and_laser_pose_from_tf(tmp_path, storage):
+    half = math.sin(math.pi / 4), math.cos(math.pi / 4)
+    messages = [
+        ("/tf_static", TF, 0, tf(transform(0, "base_link", "laser", (0.1, 0.0, 0.2), (0, 0, *half)))),
+        ("/tf_static", TF, 1, tf(transform(0, "base_footprint", "base_link", (0, 0, 0.01), (0, 0, 0, 1)))),
+    ]
+    for k in range(11):
+        time = k * 100_000_000
+        link = transform(time, "odom", "base_footprint", (0.1 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, time, tf(link)))
+        if k % 2:
+            messages.append(("/lidar/scan", SCAN, time, laser_scan(time + 50_000_000, np.ones(360), "laser")))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages, storage))
+    np.testing.assert_allclose(recording.T_base_lidar.xyt, [0.1, 0.0, math.pi / 2], atol=1e-12)
+    np.testing.assert_allclose(recording.T_odom_base.x, [0.15, 0.35, 0.55, 0.75, 0.95])
+    assert any("odometry from /tf" in note for note in recording.notes)
+    if storage == StoragePlugin.SQLITE3:
+        same(load_recording(next((tmp_path / "bag").glob("*.db3"))), recording)
+
+
+def test_a_lidar_upside_down_is_turned_over(tmp_path):
+    ranges = np.linspace(1.0, 2.0, 360)
+    messages = [
+        ("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (1, 0, 0, 0)))),
+        ("/scan", SCAN, 0, laser_scan(0, ranges)),
+    ]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    upright = {
+        round(math.degrees(a)) % 360: r
+        for a, r in zip(recording.lidar.angles, recording.ranges[0], strict=True)
+    }
+    assert upright[359] == np.float32(ranges[1])
+    assert upright[0] == np.float32(ranges[0])
+
+
+@pytest.mark.parametrize(
+    ("sizes", "changes", "note"),
+    [
+        ((360, 359, 360), {}, "another geometry"),
+        ((360,), {"angle_max": FULL_TURN}, "361 beams"),
+        ((360,), {"angle_max": FULL_TURN, "angle_increment": FULL_TURN / 359}, ""),
+        ((360,), {"angle_increment": 0.0}, ""),
+    ],
+)
+def test_fence_posts(tmp_path, sizes, changes, note):
+    messages = [
+        ("/scan", SCAN, k, laser_scan(k, np.arange(size) * 0.001 + 1.0, **changes))
+        for k, size in enumerate(sizes)
+    ]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    assert recording.ranges.shape == (len(sizes), 360)
+    assert any(note in line for line in recording.notes)
+    for row, size in zip(recording.ranges, sizes, strict=True):
+        np.testing.assert_allclose(row[:size], np.arange(size) * 0.001 + 1.0, rtol=1e-6)
+        assert np.isnan(row[size:]).all()
+
+
+def test_readings_are_normalised(tmp_path):
+    ranges = np.array([0.0, 0.05, 1.0, 3.5, 4.0, np.inf, -np.inf, np.nan])
+    recording = load_recording(write_foreign(tmp_path / "bag", [("/scan", SCAN, 0, laser_scan(0, ranges))]))
+    expected = [np.nan, -np.inf, 1.0, 3.5, np.inf, np.inf, -np.inf, np.nan]
+    np.testing.assert_array_equal(recording.ranges[0], np.array(expected, dtype=np.float32))
+
+
+def test_two_clocks_are_joined_by_the_recorder_s(tmp_path):
+    wall = 1_700_000_000 * 10**9
+    messages = []
+    for k in range(10):
+        time = wall + k * 10**8
+        odometry = STORE.deserialize_cdr(odometry_bytes(k * 10**8, 0.1 * k), "nav_msgs/msg/Odometry")
+        messages.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
+        messages.append(("/scan", SCAN, time, laser_scan(time, np.ones(360))))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(10))
+    assert any("different clocks" in note for note in recording.notes)
+
+
+def odometry_bytes(stamp_ns, x):
+    from datasets.bags import cdr
+
+    template = cdr.odometry("odom", "base_footprint", (0.0,) * 6)
+    template.patch_stamp(stamp_ns)
+    template.patch_pose(x, 0.0, 0.0)
+    return bytes(template.data)
+
+
+def test_ros1_bag(drive, tmp_path):
+    """The same drive in ROS 1's own layout."""
+    store1 = get_typestore(Stores.ROS1_NOETIC)
+    recording = load_recording(drive)
+    types = store1.types
+    path = tmp_path / "drive.bag"
+    with Writer1(path) as writer:
+        scan_connection = writer.add_connection("/scan", SCAN, typestore=store1)
+        odom_connection = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store1)
+        for step in range(1, 181):
+            sample = observation(step)
+            message = STORE.deserialize_cdr(odometry_bytes(sample.stamp_ns, 0.0), "nav_msgs/msg/Odometry")
+            message.header = header(sample.stamp_ns, "/odom", types, seq=step)
+            x, y, yaw = sample.odometry.T_odom_base.xyt.tolist()
+            message.pose.pose.position.x, message.pose.pose.position.y = x, y
+            message.pose.pose.orientation.z = math.sin(yaw / 2)
+            message.pose.pose.orientation.w = math.cos(yaw / 2)
+            raw = store1.serialize_ros1(message, "nav_msgs/msg/Odometry")
+            writer.write(odom_connection, sample.stamp_ns, bytes(raw))
+            if sample.scan is not None:
+                scan = laser_scan(sample.scan.stamp_ns, sample.scan.ranges)
+                scan.header = header(sample.scan.stamp_ns, "/base_scan", types, seq=step)
+                raw = store1.serialize_ros1(scan, SCAN)
+                writer.write(scan_connection, sample.stamp_ns, bytes(raw))
+    same(load_recording(path, T_base_lidar=recording.T_base_lidar), recording)
+
+
+def test_what_is_not_a_recording_is_one_clear_line(tmp_path):
+    cases = {
+        "missing": None,
+        "empty.mcap": b"",
+        "text.txt": b"hello\n",
+        "wrong.bag": b"not a bag at all",
+        "zeros.mcap": bytes(200),
+        "cut.db3": b"SQLite format 3\0" + bytes(50),
+        "cut.bag": b"#ROSBAG V2.0\n" + bytes(50),
+        "cut.mcap": b"\x89MCAP0\r\n\x01",
+    }
+    (tmp_path / "nothing").mkdir()
+    for name, content in {**cases, "nothing": None}.items():
+        path = tmp_path / name
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(InputError) as error:
+            load_recording(path)
+        assert name in str(error.value)
+        assert "\n" not in str(error.value)
+    with BagWriter(tmp_path / "no_scan", custom={}) as writer:
+        writer.observation(observation(1))
+    with pytest.raises(InputError, match=r"no /scan .*its topics: .*/odom"):
+        load_recording(tmp_path / "no_scan")
