@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,14 @@ from datasets.se2 import Array
 
 _SIZES = {"i": 4, "I": 4, "f": 4, "d": 8}
 _STRUCTS: dict[tuple[str, str, int], struct.Struct] = {}
+_HEADERS = {order: struct.Struct(order + "iII") for order in "<>"}
+_LENGTHS = {order: struct.Struct(order + "I") for order in "<>"}
+
+
+@lru_cache(maxsize=4096)
+def _name(text: bytes) -> str:
+    """A frame's name; ROS 1's leading slash and CDR's final zero go."""
+    return text.rstrip(b"\0").decode("utf-8", "replace").lstrip("/")
 
 
 class BadMessage(ValueError):
@@ -69,20 +78,28 @@ class Cursor:
         return values
 
     def string(self) -> str:
-        """A string; frame names lose ROS 1's leading slash."""
-        n = self.count(1)
-        text = self.data[self.at : self.at + max(n - 1, 0)]
-        self.at += n
-        return text.decode("utf-8", "replace").lstrip("/")
-
-    def stamp(self) -> int:
-        """A time [ns]."""
-        sec = self.take("i")[0]
-        return int(sec) * 1_000_000_000 + int(self.take("I")[0])
+        """A string without ROS 1's leading slash."""
+        self.align(4)
+        try:
+            (n,) = _LENGTHS[self.order].unpack_from(self.data, self.at)
+        except struct.error:
+            raise BadMessage("the message is too short") from None
+        return self._text(self.at + 4, n)
 
     def header(self) -> tuple[int, str]:
         """(stamp [ns], frame)."""
-        return self.stamp(), self.string()
+        self.align(4)
+        try:
+            sec, nanosec, n = _HEADERS[self.order].unpack_from(self.data, self.at)
+        except struct.error:
+            raise BadMessage("the message is too short") from None
+        return sec * 1_000_000_000 + nanosec, self._text(self.at + 12, n)
+
+    def _text(self, start: int, size: int) -> str:
+        self.at = start + size
+        if self.at > len(self.data):
+            raise BadMessage("a text is longer than its message")
+        return _name(self.data[start : self.at])
 
 
 class Ros1Cursor(Cursor):
@@ -96,16 +113,9 @@ class Ros1Cursor(Cursor):
     def align(self, size: int) -> None:
         """Nothing is padded in ROS 1."""
 
-    def string(self) -> str:
-        """A string without its leading slash."""
-        n = self.count(1)
-        text = self.data[self.at : self.at + n]
-        self.at += n
-        return text.decode("utf-8", "replace").lstrip("/")
-
     def header(self) -> tuple[int, str]:
-        """(stamp [ns], frame)."""
-        self.take("I")
+        """(stamp [ns], frame); a sequence number comes first."""
+        self.at += 4
         return super().header()
 
 
