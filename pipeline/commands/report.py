@@ -1,0 +1,26 @@
+"""turtlebag report: a page of stage outputs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from pipeline.commands.arguments import add_output
+from pipeline.report import make_report
+
+EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag report`."""
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="DIR", help="outputs of record, map and navigate"
+    )
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the page and print where it is."""
+    page = make_report(args.folders, args.out, force=args.force, command=args.command_line)
+    print(page)
+    return 0

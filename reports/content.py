@@ -1,0 +1,162 @@
+"""What a report says, before it is laid out: the parts of each world with their pictures and numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from reports.drawing import draw_map, draw_record, draw_run
+from reports.figures.album import Album, Picture
+from reports.metrics.recording import recording_metrics
+from reports.numbers import Number, lookup, numbers_of, other_values, shown
+from reports.stages import Group, Stage
+
+TITLES = {"record": "Recording", "map": "Mapping", "navigate": "Navigation"}
+GOOD, BAD, NEUTRAL = "good", "bad", "neutral"
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One stage on the page."""
+
+    stage: Stage
+    title: str
+    verdict: tuple[str, str]
+    metrics: Mapping[str, Any]
+    numbers: list[Number]
+    others: list[tuple[str, str]]
+    pictures: list[Picture]
+    goals: list[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Chapter:
+    """One world (or log) on the page."""
+
+    name: str
+    robot: str
+    parts: list[Part] = field(default_factory=list)
+
+    @property
+    def anchor(self) -> str:
+        """Fragment of the page's address."""
+        return slug(self.name)
+
+
+def slug(text: str) -> str:
+    """A text as a name for files and anchors."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
+
+
+def build_chapter(group: Group, album: Album) -> Chapter:
+    """Draw and describe every stage of a group."""
+    robots = [robot for stage in group.stages if (robot := stage.fact("robot")) is not None]
+    chapter = Chapter(group.name, robots[0] if robots else "")
+    for stage in group.stages:
+        metrics = stage_metrics(stage)
+        chapter.parts.append(
+            Part(
+                stage,
+                _title(stage),
+                verdict(stage, metrics),
+                metrics,
+                numbers_of(stage, metrics, group.name),
+                other_values(stage, metrics),
+                draw(stage, group, album),
+                goal_rows(metrics),
+            )
+        )
+    return chapter
+
+
+def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:
+    """The pictures of one stage, named by world and stage."""
+    prefix = f"{slug(group.name)}-{slug(stage.label)}"
+    return {"record": draw_record, "map": draw_map, "navigate": draw_run}[stage.kind](
+        stage, group, album, prefix
+    )
+
+
+def stage_metrics(stage: Stage) -> dict[str, Any]:
+    """A stage's metrics.json, or for a recording what is computed from its bag."""
+    metrics = dict(stage.metrics)
+    if stage.kind == "record" and stage.truth is not None:
+        return {**metrics, **recording_metrics(stage.folder / "bag", stage.truth)}
+    goals = metrics.get("goals")
+    if isinstance(goals, list) and goals:
+        metrics["goals_reached"] = sum(goal.get("status") == "reached" for goal in goals)
+    return metrics
+
+
+def _title(stage: Stage) -> str:
+    if stage.kind != "navigate":
+        return TITLES[stage.kind]
+    return f"{TITLES['navigate']}: {stage.label}"
+
+
+def verdict(stage: Stage, metrics: Mapping[str, Any]) -> tuple[str, str]:
+    """(good, bad or neutral; one sentence)."""
+    if stage.kind == "navigate":
+        return _run_verdict(stage.label, metrics)
+    if stage.kind == "map":
+        return _map_verdict(metrics)
+    drift = lookup(metrics, "odometry_ate_m.max")
+    length, duration = metrics.get("distance_m"), metrics.get("duration_s")
+    sentence = f"{metrics.get('scans', 'No')} scans over {shown(duration, 's')} and {shown(length, 'm')}"
+    return NEUTRAL, f"{sentence}; the wheel odometry drifted by up to {shown(drift, 'cm')}."
+
+
+def _run_verdict(label: str, metrics: Mapping[str, Any]) -> tuple[str, str]:
+    goals = metrics.get("goals") or []
+    hits = collision_count(metrics)
+    what = []
+    if goals:
+        what.append(f"{metrics.get('goals_reached', 0)} of {len(goals)} goals reached")
+    what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
+    good = bool(metrics.get("success", hits == 0))
+    return GOOD if good else BAD, f"{label.capitalize()}: {', '.join(what)}."
+
+
+def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
+    scans = metrics.get("scans", "?")
+    near = lookup(metrics, "map.occupied_error_m.within_one_cell")
+    ate = lookup(metrics, "ate_m.rmse")
+    relations = lookup(metrics, "relations.trans_m.mean")
+    if near is not None and ate is not None:
+        sentence = (
+            f"{shown(near, 'percent')} of the wall cells lie within one cell of a true surface; "
+            f"trajectory error {shown(ate, 'cm')} RMSE over {scans} scans."
+        )
+        return (GOOD if near >= 0.99 else BAD), sentence
+    if relations is not None:
+        return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm3')}."
+    return NEUTRAL, f"{scans} scans; no truth was given, so no error is known."
+
+
+def collision_count(metrics: Mapping[str, Any]) -> int:
+    """All contact episodes of a run."""
+    collisions = metrics.get("collisions", 0)
+    if isinstance(collisions, Mapping):
+        return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
+    return int(collisions or 0)
+
+
+def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The goals of a run as table rows: texts as shown."""
+    rows: list[Mapping[str, Any]] = []
+    for number, goal in enumerate(metrics.get("goals") or [], start=1):
+        x, y, yaw = (goal.get(name) for name in ("x", "y", "yaw"))
+        rows.append(
+            {
+                "number": number,
+                "pose": f"{shown(x, 'm')}, {shown(y, 'm')}, {shown(yaw, 'deg')}",
+                "status": str(goal.get("status")),
+                "reason": goal.get("reason") or "",
+                "time": shown(goal.get("time_s"), "s"),
+                "error": shown(goal.get("error_m"), "cm"),
+                "turn": shown(goal.get("error_rad"), "deg"),
+            }
+        )
+    return rows

@@ -1,0 +1,168 @@
+"""Which pictures each stage gets, and what they say."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from datasets.bags.reader import read_particles, read_poses
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.maps import load_map
+from datasets.recordings import load_recording
+from datasets.runlog import RunLog
+from datasets.se2 import SE2
+from datasets.types import Trajectory
+from reports.figures import maps, series
+from reports.figures.album import Album, Picture
+from reports.figures.style import styled
+from reports.metrics.navigation import collision_episodes
+from reports.metrics.trajectory import associate
+from reports.stages import Group, Stage
+
+SNAPSHOTS = 6
+
+
+def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+    """The drive on the true map."""
+    if stage.truth is None:
+        return []
+    odometry = read_poses(stage.folder / "bag", "/odom")
+    with styled():
+        figure = maps.trajectories(stage.true_map, {"truth": stage.truth, "odometry": odometry})
+        caption = "True path and what the wheels believe, on the true map. The arrow is the start."
+        return [album.add(f"{prefix}-drive", "The drive", caption, figure)]
+
+
+def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+    """The map and its errors where truth is known; the map with its path where not."""
+    grid, slam = stage.map, stage.trajectory
+    record = group.first("record")
+    truth = record.truth if record is not None else None
+    true_map = record.true_map if record is not None else None
+    odometry = input_odometry(stage, record)
+    pictures = []
+    with styled():
+        if grid is not None and true_map is not None:
+            caption = "Every occupied cell of the map, coloured by how far it is from a true surface (grey)."
+            pictures.append(
+                album.add(f"{prefix}-error", "Map over truth", caption, maps.map_over_truth(grid, true_map))
+            )
+        if slam is not None and truth is not None:
+            paths = {"truth": truth, "odometry": odometry, "slam": slam}
+            caption = "Odometry drifts; SLAM should cover the truth."
+            pictures.append(
+                album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
+            )
+            pictures.append(_error_picture(album, prefix, slam, odometry, truth))
+        elif grid is not None:
+            caption = "The map, with the path of the robot."
+            pictures.append(album.add(f"{prefix}-map", "Map", caption, maps.plain_map(grid, {"slam": slam})))
+            if odometry is not None and slam is not None:
+                paths = {"odometry": odometry, "slam": slam}
+                caption = "The path by odometry alone and after SLAM."
+                pictures.append(
+                    album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
+                )
+    return pictures
+
+
+def _error_picture(
+    album: Album, prefix: str, slam: Trajectory, odometry: Trajectory | None, truth: Trajectory
+) -> Picture:
+    at_scans = None
+    if odometry is not None:
+        at_scans = associate(Trajectory(truth.stamps_ns, odometry.at(truth.stamps_ns)), truth)
+    figure = series.error_over_time(associate(slam, truth), at_scans, truth)
+    caption = (
+        "Errors of SLAM and odometry above the true speed and yaw rate: what the robot did when they grew. "
+        "Linear up to 1, logarithmic beyond."
+    )
+    return album.add(f"{prefix}-time", "Error over time", caption, figure)
+
+
+def input_odometry(stage: Stage, record: Stage | None) -> Trajectory | None:
+    """Odometry of a map's input: from its record, or from the log itself while that can be read."""
+    if record is not None:
+        return read_poses(record.folder / "bag", "/odom")
+    for path in stage.input_paths().values():
+        try:
+            recording = load_recording(path)
+        except InputError:
+            continue
+        if recording.T_odom_base is not None:
+            return Trajectory(recording.stamps_ns, recording.T_odom_base)
+    return None
+
+
+def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+    """What a run drove, how well it knew where it was, and how near it came to things."""
+    log = stage.runlog
+    if log is None or len(log) == 0:
+        return []
+    world = _background(stage, group)
+    truth = Trajectory(log.t_ns, log.T_world_base)
+    goals = stage.metrics.get("goals") or []
+    contact = log.contact_visible | log.contact_low
+    episodes = collision_episodes(log.t_ns, contact)
+    first = contact & ~np.concatenate([[False], contact[:-1]])
+    with styled():
+        estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
+        figure = maps.patrol(world, truth, estimate, goals, log.T_world_base.xy[first])
+        caption = "True and estimated path; goals in their order, coloured and shaped by how they ended."
+        pictures = [album.add(f"{prefix}-path", "The run", caption, figure)]
+        ends = goal_ends(log)
+        if estimate is not None:
+            figure = series.localisation(associate(estimate, truth), int(log.t_ns[0]), episodes, ends)
+            caption = "Estimate against truth; dotted lines: a goal ended, bands: contact."
+            pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, figure))
+        commands = np.stack([log.v, log.w], axis=1)
+        figure = series.clearance(log.t_ns, log.clearance_m, commands, episodes, ends)
+        caption = "Footprint to the nearest surface, and what the controller commanded."
+        pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, figure))
+        figure = maps.clearance_on_map(world, truth, log.clearance_m)
+        caption = "Where it was tight."
+        pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, figure))
+        return pictures + _particle_pictures(stage, world, truth, album, prefix)
+
+
+def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
+    """The map the robot was given, else the one built beside it, else the true world."""
+    for path in stage.input_paths().values():
+        if path.suffix in (".yaml", ".yml") and path.is_file():
+            with suppress(InputError):
+                return load_map(path)
+    built = group.first("map")
+    if built is not None and built.map is not None and stage.metrics.get("localisation_error_m"):
+        return built.map
+    return stage.true_map
+
+
+def _particle_pictures(
+    stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album, prefix: str
+) -> list[Picture]:
+    clouds = particle_clouds(stage.folder / "bag")
+    if not clouds:
+        return []
+    start = int(truth.stamps_ns[0])
+    pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
+    shown = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
+    caption = "The particle cloud, denser in time at the start; the cross is the true position."
+    return [album.add(f"{prefix}-particles", "Particles", caption, maps.particles(world, shown, truth))]
+
+
+def particle_clouds(bag: Path) -> list[tuple[int, SE2]]:
+    """(stamp, poses) of /particlecloud; empty when the bag has none."""
+    try:
+        return list(read_particles(bag))
+    except InputError:
+        return []
+
+
+def goal_ends(log: RunLog) -> list[float]:
+    """Seconds since the start at which the goal changed."""
+    changed = np.flatnonzero(np.diff(log.goal_index) != 0) + 1
+    ended = [k for k in changed if log.goal_index[k - 1] >= 0]
+    return [float(log.t_ns[k] - log.t_ns[0]) * 1e-9 for k in ended]

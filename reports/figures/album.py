@@ -1,0 +1,39 @@
+"""Where a report's pictures are kept: each drawn once, saved as a file and as SVG for the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from reports.figures.style import save_png, styled, svg_text
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on the page: `name` is its file's stem, `svg` the element to put in."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+@dataclass
+class Album:
+    """Collects the pictures of one report in `folder`."""
+
+    folder: Path
+    pictures: list[Picture] = field(default_factory=list)
+
+    def add(self, name: str, title: str, caption: str, figure: Figure) -> Picture:
+        """Save `name.png` and keep the SVG; names are unique within a report."""
+        if any(picture.name == name for picture in self.pictures):
+            raise ValueError(f"two pictures are called {name}")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with styled():
+            save_png(figure, self.folder / f"{name}.png")
+            picture = Picture(name, title, caption, svg_text(figure, name))
+        self.pictures.append(picture)
+        return picture

@@ -1,0 +1,110 @@
+"""Quantities over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from datasets.se2 import Array, wrap
+from datasets.types import Stamps, Trajectory
+from reports.figures.style import AMCL, BAD, INK, LINES, ODOMETRY, new_figure
+from reports.metrics.trajectory import PosePairs
+
+Span = tuple[int, int]
+
+
+def time_axis(stamps_ns: Stamps, start_ns: int) -> Array:
+    """Seconds since `start_ns`."""
+    return (stamps_ns - start_ns).astype(np.float64) * 1e-9
+
+
+def _stack(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    figure = new_figure(height_in)
+    axes = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True)))
+    axes[-1].set_xlabel("time [s]")
+    return figure, axes
+
+
+def speeds(truth: Trajectory) -> tuple[Array, Array, Array]:
+    """Seconds, forward speed [m/s] and yaw rate [rad/s] between successive true poses, (n - 1,) each."""
+    dt = np.maximum(np.diff(truth.stamps_ns), 1) * 1e-9
+    step = truth.poses[:-1].inverse() @ truth.poses[1:]
+    middle = (truth.stamps_ns[1:] + truth.stamps_ns[:-1]) / 2 - truth.stamps_ns[0]
+    return middle * 1e-9, step.x / dt, wrap(step.yaw) / dt
+
+
+def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: Trajectory) -> Figure:
+    """Position and yaw errors of SLAM and odometry, aligned with the true speed and yaw rate."""
+    figure, axes = _stack(4, 5.6)
+    start = int(truth.stamps_ns[0])
+    for pairs, kind in ((odometry, "odometry"), (slam, "slam")):
+        if pairs is None:
+            continue
+        order = np.argsort(pairs.stamps_ns, kind="stable")
+        t = time_axis(pairs.stamps_ns[order], start)
+        axes[0].plot(t, 100.0 * pairs.position_errors()[order], **LINES[kind])
+        axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **LINES[kind])
+    for axis in axes[:2]:
+        axis.set_yscale("symlog", linthresh=1.0)
+        axis.set_ylim(bottom=0.0)
+    axes[0].set_ylabel("position\nerror [cm]")
+    axes[1].set_ylabel("yaw\nerror [°]")
+    axes[0].legend(loc="upper left", ncol=2)
+    t, v, w = speeds(truth)
+    axes[2].plot(t, v, color=INK, linewidth=0.9)
+    axes[2].set_ylabel("speed\n[m/s]")
+    axes[3].plot(t, w, color=INK, linewidth=0.9)
+    axes[3].set_ylabel("yaw rate\n[rad/s]")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def localisation(
+    pairs: PosePairs, start_ns: int, contacts: Sequence[Span], goals_s: Sequence[float]
+) -> Figure:
+    """Position and yaw error of the estimate, with contact episodes shaded and goals ticked."""
+    figure, axes = _stack(2, 3.4)
+    t = time_axis(pairs.stamps_ns, start_ns)
+    axes[0].plot(t, 100.0 * pairs.position_errors(), color=AMCL, linewidth=1.2)
+    axes[0].set_ylabel("position\nerror [cm]")
+    axes[1].plot(t, np.degrees(pairs.yaw_errors()), color=AMCL, linewidth=1.2)
+    axes[1].set_ylabel("yaw\nerror [°]")
+    for axis in axes:
+        axis.set_ylim(bottom=0.0)
+        mark_events(axis, start_ns, contacts, goals_s)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def mark_events(axis: Axes, start_ns: int, contacts: Sequence[Span], goals_s: Sequence[float]) -> None:
+    """Contact episodes as bands, ends of goals as thin lines."""
+    for first, last in contacts:
+        axis.axvspan(
+            (first - start_ns) * 1e-9, (last - start_ns) * 1e-9 + 0.2, color=BAD, alpha=0.35, linewidth=0
+        )
+    for moment in goals_s:
+        axis.axvline(moment, color=INK, linewidth=0.6, linestyle=(0, (1, 3)))
+
+
+def clearance(
+    stamps_ns: Stamps, clearance_m: Array, commands: Array, contacts: Sequence[Span], goals_s: Sequence[float]
+) -> Figure:
+    """Footprint clearance and the commands (n, 2) [m/s, rad/s] over time."""
+    figure, axes = _stack(3, 4.4)
+    start = int(stamps_ns[0])
+    t = time_axis(stamps_ns, start)
+    axes[0].plot(t, 100.0 * np.where(np.isfinite(clearance_m), clearance_m, np.nan), color=INK, linewidth=1.1)
+    axes[0].set_ylabel("clearance\n[cm]")
+    axes[0].set_ylim(bottom=0.0)
+    axes[0].axhline(0.0, color=BAD, linewidth=1.0)
+    axes[1].plot(t, commands[:, 0], color=AMCL, linewidth=0.9)
+    axes[1].set_ylabel("command\n[m/s]")
+    axes[2].plot(t, commands[:, 1], color=ODOMETRY, linewidth=0.9)
+    axes[2].set_ylabel("command\n[rad/s]")
+    for axis in axes:
+        mark_events(axis, start, contacts, goals_s)
+    figure.align_ylabels(axes)
+    return figure

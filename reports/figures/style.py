@@ -1,0 +1,113 @@
+"""One look for all figures, and files whose bytes depend on the data only.
+
+Colours are Okabe and Ito's, told apart with every common colour blindness; each series also has a
+line style of its own. Ink, grid and paper are named colours here so that a page can swap them for
+its theme's: the SVG text carries the very hex strings below.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#eef0f3"
+TRUTH, ODOMETRY, SLAM, AMCL = INK, "#d98c00", "#0072b2", "#009e73"
+GOOD, BAD, WARN, ACCENT = "#009e73", "#d55e00", "#d98c00", "#cc79a7"
+
+LINES: dict[str, dict[str, Any]] = {
+    "truth": {"color": TRUTH, "linewidth": 1.8, "linestyle": "-", "label": "truth"},
+    "odometry": {"color": ODOMETRY, "linewidth": 1.3, "linestyle": (0, (4, 2)), "label": "odometry"},
+    "slam": {"color": SLAM, "linewidth": 1.3, "linestyle": "-", "label": "SLAM"},
+    "amcl": {"color": AMCL, "linewidth": 1.3, "linestyle": "-", "label": "estimate"},
+}
+
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.facecolor": PAPER,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": PAPER,
+    "savefig.facecolor": PAPER,
+    "savefig.dpi": 160,
+    "svg.fonttype": "path",
+    "image.interpolation": "none",
+    "axes.formatter.useoffset": False,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.4,
+}
+
+WIDTH_IN = 5.4
+
+# From fine to bad. Both ends keep their hue and their contrast when a dark page inverts lightness.
+FINE_TO_BAD = LinearSegmentedColormap.from_list("fine_to_bad", ["#0072b2", "#7f86a8", "#b98a6a", "#d55e00"])
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw and save inside this; global matplotlib settings are left alone."""
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def new_figure(height_in: float, *, width_in: float = WIDTH_IN) -> Figure:
+    """An empty figure on the Agg canvas, laid out when drawn."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def bare(axes: Axes) -> None:
+    """No grid and no frame: for maps."""
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.tick_params(length=2)
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """PNG without program or date: same data, same bytes."""
+    figure.savefig(path, metadata={"Software": None})
+
+
+def svg_text(figure: Figure, name: str) -> str:
+    """The figure as an `<svg>` element without date, with ids made unique to the page by `name`."""
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    # An inline style element would reach the whole page, and the page sets the size.
+    text = re.sub(r"<(metadata|style)\b.*?</\1>", "", text, flags=re.DOTALL)
+    text = re.sub(r'^(<svg[^>]*?) width="[^"]*"', r"\1", re.sub(r'^(<svg[^>]*?) height="[^"]*"', r"\1", text))
+    # Equal images carry equal ids, and nothing refers to them.
+    text = re.sub(r'(<image\b[^>]*?) id="[^"]*"', r"\1", text)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    return re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)

@@ -1,0 +1,119 @@
+"""The page: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
+from reports.figures import style
+from reports.numbers import Number, lookup, shown
+from reports.provenance import packages, recipe
+from reports.stages import Group
+
+# Figure colours that follow the page's theme instead of staying what they are in the files.
+THEMED = {
+    style.INK: "var(--ink)",
+    style.MUTED: "var(--muted)",
+    style.RULE: "var(--rule)",
+    style.PAPER: "var(--paper)",
+}
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One of the figures that matter."""
+
+    label: str
+    value: str
+    note: str
+    mood: str = NEUTRAL
+
+
+def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
+    """The page as HTML text."""
+    folder = files("reports") / "templates"
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["themed"] = themed
+    environment.filters["short"] = lambda digest: digest[:12]
+    template = environment.from_string((folder / "report.html.j2").read_text())
+    mood, headline = overall(chapters)
+    return template.render(
+        chapters=chapters,
+        mood=mood,
+        headline=headline,
+        tiles=tiles(chapters),
+        steps=recipe(groups),
+        packages=packages(groups),
+        style=Markup((folder / "report.css").read_text()),
+        chapter_numbers=chapter_numbers,
+    )
+
+
+def themed(svg: str) -> Markup:
+    """An SVG whose ink and paper follow the page's theme."""
+    for colour, variable in THEMED.items():
+        svg = svg.replace(colour, variable)
+    return Markup(svg)
+
+
+def chapter_numbers(part: Part) -> list[tuple[Number, list[tuple[str, str]]]]:
+    """The numbers of a part with the hashes of what they are computed from."""
+    return [(number, sorted(number.evidence().items())) for number in part.numbers]
+
+
+def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
+    """Mood and headline of the whole report."""
+    parts = [part for chapter in chapters for part in chapter.parts]
+    runs = [part for part in parts if part.stage.kind == "navigate"]
+    if not runs:
+        maps = sum(part.stage.kind == "map" for part in parts)
+        return NEUTRAL, f"{maps} map{'s' if maps != 1 else ''}, no navigation" if maps else "Recordings only"
+    good = sum(part.verdict[0] == GOOD for part in runs)
+    word = "task" if len(runs) == 1 else "tasks"
+    return (GOOD if good == len(runs) else BAD), f"{good} of {len(runs)} {word} succeeded"
+
+
+def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
+    """Up to five figures over the whole report; of several worlds the worst is shown and named."""
+    parts = [(chapter.name, part) for chapter in chapters for part in chapter.parts]
+    runs = [part for _, part in parts if part.stage.kind == "navigate"]
+    found = []
+    goals = [goal for part in runs for goal in part.metrics.get("goals") or []]
+    if goals:
+        reached = sum(goal.get("status") == "reached" for goal in goals)
+        mood = GOOD if reached == len(goals) else BAD
+        found.append(Tile("goals reached", f"{reached} of {len(goals)}", _tasks(runs), mood))
+    if runs:
+        hits = sum(collision_count(part.metrics) for part in runs)
+        found.append(
+            Tile("collisions", str(hits), f"in {len(runs)} run{'s' * (len(runs) > 1)}", BAD if hits else GOOD)
+        )
+    for path, label, unit, worst in (
+        ("ate_m.rmse", "map trajectory error", "cm", max),
+        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min),
+        ("relations.trans_m.mean", "relations error", "m3", max),
+        ("localisation_error_m.rmse", "localisation error", "cm", max),
+        ("min_clearance_m", "least clearance", "cm", min),
+        ("scans", "scans", "count", max),
+    ):
+        values = [
+            (value, name)
+            for name, part in parts
+            if isinstance(value := lookup(part.metrics, path), (int, float))
+        ]
+        if values:
+            value, name = worst(values)
+            note = f"worst of {len(values)}: {name}" if len(values) > 1 else name
+            found.append(Tile(label, shown(value, unit), note))
+    return found[:6]
+
+
+def _tasks(runs: Sequence[Part]) -> str:
+    return ", ".join(part.stage.label for part in runs if part.metrics.get("goals"))

@@ -1,0 +1,74 @@
+"""How to make a report's numbers again: the commands with named outputs, the hashes, the packages."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from reports.numbers import DASH
+from reports.stages import Group, Stage
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command of the recipe, and what vouches for its result."""
+
+    label: str
+    command: str
+    seed: str
+    config_hash: str
+    inputs: list[tuple[str, str]]
+    outputs: list[tuple[str, str]]
+
+
+def recipe(groups: Sequence[Group]) -> list[Step]:
+    """Every stage's command with output folders renamed to `world/stage`, so that it runs anywhere."""
+    names = {
+        out.rstrip("/"): f"{group.name}/{stage.label}"
+        for group in groups
+        for stage in group.stages
+        if (out := stage.option("out"))
+    }
+    names |= {
+        str(stage.folder).rstrip("/"): f"{group.name}/{stage.label}"
+        for group in groups
+        for stage in group.stages
+    }
+    return [_step(group, stage, names) for group in groups for stage in group.stages]
+
+
+def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
+    words = [rename(word, names) for word in stage.command if word != "--force"]
+    inputs = [
+        (f"{name}: {path}" if path != name else name, digest)
+        for name, entry in stage.manifest.get("inputs", {}).items()
+        for path, digest in entry["sha256"].items()
+    ]
+    return Step(
+        f"{group.name}/{stage.label}",
+        " ".join(shlex.quote(word) for word in words),
+        DASH if stage.seed is None else str(stage.seed),
+        stage.config_hash or "",
+        inputs,
+        sorted(stage.outputs.items()),
+    )
+
+
+def rename(word: str, names: dict[str, str]) -> str:
+    """A word of a command line with a known output folder in it renamed; the longest match wins."""
+    for path in sorted(names, key=len, reverse=True):
+        if word == path or word.startswith(path + "/"):
+            return names[path] + word[len(path) :]
+    return word
+
+
+def packages(groups: Sequence[Group]) -> list[tuple[str, str]]:
+    """Package versions of all stages; several versions of one package are listed together."""
+    found: dict[str, set[str]] = {}
+    for group in groups:
+        for stage in group.stages:
+            for name, version in stage.manifest.get("packages", {}).items():
+                found.setdefault(name, set()).add(str(version))
+            found.setdefault("python", set()).add(str(stage.manifest.get("python", "?")))
+    return [(name, ", ".join(sorted(versions))) for name, versions in found.items()]

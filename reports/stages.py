@@ -1,0 +1,248 @@
+"""Finished stage outputs as a report sees them: folders with a manifest, grouped by the world they share."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.maps import load_map
+from datasets.outputs import sha256_file
+from datasets.runlog import RunLog
+from datasets.trajectories import load_tum
+from datasets.types import Trajectory
+
+KINDS = ("record", "map", "navigate")
+ALIASES = {"run": "navigate"}
+# Files that tie stages together when their hashes agree; a shared config proves nothing.
+LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2")
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One stage output: `kind` is record, map or navigate; `label` names it within its group."""
+
+    folder: Path
+    kind: str
+    label: str
+    manifest: dict[str, Any]
+
+    @property
+    def command(self) -> list[str]:
+        """The command line that made it."""
+        return [str(word) for word in self.manifest.get("command", [])]
+
+    @property
+    def seed(self) -> int | None:
+        """Its seed, where it had one."""
+        return self.manifest.get("seed")
+
+    @property
+    def outputs(self) -> dict[str, str]:
+        """sha256 of every file by its path in the folder."""
+        return dict(self.manifest.get("outputs", {}))
+
+    def option(self, name: str) -> str | None:
+        """Value of `--name` in its command line."""
+        words = self.command
+        for word, following in zip(words, [*words[1:], ""], strict=True):
+            if word == f"--{name}":
+                return following
+            if word.startswith(f"--{name}="):
+                return word.partition("=")[2]
+        return None
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """Its resolved configuration, empty when it left none."""
+        path = self.folder / "config.yaml"
+        data = yaml.safe_load(path.read_text()) if path.is_file() else {}
+        return data if isinstance(data, dict) else {}
+
+    @property
+    def config_hash(self) -> str | None:
+        """sha256 of its config.yaml."""
+        return self.outputs.get("config.yaml")
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Its metrics.json, empty for stages that write none."""
+        path = self.folder / "metrics.json"
+        return dict(read_json(path)) if path.is_file() else {}
+
+    def fact(self, name: str) -> str | None:
+        """World, robot, task or teleop: from the manifest, the config or the command line."""
+        for source in (self.manifest, self.metrics, self.config):
+            if isinstance(source.get(name), str):
+                return str(source[name])
+        return self.option(name)
+
+    def has(self, relative: str) -> bool:
+        """Whether the folder holds that file or folder."""
+        return (self.folder / relative).exists()
+
+    @cached_property
+    def trajectory(self) -> Trajectory | None:
+        """Its estimate: trajectory.tum."""
+        return load_tum(self.folder / "trajectory.tum") if self.has("trajectory.tum") else None
+
+    @cached_property
+    def truth(self) -> Trajectory | None:
+        """True poses at the scans: truth/trajectory.tum."""
+        return load_tum(self.folder / "truth/trajectory.tum") if self.has("truth/trajectory.tum") else None
+
+    @cached_property
+    def true_map(self) -> OccupancyGrid | None:
+        """The world at the lidar's height: truth/map.yaml."""
+        return load_map(self.folder / "truth/map.yaml") if self.has("truth/map.yaml") else None
+
+    @cached_property
+    def map(self) -> OccupancyGrid | None:
+        """The grid it built: map.yaml."""
+        return load_map(self.folder / "map.yaml") if self.has("map.yaml") else None
+
+    @cached_property
+    def runlog(self) -> RunLog | None:
+        """Its rows per control tick: runlog.csv."""
+        return RunLog.load(self.folder / "runlog.csv") if self.has("runlog.csv") else None
+
+    def input_paths(self) -> dict[str, Path]:
+        """Its inputs by the names the manifest gives them."""
+        return {name: Path(entry["path"]) for name, entry in self.manifest.get("inputs", {}).items()}
+
+    def linking_hashes(self) -> set[str]:
+        """Hashes of the data files it read or wrote."""
+        files = dict(self.outputs)
+        for name, entry in self.manifest.get("inputs", {}).items():
+            files |= {f"{name}/{path}": digest for path, digest in entry["sha256"].items()}
+        return {
+            digest
+            for path, digest in files.items()
+            if path.endswith(LINKING) or (path.endswith("map.yaml") and "truth/" not in path)
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Stages that belong together: one world (or one log), in the order record, map, runs."""
+
+    name: str
+    stages: tuple[Stage, ...]
+
+    def first(self, kind: str) -> Stage | None:
+        """The first stage of a kind."""
+        return next((stage for stage in self.stages if stage.kind == kind), None)
+
+    def of_kind(self, kind: str) -> list[Stage]:
+        """All stages of a kind."""
+        return [stage for stage in self.stages if stage.kind == kind]
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON file that holds an object; InputError says what else it is."""
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        raise InputError(f"{path}: not readable JSON") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return data
+
+
+def load_stage(folder: Path) -> Stage:
+    """The stage output in `folder`; InputError for anything else."""
+    manifest = _manifest(folder)
+    kind = ALIASES.get(manifest["stage"], manifest["stage"])
+    if kind not in KINDS:
+        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
+    return Stage(folder, kind, kind, manifest)
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder (expected an output of record, map or navigate)")
+    path = folder / "manifest.json"
+    if not path.is_file():
+        raise InputError(f"{folder}: has no manifest.json, so it is no finished output of any stage")
+    manifest = read_json(path)
+    if not isinstance(manifest.get("stage"), str):
+        raise InputError(f"{path}: does not name its stage")
+    return manifest
+
+
+def group_stages(stages: Sequence[Stage]) -> list[Group]:
+    """Stages of one world, and those that share data files with them by hash, together; in order of
+    first appearance. Stages of two named worlds are never one group, whatever they share.
+    """
+    clusters: list[list[Stage]] = []
+    for stage in stages:
+        related = [cluster for cluster in clusters if _related(stage, cluster)]
+        if not related:
+            clusters.append([stage])
+            continue
+        first, *others = related
+        first.append(stage)
+        for other in others:
+            if _world(other) in (None, _world(first)):
+                first += other
+                clusters.remove(other)
+    order = {id(stage): index for index, stage in enumerate(stages)}
+    ordered = sorted(
+        (sorted(members, key=lambda stage: order[id(stage)]) for members in clusters),
+        key=lambda members: order[id(members[0])],
+    )
+    groups = [_group(members) for members in ordered]
+    names = unique_names([group.name for group in groups])
+    return [replace(group, name=name) for group, name in zip(groups, names, strict=True)]
+
+
+def _related(stage: Stage, cluster: Sequence[Stage]) -> bool:
+    world, theirs = stage.fact("world"), _world(cluster)
+    if world is not None and theirs is not None:
+        return world == theirs
+    return any(stage.linking_hashes() & other.linking_hashes() for other in cluster)
+
+
+def _world(cluster: Sequence[Stage]) -> str | None:
+    return next((world for stage in cluster if (world := stage.fact("world")) is not None), None)
+
+
+def _group(members: list[Stage]) -> Group:
+    worlds = [world for stage in members if (world := stage.fact("world")) is not None]
+    name = Path(worlds[0]).stem if worlds else _source_name(members[0])
+    ordered = sorted(members, key=lambda stage: KINDS.index(stage.kind))
+    bases = [(stage.fact("task") or "run") if stage.kind == "navigate" else stage.kind for stage in ordered]
+    labels = unique_names(bases)
+    return Group(name, tuple(replace(s, label=label) for s, label in zip(ordered, labels, strict=True)))
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """The names, with -2, -3 ... added to those that came before."""
+    seen: Counter[str] = Counter()
+    out = []
+    for name in names:
+        seen[name] += 1
+        out.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
+    return out
+
+
+def _source_name(stage: Stage) -> str:
+    paths = list(stage.input_paths().values())
+    return paths[0].name.split(".")[0] if paths else stage.label
+
+
+def changed_files(stage: Stage) -> list[str]:
+    """Outputs that are missing or no longer have the hash in the manifest."""
+    return [
+        path
+        for path, digest in stage.outputs.items()
+        if not (stage.folder / path).is_file() or sha256_file(stage.folder / path) != digest
+    ]

@@ -1,0 +1,168 @@
+"""Small stage outputs with the contract's files, made without simulating anything."""
+
+from pathlib import Path
+
+import numpy as np
+
+from datasets.bags.writer import BagWriter
+from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.maps import save_map
+from datasets.outputs import write_json, write_manifest
+from datasets.runlog import RunLogBuilder
+from datasets.se2 import SE2
+from datasets.seeds import stream
+from datasets.trajectories import save_tum
+from datasets.types import Joints, Observation, Odometry, Trajectory, Twist
+
+TICK_NS = 1_000_000_000 // 30
+TICKS = 900
+GOALS = ((1.5, 0.0), (0.0, 1.2), (-1.5, 0.0))
+
+
+def true_room(world: str = "room") -> OccupancyGrid:
+    """Solid walls around 6 x 4.8 m with a block in the middle; other worlds have a second block."""
+    cells = np.full((108, 132), OCCUPIED, dtype=np.int8)
+    cells[6:-6, 6:-6] = FREE
+    cells[48:60, 58:74] = OCCUPIED
+    if world != "room":
+        cells[10:14, 10:14] = OCCUPIED
+    return OccupancyGrid(cells, 0.05, SE2.from_xyt(-3.3, -2.7, 0.0))
+
+
+def mapped_room() -> OccupancyGrid:
+    """The room's skin as a good SLAM would map it, one corner a little off."""
+    cells = np.full((108, 132), UNKNOWN, dtype=np.int8)
+    cells[5:-5, 5:-5] = OCCUPIED
+    cells[6:-6, 6:-6] = FREE
+    cells[48:60, 58:74] = OCCUPIED
+    cells[49:59, 59:73] = UNKNOWN
+    cells[6:20, 7] = OCCUPIED
+    return OccupancyGrid(cells, 0.05, SE2.from_xyt(-3.3, -2.7, 0.0))
+
+
+def ellipse(world: str = "room") -> SE2:
+    start = -np.pi / 2 if world == "room" else 0.0
+    angle = start + np.linspace(0.0, 2.0 * np.pi, TICKS)
+    return SE2.from_xyt(1.5 * np.cos(angle), 1.2 * np.sin(angle), angle + np.pi / 2)
+
+
+def drifting(truth: SE2) -> SE2:
+    """Odometry that turns a little too far, from the same start."""
+    step = truth[:-1].inverse() @ truth[1:]
+    pose, poses = truth[0], [truth[0]]
+    for k in range(len(step)):
+        pose = pose @ SE2.from_xyt(1.01 * step.x[k], step.y[k], step.yaw[k] + 2e-4)
+        poses.append(pose)
+    return SE2.stack(poses)
+
+
+def write_bag(folder: Path, *, particles: bool, world: str = "room") -> tuple[np.ndarray, SE2, SE2]:
+    stamps = np.arange(TICKS, dtype=np.int64) * TICK_NS
+    truth = ellipse(world)
+    odometry = drifting(truth)
+    rng = stream(1, "fake particles")
+    with BagWriter(folder, custom={"seed": "1"}) as bag:
+        for k in range(TICKS):
+            stamp, twist = int(stamps[k]), Twist(0.2, 0.1)
+            joints = Joints(stamp, (0.0, 0.0), (0.0, 0.0))
+            bag.observation(Observation(stamp, Odometry(stamp, odometry[k], twist), joints))
+            bag.truth(stamp, truth[k], twist)
+            bag.command(stamp, twist)
+            if particles and k % 30 == 0:
+                spread = 0.4 * np.exp(-k / 150.0) + 0.02
+                bag.particles(stamp, SE2.from_array(truth[k].xyt + rng.normal(scale=spread, size=(200, 3))))
+    return stamps, truth, odometry
+
+
+def write_truth(folder: Path, stamps: np.ndarray, truth: SE2, world: str = "room") -> None:
+    (folder / "truth").mkdir()
+    save_tum(Trajectory(stamps[::6], truth[::6]), folder / "truth/trajectory.tum")
+    save_map(true_room(world), folder / "truth")
+
+
+def noisy(trajectory: Trajectory, sigma: float) -> Trajectory:
+    noise = stream(2, "fake noise").normal(scale=sigma, size=trajectory.poses.xyt.shape)
+    return Trajectory(trajectory.stamps_ns, SE2.from_array(trajectory.poses.xyt + noise))
+
+
+def fake_record(folder: Path, *, world: str = "room") -> Path:
+    folder.mkdir(parents=True)
+    stamps, truth, _ = write_bag(folder / "bag", particles=False, world=world)
+    write_truth(folder, stamps, truth, world)
+    (folder / "config.yaml").write_text(f"world: {world}\nrobot: burger\n")
+    command = ["turtlebag", "record", "--world", world, "--robot", "burger", "--out", str(folder)]
+    write_manifest(folder, stage="record", command=command, inputs={}, seed=1, wall_s=1.0)
+    return folder
+
+
+def fake_map(folder: Path, record: Path) -> Path:
+    folder.mkdir(parents=True)
+    stamps = np.arange(TICKS, dtype=np.int64)[::6] * TICK_NS
+    save_tum(noisy(Trajectory(stamps, ellipse()[::6]), 0.005), folder / "trajectory.tum")
+    save_map(mapped_room(), folder)
+    (folder / "config.yaml").write_text("voxel: 0.2\n")
+    metrics = {
+        "scans": 150,
+        "keyframes": 20,
+        "loops": {"proposed": 9, "accepted": 5, "rejected": 4},
+        "ate_m": {"rmse": 0.007, "max": 0.02},
+        "map": {"iou": 0.9, "occupied_error_m": {"mean": 0.004, "p95": 0.02, "within_one_cell": 0.995}},
+        "curious": {"value": 0.25},
+    }
+    write_json(folder / "metrics.json", metrics)
+    command = ["turtlebag", "map", str(record), "--out", str(folder)]
+    inputs = {"input": record / "bag"}
+    write_manifest(folder, stage="map", command=command, inputs=inputs, seed=None, wall_s=1.0)
+    return folder
+
+
+def fake_run(folder: Path, map_folder: Path, *, task: str = "patrol", missed: bool = False) -> Path:
+    folder.mkdir(parents=True)
+    stamps, truth, odometry = write_bag(folder / "bag", particles=True)
+    write_truth(folder, stamps, truth)
+    estimate = noisy(Trajectory(stamps[::6], truth[::6]), 0.01)
+    save_tum(estimate, folder / "trajectory.tum")
+    log = RunLogBuilder()
+    for k in range(TICKS):
+        log.append(
+            int(stamps[k]),
+            T_world_base=truth[k],
+            T_map_base=truth[k],
+            T_odom_base=odometry[k],
+            command=Twist(0.2, 0.1),
+            clearance_m=0.3 + 0.2 * float(np.sin(k / 90.0)),
+            contact_visible=missed and 400 <= k < 410,
+            contact_low=False,
+            goal_index=k // 300,
+            state="drive",
+        )
+    log.build().save(folder / "runlog.csv")
+    (folder / "config.yaml").write_text("world: room\nrobot: burger\n")
+    goals = [
+        {
+            "x": x,
+            "y": y,
+            "yaw": 0.0,
+            "status": "timeout" if missed and number == 1 else "reached",
+            "time_s": 10.0,
+            "error_m": 0.03,
+            "error_rad": 0.01,
+        }
+        for number, (x, y) in enumerate(GOALS)
+    ]
+    metrics = {
+        "task": task,
+        "success": not missed,
+        "goals": goals,
+        "collisions": {"visible": int(missed), "low": 0},
+        "min_clearance_m": 0.1,
+        "distance_m": 8.5,
+        "time_s": 30.0,
+        "localisation_error_m": {"rmse": 0.014, "max": 0.03},
+    }
+    write_json(folder / "metrics.json", metrics)
+    command = ["turtlebag", "navigate", "--world", "room", "--map", f"{map_folder}/map.yaml", "--task", task]
+    command += ["--seed", "1", "--out", str(folder)]
+    inputs = {"map": map_folder / "map.yaml"}
+    write_manifest(folder, stage="navigate", command=command, inputs=inputs, seed=1, wall_s=1.0)
+    return folder

@@ -1,0 +1,181 @@
+"""The report of recordings, maps and runs, made from small stand-ins of their outputs."""
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+
+import pytest
+from report_fakes import fake_map, fake_record, fake_run
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_tree
+from pipeline.cli import main
+from pipeline.report import make_report
+from reports.content import collision_count
+from reports.numbers import shown
+from reports.provenance import rename
+from reports.stages import changed_files, group_stages, load_stage
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory):
+    base = tmp_path_factory.mktemp("stages")
+    record = fake_record(base / "record")
+    map_folder = fake_map(base / "map", record)
+    return [record, map_folder, fake_run(base / "run", map_folder, missed=True)]
+
+
+@pytest.fixture(scope="module")
+def page(stages, tmp_path_factory):
+    return make_report(stages, tmp_path_factory.mktemp("report") / "out")
+
+
+class Tags(HTMLParser):
+    VOID = ("meta", "link", "br", "img", "input")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.references, self.images, self.text = [], [], [], 0, []
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.images += tag in ("svg", "img")
+        if "id" in found:
+            self.ids.append(found["id"])
+        self.references += [found[name] for name in ("src", "href", "xlink:href") if found.get(name)]
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def tags(page):
+    parser = Tags()
+    parser.feed(page.read_text())
+    assert parser.open == []
+    return parser
+
+
+def test_the_page_is_self_contained(tags):
+    assert tags.images == 9
+    for reference in tags.references:
+        assert reference.startswith(("#", "data:")), reference
+
+
+def test_every_fragment_points_to_something_and_ids_are_unique(tags):
+    assert len(tags.ids) == len(set(tags.ids))
+    targets = {reference[1:] for reference in tags.references if reference.startswith("#")}
+    assert targets <= set(tags.ids)
+
+
+def test_the_page_says_what_happened(tags):
+    text = " ".join(tags.text)
+    assert "0 of 1 task succeeded" in text
+    assert "Patrol: 2 of 3 goals reached, 1 collision." in text
+    assert "99.5\u202f%" in text
+    assert "timeout" in text
+
+
+def test_numbers_of_the_stages_are_in_metrics_json(page):
+    metrics = json.loads((page.parent / "metrics.json").read_text())["room"]
+    assert metrics["map"]["ate_m"]["rmse"] == 0.007
+    assert metrics["patrol"]["goals_reached"] == 2
+    assert metrics["record"]["scans"] == 150
+    assert 0.05 < metrics["record"]["odometry_ate_m"]["rmse"] < 0.3
+
+
+def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(page, stages):
+    text = page.read_text()
+    assert str(stages[0].parent) not in text
+    recipe = re.search(r'<pre class="recipe">(.*?)</pre>', text, re.DOTALL).group(1)
+    assert recipe.splitlines()[:2] == [
+        "turtlebag record --world room --robot burger --out room/record",
+        "turtlebag map room/record --out room/map",
+    ]
+    assert "--map room/map/map.yaml --task patrol --seed 1 --out room/patrol" in recipe
+
+
+def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp_path):
+    for folder in stages:
+        shutil.copytree(folder, tmp_path / folder.name)
+        manifest = tmp_path / folder.name / "manifest.json"
+        manifest.write_text(manifest.read_text().replace(str(folder.parent), str(tmp_path)))
+    again = make_report([tmp_path / folder.name for folder in stages], tmp_path / "report")
+    assert sha256_tree(again.parent) == sha256_tree(page.parent)
+
+
+@pytest.mark.parametrize("chosen", [[0], [1], [2], [1, 2]])
+def test_any_subset_of_stages_makes_a_page(stages, chosen, tmp_path):
+    page = make_report([stages[k] for k in chosen], tmp_path / "out")
+    assert "<svg" in page.read_text()
+
+
+def test_stages_are_grouped_by_shared_files_and_labelled_uniquely(stages, tmp_path):
+    other = fake_record(tmp_path / "other", world="hall")
+    groups = group_stages([load_stage(folder) for folder in [stages[2], other, stages[1], stages[2]]])
+    labels = {group.name: [stage.label for stage in group.stages] for group in groups}
+    assert labels == {"room": ["map", "patrol", "patrol-2"], "hall": ["record"]}
+
+
+def test_the_command_prints_the_page_and_refuses_to_overwrite(stages, tmp_path, capsys):
+    argv = ["report", str(stages[0]), "--out", str(tmp_path / "out")]
+    assert main(argv) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "out/index.html")
+    assert main(argv) == 2
+    assert "already exists" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_no_stage_output_is_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert main(["report", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "manifest.json" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{}", '{"stage": 3}', '{"stage": "soup"}', "\udcff"])
+def test_a_damaged_manifest_is_bad_input(text, tmp_path):
+    (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(InputError):
+        load_stage(tmp_path)
+
+
+def test_a_changed_output_is_found_by_its_hash(tmp_path):
+    stage = load_stage(fake_record(tmp_path / "record"))
+    assert changed_files(stage) == []
+    (tmp_path / "record/truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
+    assert changed_files(stage) == ["truth/trajectory.tum"]
+
+
+def test_values_are_shown_in_human_units():
+    assert shown(0.00875, "cm") == "0.88\u202fcm"
+    assert shown(0.25, "cm") == "25.0\u202fcm"
+    assert shown(-0.5, "m") == "\u22120.50\u202fm"
+    assert shown(3.141592653589793, "deg") == "180.00°"
+    assert shown(float("inf"), "m") == shown(None, "m") == "\u2013"
+
+
+def test_paths_in_commands_are_renamed_by_the_longest_match():
+    names = {"data/map": "w/map", "data/map-2": "w/map-2"}
+    assert rename("data/map-2/map.yaml", names) == "w/map-2/map.yaml"
+    assert rename("data/map", names) == "w/map"
+    assert rename("data/mapping", names) == "data/mapping"
+
+
+def test_collisions_count_both_kinds_and_plain_numbers():
+    assert collision_count({"collisions": {"visible": 1, "low": 2}}) == 3
+    assert collision_count({"collisions": 4}) == 4
+    assert collision_count({}) == 0
