@@ -32,7 +32,7 @@ class PhysicsConfig(BaseModel):
     """Caster on the floor, body on walls."""
     substeps: Annotated[int, Field(ge=8)] = 8
     """Physics steps a control step: 8 is 240 Hz."""
-    solver_iterations: Annotated[int, Field(ge=1)] = 30
+    solver_iterations: Annotated[int, Field(ge=1)] = 20
 
 
 class Physics:
@@ -43,7 +43,7 @@ class Physics:
     ) -> None:
         self._solids, self._robot, self._config, self._dt = solids, robot, config, control_dt
         self._client = bullet.connect(bullet.DIRECT)
-        self._com = tuple(composite(robot.parts)[1])
+        self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._n_wheels = 2 * len(robot.wheels.pairs_x)
         self._forces = [robot.wheels.torque] * self._n_wheels
 

@@ -7,6 +7,11 @@ import numpy as np
 from datasets.se2 import Array
 from sim.robots import BoxPart, CylinderPart, Part, RobotSpec
 
+TREAD, FLANK = 0.2, 0.97
+"""A wheel stands on a narrow tread (this share of its width), as a crowned tyre does: rigid cylinders of
+full width would be carried now by one edge, now by the other, and the track would jump by their width.
+The full width, at this share of the radius, is there to touch walls."""
+
 
 def composite(parts: list[Part]) -> tuple[float, Array, Array]:
     """Mass [kg], centre of mass (3,) and principal-axis inertia (3,) [kg m^2] of rigidly joined parts.
@@ -56,10 +61,17 @@ def urdf(robot: RobotSpec) -> str:
             name = f"wheel_{side}_{x:g}"
             text.append(
                 f'<link name="{name}">{_inertial(wheels.mass, (0.0, 0.0, 0.0), wheels.inertia)}'
-                f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/><geometry>'
-                f'<cylinder radius="{wheels.radius!r}" length="{wheels.width!r}"/></geometry></collision>'
+                f"{_wheel(wheels.radius, TREAD * wheels.width)}{_wheel(FLANK * wheels.radius, wheels.width)}"
                 f'</link><joint name="{name}_joint" type="continuous"><parent link="base_footprint"/>'
                 f'<child link="{name}"/><origin xyz="{_xyz((x, sign * wheels.joint_y, wheels.radius))}"/>'
                 f'<axis xyz="0 1 0"/></joint>'
             )
     return "".join([*text, "</robot>"])
+
+
+def _wheel(radius: float, width: float) -> str:
+    """A cylinder lying along y."""
+    return (
+        f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/>'
+        f'<geometry><cylinder radius="{radius!r}" length="{width!r}"/></geometry></collision>'
+    )

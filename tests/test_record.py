@@ -1,0 +1,180 @@
+"""Stage record: whole outputs, the same bytes for the same seed, and no truth where it does not belong."""
+
+import hashlib
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.maps import load_map
+from datasets.recordings import load_recording
+from datasets.trajectories import load_tum
+from datasets.types import seconds
+from pipeline.cli import main
+from pipeline.record import record
+from sim.robots import load_robot
+from sim.simulator import SimConfig, Simulator
+from sim.teleop import commands, load_script
+from sim.worlds import load_world
+
+SCRIPT = """name: short
+v: 0.2
+w: 1.0
+steps:
+  - {drive: 0.4}
+  - {turn_deg: 90}
+  - {repeat: 2, steps: [{spin: 0.25}, {wait: 0.2}]}
+  - {through: [[-1.6, 0.2]]}
+"""
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scripts") / "short.yaml"
+    path.write_text(SCRIPT)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, script):
+    out = tmp_path_factory.mktemp("record") / "rec"
+    assert record("turtlebot3_world", None, script, 1, out) == 0
+    return out
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "manifest.json"
+    }
+
+
+def test_outputs_are_the_contracts(recorded):
+    assert set(hashes(recorded)) == {
+        "bag/bag_0.mcap",
+        "bag/metadata.yaml",
+        "config.yaml",
+        "truth/map.pgm",
+        "truth/map.yaml",
+        "truth/trajectory.tum",
+    }
+    assert (recorded / "manifest.json").is_file()
+    assert not recorded.with_name("rec.partial").exists()
+
+
+def test_truth_has_one_line_per_scan_at_the_scans_stamp_and_the_map_of_the_world(recorded):
+    log = load_recording(recorded)
+    truth = load_tum(recorded / "truth" / "trajectory.tum")
+    np.testing.assert_array_equal(truth.stamps_ns, log.stamps_ns)
+    grid, expected = (
+        load_map(recorded / "truth" / "map.yaml"),
+        load_world("turtlebot3_world").rasterize(0.182),
+    )
+    np.testing.assert_array_equal(grid.cells, expected.cells)
+    assert log.lidar.n_beams == 360
+    assert log.lidar.time_increment == pytest.approx(0.2 / 360.0)
+    assert log.odometry is not None
+    assert np.all(np.diff(log.odometry.stamps_ns) > 0)
+    assert 5 * seconds(int(np.ptp(log.odometry.stamps_ns))) == pytest.approx(len(log), abs=2)
+
+
+def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_path):
+    code = "import sys, pathlib, pipeline.record as r; "
+    code += "r.record('turtlebot3_world', None, sys.argv[1], 1, pathlib.Path(sys.argv[2]))"
+    other = subprocess.Popen([sys.executable, "-c", code, script, str(tmp_path / "b")])
+    assert record("turtlebot3_world", None, script, 1, tmp_path / "a") == 0
+    assert other.wait() == 0
+    assert hashes(tmp_path / "a") == hashes(recorded)
+    assert hashes(tmp_path / "b") == hashes(recorded)
+    assert record("turtlebot3_world", None, script, 2, tmp_path / "c") == 0
+    assert hashes(tmp_path / "c")["bag/bag_0.mcap"] != hashes(recorded)["bag/bag_0.mcap"]
+
+
+def test_interrupt_closes_the_bag_and_keeps_it(tmp_path):
+    out = tmp_path / "rec"
+    threading.Timer(1.5, lambda: signal.raise_signal(signal.SIGINT)).start()
+    started = time.monotonic()
+    assert record("turtlebot3_world", None, "tour", 1, out, sim=SimConfig(physics={"substeps": 80})) == 130
+    assert time.monotonic() - started < 20.0
+    log = load_recording(out)
+    assert len(log) == len(load_tum(out / "truth" / "trajectory.tum")) > 0
+    assert log.duration() < 200.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--world", "turtlebot3_wold"], "turtlebot3_world"),
+        (["--world", "empty", "--robot", "burgr"], "burger"),
+        (["--world", "empty", "--teleop", "tuor"], "tour"),
+        (["--world", "turtlebot3_world", "--seed", "-1"], "seed"),
+        (["--world", "turtlebot3_world", "--set", "physics.frction=1"], "frction"),
+    ],
+)
+def test_a_wrong_name_is_one_line_exit_2_and_nothing_written(tmp_path, capsys, arguments, named):
+    assert main(["record", *arguments, "--out", str(tmp_path / "rec")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert named in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_world_show_draws_and_refuses_to_overwrite(tmp_path, capsys):
+    picture = tmp_path / "world.png"
+    assert main(["world", "show", "turtlebot3_world", "--out", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["world", "show", "turtlebot3_world", "--out", str(picture)]) == 2
+    assert "already exists" in capsys.readouterr().err
+
+
+def drive(name, world, seed=1, scripts=load_script):
+    """True poses, clearances and contacts of a scripted drive."""
+    world, robot = load_world(world), load_robot(load_world(world).robot)
+    poses, clearances, contacts = [], [], 0
+    with Simulator(world, robot, SimConfig(lidar={"noise": "none"}), seed) as simulator:
+        simulator.reset()
+        driver = commands(scripts(name), world, robot.limits.max_v, robot.limits.max_w)
+        next(driver)
+        for_sending = simulator.truth
+        while True:
+            try:
+                command = driver.send(for_sending)
+            except StopIteration:
+                break
+            simulator.step(command)
+            for_sending = simulator.truth
+            poses.append(for_sending.T_world_base.xyt)
+            clearances.append(simulator.clearance())
+            contacts += for_sending.contact_visible or for_sending.contact_low
+    return np.array(poses), np.array(clearances), contacts
+
+
+def test_script_actions_do_what_they_say(script):
+    poses, _, contacts = drive(script, "turtlebot3_world")
+    assert contacts == 0
+    # 0.4 m ahead of (-2, -0.5), then 90 degrees, then twice a quarter turn, then to a point.
+    assert np.abs(poses[:, :2] - [-1.6, -0.5]).sum(axis=1).min() < 0.02
+    np.testing.assert_allclose(poses[-1, :2], [-1.6, 0.2], atol=0.02)
+    turned = np.abs(np.diff(np.unwrap(poses[:, 2]))).sum()
+    assert turned == pytest.approx(np.pi / 2 + np.pi + np.pi, abs=0.15)
+
+
+def test_tour_is_slow_turns_on_the_spot_and_touches_nothing():
+    poses, clearances, contacts = drive("tour", "turtlebot3_world")
+    assert contacts == 0
+    assert clearances.min() > 0.15
+    assert 150.0 < len(poses) / 30.0 < 260.0
+    speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) * 30.0
+    rate = np.abs(np.diff(np.unwrap(poses[:, 2]))) * 30.0
+    assert speed.max() < 0.20
+    assert rate.max() < 0.8
+    # Either it turns or it drives: hardly ever both.
+    assert np.mean((speed > 0.1) & (rate > 0.3)) < 0.01
+    # It comes back to where it was.
+    assert np.linalg.norm(poses[-1, :2] - [-2.0, -0.5]) < 0.05
