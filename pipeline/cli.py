@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -57,12 +58,23 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
     return parser
 
 
+def _joined(argv: Sequence[str]) -> list[str]:
+    """`--goal -2,0,0` as `--goal=-2,0,0`: argparse would take the value for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
+            words[-1] += "=" + word
+        else:
+            words.append(word)
+    return words
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     verb = next((word for word in argv if not word.startswith("-")), None)
     try:
-        args = build_parser(verb).parse_args(argv)
+        args = build_parser(verb).parse_args(_joined(argv))
         args.command_line = ["turtlebag", *argv]
         set_verbosity(args.verbosity)
         return int(args.run(args))
