@@ -73,6 +73,14 @@ RECORD = (
         BAG,
         ("/odom", "/ground_truth/odom"),
     ),
+    Spec(
+        "odometry_rpe.rot_rad",
+        "odometry turn error per metre",
+        "deg/m",
+        "The same for the heading.",
+        BAG,
+        ("/odom", "/ground_truth/odom"),
+    ),
 )
 
 _TRAJECTORY = ("trajectory.tum",)
@@ -80,6 +88,7 @@ _MAP = ("map.pgm", "map.yaml")
 MAP = (
     Spec("scans", "scans", "count", "Scans that got a pose.", _TRAJECTORY),
     Spec("keyframes", "keyframes", "count", "Scans that are nodes of the pose graph.", ("graph.g2o",)),
+    Spec("loops.proposed", "loops proposed", "count", "Candidates for loop closures that were verified."),
     Spec("loops.accepted", "loops accepted", "count", "Loop closures kept in the graph.", ("graph.g2o",)),
     Spec("loops.rejected", "loops rejected", "count", "Proposed loop closures that failed verification."),
     Spec("log_s", "log", "s", "Time span of the scans.", _TRAJECTORY),

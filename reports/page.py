@@ -108,7 +108,7 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
             for name, part in parts
             if isinstance(value := lookup(part.metrics, path), (int, float))
         ]
-        if values:
+        if values and not (path == "scans" and found):
             value, name = worst(values)
             note = f"worst of {len(values)}: {name}" if len(values) > 1 else name
             found.append(Tile(label, shown(value, unit), note))

@@ -56,10 +56,11 @@ def view_box(grid: OccupancyGrid | None, trajectories: Sequence[Trajectory | Non
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def map_figure(box: Box, *, extra_in: float = 0.45) -> tuple[Figure, Axes]:
-    """A figure as tall as the box asks for, with bare, equal axes in metres."""
+def map_figure(box: Box, *, bar: bool = False) -> tuple[Figure, Axes]:
+    """A figure as tall as the box asks for, with bare, equal axes in metres; `bar`: room for a scale."""
     shape = (box[3] - box[2]) / max(box[1] - box[0], 1e-6)
-    figure = new_figure(float(np.clip(shape * (WIDTH_IN - 0.5), 2.0, 7.0)) + extra_in)
+    width, extra = (WIDTH_IN - 1.35, 0.45) if bar else (WIDTH_IN - 0.5, 0.65)
+    figure = new_figure(float(np.clip(shape * width, 2.0, 7.0)) + extra)
     axes = figure.add_subplot()
     frame(axes, box)
     return figure, axes
@@ -100,7 +101,7 @@ def draw_path(axes: Axes, trajectory: Trajectory | None, kind: str, **changes: A
 
 def map_over_truth(grid: OccupancyGrid, true_grid: OccupancyGrid) -> Figure:
     """Mapped occupied cells, coloured by their distance to the true surface, on the true map."""
-    figure, axes = map_figure(view_box(grid))
+    figure, axes = map_figure(view_box(grid), bar=True)
     solid = np.full((*true_grid.shape, 3), to_rgb(PAPER))
     solid[occupied(true_grid)] = to_rgb("#ccd3db")
     _show(axes, solid, true_grid)
@@ -219,7 +220,7 @@ def _marker(status: str) -> Line2D:
 
 def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m: Array) -> Figure:
     """The true path coloured by the footprint's clearance; the nearest place is named."""
-    figure, axes = map_figure(view_box(grid, [truth]))
+    figure, axes = map_figure(view_box(grid, [truth]), bar=True)
     if grid is not None:
         draw_grid(axes, grid, faint=True)
     finite = np.where(np.isfinite(clearance_m), clearance_m, np.nan)
