@@ -111,7 +111,8 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     with styled():
         estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
         figure = maps.patrol(world, truth, estimate, goals, log.T_world_base.xy[first])
-        caption = "True and estimated path; goals in their order, coloured and shaped by how they ended."
+        caption = "True and estimated path" if estimate is not None else "True path"
+        caption += "; goals in their order, coloured and shaped by how they ended." if goals else "."
         pictures = [album.add(f"{prefix}-path", "The run", caption, figure)]
         ends = goal_ends(log)
         if estimate is not None:
@@ -149,7 +150,7 @@ def _particle_pictures(
     start = int(truth.stamps_ns[0])
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     shown = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
-    caption = "The particle cloud, denser in time at the start; the cross is the true position."
+    caption = "The particle cloud, more often at the start; the black arrow is the true pose."
     return [album.add(f"{prefix}-particles", "Particles", caption, maps.particles(world, shown, truth))]
 
 

@@ -26,6 +26,7 @@ from reports.figures.style import (
     LINES,
     MUTED,
     PAPER,
+    RULE,
     WARN,
     WIDTH_IN,
     bare,
@@ -250,24 +251,59 @@ def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m:
 def particles(
     grid: OccupancyGrid | None, clouds: Sequence[tuple[float, SE2]], truth: Trajectory | None
 ) -> Figure:
-    """Snapshots of the particle cloud (seconds since the start, poses) on the map."""
-    box = view_box(grid)
-    columns = 3
+    """Snapshots of the particle cloud (seconds since the start, poses), each zoomed to its own spread."""
+    whole = view_box(grid, [])
+    columns = min(3, len(clouds))
     rows = -(-len(clouds) // columns)
-    shape = (box[3] - box[2]) / (box[1] - box[0])
-    figure = new_figure(float(np.clip(shape * (WIDTH_IN / columns), 1.0, 3.5)) * rows + 0.3 * rows)
+    figure = new_figure((WIDTH_IN / columns + 0.25) * rows)
     for index, (time_s, cloud) in enumerate(clouds):
         axes = figure.add_subplot(rows, columns, index + 1)
+        T_world_base = None
+        if truth is not None:
+            T_world_base = truth.at(np.array([round(time_s * 1e9) + int(truth.stamps_ns[0])]))[0]
+        box = zoom_box(cloud, T_world_base, whole)
         frame(axes, box)
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
+        for spine in axes.spines.values():
+            spine.set(visible=True, color=RULE)
         if grid is not None:
             draw_grid(axes, grid, faint=True)
-        axes.plot(
-            cloud.x, cloud.y, ".", color=LINES["amcl"]["color"], markersize=2, rasterized=True, zorder=3
-        )
-        spread = float(np.sqrt(np.var(cloud.x) + np.var(cloud.y)))
-        axes.set_title(f"{time_s:.0f} s  (spread {100.0 * spread:.0f} cm)", fontsize=8.5)
-        if truth is not None:
-            T = truth.at(np.array([round(time_s * 1e9) + int(truth.stamps_ns[0])]))[0]
-            axes.plot(T.x, T.y, "+", color=INK, markersize=9, zorder=4)
+        _draw_cloud(axes, cloud, box)
+        if T_world_base is not None:
+            draw_pose(axes, T_world_base, INK, 0.12 * (box[1] - box[0]))
+            axes.plot(T_world_base.x, T_world_base.y, "o", color=INK, markersize=4, zorder=4)
+        axes.set_title(f"{time_s:.0f} s · view {box[1] - box[0]:.1f} m wide", fontsize=8.5)
     return figure
+
+
+def zoom_box(cloud: SE2, T_world_base: SE2 | None, whole: Box) -> Box:
+    """A square around cloud and true pose, at least 1.6 m wide and at most as wide as the whole map."""
+    xy = cloud.xy if T_world_base is None else np.concatenate([cloud.xy, T_world_base.xy[None]])
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    widest = max(whole[1] - whole[0], whole[3] - whole[2])
+    half = 0.5 * float(np.clip(1.3 * (high - low).max(), 1.6, max(widest, 1.6)))
+    x, y = (low + high) / 2.0
+    if 2.0 * half >= widest:
+        x, y = (whole[0] + whole[1]) / 2.0, (whole[2] + whole[3]) / 2.0
+    return float(x - half), float(x + half), float(y - half), float(y + half)
+
+
+def _draw_cloud(axes: Axes, cloud: SE2, box: Box) -> None:
+    """Particles as dots with a tail of heading, at most 300 of them."""
+    few = cloud[:: max(1, len(cloud) // 300)]
+    length = 0.03 * (box[1] - box[0])
+    colour = LINES["amcl"]["color"]
+    axes.quiver(
+        few.x,
+        few.y,
+        length * np.cos(few.yaw),
+        length * np.sin(few.yaw),
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=0.004,
+        color=colour,
+        alpha=0.6,
+        zorder=3,
+        rasterized=True,
+    )
