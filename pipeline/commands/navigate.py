@@ -1,0 +1,97 @@
+"""`turtlebag navigate`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Literal
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.config import load_config
+from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.setup import TASKS, Request
+
+EXAMPLE = (
+    "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
+    "--initial-pose start --seed 1 --out data/runs/patrol"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--world", required=True, help="world name or file")
+    parser.add_argument("--robot", help="robot name or file (default: the world's)")
+    parser.add_argument("--task", required=True, choices=TASKS)
+    parser.add_argument("--seed", type=seed, default=0, metavar="N")
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map to navigate on")
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    parser.add_argument(
+        "--initial-pose",
+        metavar="X,Y,YAW|start|global",
+        help="what the robot is told: a pose, its true start, or to find out by itself",
+    )
+    parser.add_argument("--goal", metavar="X,Y,YAW", help="goal of the task goal")
+    parser.add_argument("--waypoints", type=Path, metavar="FILE", help="waypoints of the task patrol (YAML)")
+    parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol")
+    parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
+    parser.add_argument("--duration", type=_positive, metavar="S", help="simulated seconds of avoid")
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code."""
+    from pipeline.navigate import navigate
+
+    request = Request(
+        task=args.task,
+        seed=args.seed,
+        map_path=args.map,
+        start=None if args.start is None else pose(args.start, "--start"),
+        initial_pose=_initial_pose(args.initial_pose),
+        goal=None if args.goal is None else pose(args.goal, "--goal"),
+        waypoints_path=args.waypoints,
+        laps=args.laps,
+        timeout_s=args.timeout,
+        duration_s=args.duration,
+    )
+    return navigate(
+        args.world,
+        request,
+        args.out,
+        robot=args.robot,
+        config=load_config(NavigateConfig, args.config, args.settings),
+        force=args.force,
+        command_line=args.command_line,
+        say=(lambda line: None) if args.verbosity < 0 else None,
+    )
+
+
+def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
+    if text is None:
+        return None
+    if text == "start":
+        return "start"
+    if text == "global":
+        return "global"
+    try:
+        return pose(text, "--initial-pose")
+    except InputError as error:
+        raise InputError(f"{error}; or the word start or global") from None
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
+    return value

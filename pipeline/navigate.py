@@ -1,0 +1,149 @@
+"""The stage `navigate`: a task driven in closed loop with the simulator, recorded and measured."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from datasets.bags.writer import BagWriter
+from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_json, write_manifest
+from datasets.trajectories import save_tum
+from datasets.types import Trajectory
+from pipeline.config import config_text
+from pipeline.console import log
+from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.driver import Driver
+from pipeline.navigation.localiser import Localiser
+from pipeline.navigation.metrics import run_metrics
+from pipeline.navigation.recorder import RunRecorder, trajectory_of
+from pipeline.navigation.setup import Mission, Request, make_driver, prepare
+from planners.tasks.sequence import GoalSequence
+from sim.robots import default_robot, load_robot
+from sim.simulator import Simulator
+from sim.worlds import load_world
+
+MAX_SIMULATED_S = 4 * 3600.0
+
+
+def navigate(
+    world: str,
+    request: Request,
+    out: Path,
+    *,
+    robot: str | None = None,
+    config: NavigateConfig | None = None,
+    force: bool = False,
+    command_line: Sequence[str] = (),
+    say: Callable[[str], None] | None = None,
+) -> int:
+    """Run a task and write the run outputs to `out`; 0 when it succeeded, 1 when it did not.
+
+    Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
+    """
+    check_free(out, force=force)
+    watch = Stopwatch()
+    arena = load_world(world)
+    robot = robot or default_robot(world)
+    mission = prepare(request, load_robot(robot), config or NavigateConfig())
+    text = config_text(mission.config)
+    custom = {
+        "turtlebag_seed": str(request.seed),
+        "turtlebag_config_sha256": sha256_text(text),
+        "turtlebag_world": arena.name,
+        "turtlebag_task": request.task,
+    }
+    with (
+        Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
+        staged_output(out, force=force) as folder,
+    ):
+        with BagWriter(folder / "bag", custom=custom) as bag:
+            metrics, recorder, estimate = _drive(simulator, mission, bag, say or _print)
+        loop_s = watch.seconds()
+        save_tum(estimate, folder / "trajectory.tum")
+        recorder.log().save(folder / "runlog.csv")
+        recorder.save_truth(folder / "truth")
+        write_json(folder / "metrics.json", metrics)
+        (folder / "config.yaml").write_text(text)
+        write_manifest(
+            folder,
+            stage="navigate",
+            command=command_line,
+            inputs=_inputs(request),
+            seed=request.seed,
+            wall_s=watch.seconds(),
+            extra={
+                "world": arena.name,
+                "robot": mission.robot.name,
+                "task": request.task,
+                "out": str(out),
+                "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
+            },
+        )
+    _summarise(metrics, out)
+    return 0 if metrics["success"] else 1
+
+
+def _drive(
+    simulator: Simulator, mission: Mission, bag: BagWriter, say: Callable[[str], None]
+) -> tuple[dict[str, Any], RunRecorder, Trajectory]:
+    """The closed loop: observe, decide, log, act."""
+    observation = simulator.reset(mission.request.start)
+    x, y, yaw = mission.robot.T_base_lidar.xyt.tolist()
+    bag.static_transforms(
+        observation.stamp_ns, [("base_footprint", "base_scan", (x, y, mission.robot.lidar_height), yaw)]
+    )
+    driver, localiser, sequence = make_driver(mission, observation, bag, say)
+    recorder = RunRecorder(simulator, bag)
+    while True:
+        command = driver.step(observation)
+        recorder.tick(observation, driver, command)
+        if driver.finished or observation.stamp_ns > MAX_SIMULATED_S * 1e9:
+            break
+        observation = simulator.step(command)
+    return _results(mission, driver, localiser, sequence, recorder)
+
+
+def _results(
+    mission: Mission,
+    driver: Driver,
+    localiser: Localiser | None,
+    sequence: GoalSequence | None,
+    recorder: RunRecorder,
+) -> tuple[dict[str, Any], RunRecorder, Trajectory]:
+    estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
+    metrics = run_metrics(
+        mission.request.task,
+        recorder.log(),
+        sequence.outcomes if sequence is not None else [],
+        recorder.truth(),
+        None if localiser is None else estimate,
+    )
+    return metrics, recorder, estimate
+
+
+def _inputs(request: Request) -> dict[str, Path]:
+    inputs = {}
+    if request.map_path is not None:
+        inputs["map"] = request.map_path
+    if request.waypoints_path is not None:
+        inputs["waypoints"] = request.waypoints_path
+    return inputs
+
+
+def _print(line: str) -> None:
+    sys.stdout.write(line + "\n")
+
+
+def _summarise(metrics: dict[str, Any], out: Path) -> None:
+    for number, goal in enumerate(metrics["goals"], start=1):
+        error = "" if goal["error_m"] is None else f", true error {goal['error_m'] * 100:.1f} cm"
+        reason = f" ({goal['reason']})" if "reason" in goal else ""
+        place = f"({goal['x']:g}, {goal['y']:g}, {goal['yaw']:g})"
+        log.info(f"goal {number} {place}: {goal['status']}{reason}, {goal['time_s']:.1f} s{error}")
+    counts = metrics["collisions"]
+    log.info(
+        f"{metrics['time_s']:.1f} s simulated, {metrics['distance_m']:.2f} m driven, "
+        f"contacts {counts['visible']} visible {counts['low']} low -> {out}"
+    )

@@ -1,0 +1,28 @@
+"""All settings of a navigation run."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+from pipeline.localisation.parameters import AmclConfig
+from planners.control.goal_checker import GoalCheckerConfig
+from planners.control.pursuit import PursuitConfig
+from planners.costmap import CostmapConfig
+from planners.global_plan import PlanConfig
+from planners.tasks.avoid import AvoidConfig
+from planners.tasks.sequence import SequenceConfig
+from sim.simulator import SimConfig
+
+
+class NavigateConfig(BaseModel):
+    """One section for each part."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    sim: SimConfig = SimConfig()
+    amcl: AmclConfig = AmclConfig()
+    costmap: CostmapConfig = CostmapConfig()
+    plan: PlanConfig = PlanConfig()
+    pursuit: PursuitConfig = PursuitConfig()
+    goal_checker: GoalCheckerConfig = GoalCheckerConfig()
+    sequence: SequenceConfig = SequenceConfig()
+    avoid: AvoidConfig = AvoidConfig()

@@ -1,0 +1,25 @@
+"""What drives the robot in a run: sees observations, returns commands."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from datasets.se2 import SE2
+from datasets.types import Observation, Twist
+
+
+class Driver(Protocol):
+    """A task in closed loop. It never sees the truth."""
+
+    state: str
+    """One word on what it is doing, for the run log."""
+    goal_index: int
+    """Which goal it pursues, -1 for none."""
+    finished: bool
+    """Whether the task is over."""
+    estimate: SE2 | None
+    """Where it takes itself to be in the map; None when it does not know, or needs no map."""
+
+    def step(self, observation: Observation) -> Twist:
+        """The command for the next control period."""
+        ...

@@ -1,0 +1,80 @@
+"""What a run leaves behind: the bag, the run log, both trajectories. The only place that sees the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datasets.bags.writer import BagWriter
+from datasets.maps import save_map
+from datasets.runlog import RunLog, RunLogBuilder
+from datasets.se2 import SE2
+from datasets.trajectories import save_tum
+from datasets.types import Observation, Trajectory, Twist
+from pipeline.navigation.driver import Driver
+from pipeline.navigation.localiser import OdometryBuffer
+from sim.simulator import Simulator
+
+
+class RunRecorder:
+    """Writes each tick of a run to the bag and keeps its rows."""
+
+    def __init__(self, simulator: Simulator, bag: BagWriter) -> None:
+        self._simulator = simulator
+        self._bag = bag
+        self._rows = RunLogBuilder()
+        self._scan_stamps: list[int] = []
+        self._scan_truth: list[SE2] = []
+        self._scan_odometry: list[SE2] = []
+        self._odometry = OdometryBuffer()
+
+    def tick(self, observation: Observation, driver: Driver, command: Twist) -> None:
+        """One control period: what was seen, and what is commanded for the next."""
+        truth = self._simulator.truth
+        self._bag.observation(observation)
+        self._bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
+        self._bag.command(observation.stamp_ns, command)
+        self._odometry.add(observation.stamp_ns, observation.odometry.T_odom_base)
+        if observation.scan is not None:
+            self._scan_odometry.append(self._odometry.at(observation.scan.stamp_ns))
+            self._scan_stamps.append(observation.scan.stamp_ns)
+            self._scan_truth.append(self._simulator.scan_truth)
+        self._rows.append(
+            observation.stamp_ns,
+            T_world_base=truth.T_world_base,
+            T_map_base=driver.estimate,
+            T_odom_base=observation.odometry.T_odom_base,
+            command=command,
+            clearance_m=self._simulator.clearance(),
+            contact_visible=truth.contact_visible,
+            contact_low=truth.contact_low,
+            goal_index=driver.goal_index,
+            state=driver.state,
+        )
+
+    def log(self) -> RunLog:
+        """All rows so far."""
+        return self._rows.build()
+
+    def truth(self) -> Trajectory:
+        """True base poses at the stamps of the scans."""
+        return trajectory_of(list(zip(self._scan_stamps, self._scan_truth, strict=True)))
+
+    def odometry(self) -> Trajectory:
+        """Odometry at the stamps of the scans."""
+        return trajectory_of(list(zip(self._scan_stamps, self._scan_odometry, strict=True)))
+
+    def save_truth(self, folder: Path) -> None:
+        """Write `truth/`: the trajectory and the world's map at the lidar's height."""
+        folder.mkdir()
+        save_tum(self.truth(), folder / "trajectory.tum")
+        simulator = self._simulator
+        save_map(simulator.world.rasterize(simulator.robot.lidar_height), folder)
+
+
+def trajectory_of(samples: list[tuple[int, SE2]]) -> Trajectory:
+    """Stamped poses as a trajectory; an empty list is an empty one."""
+    stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
+    poses = SE2.stack([pose for _, pose in samples]) if samples else SE2.identity(0)
+    return Trajectory(stamps, poses)

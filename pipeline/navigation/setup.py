@@ -1,0 +1,158 @@
+"""Turning what the user asked for into a driver; bad goals and maps are refused here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from datasets.bags.writer import BagWriter
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.maps import load_map
+from datasets.se2 import SE2, Array
+from datasets.seeds import stream
+from datasets.types import Observation
+from pipeline.localisation.amcl import Amcl
+from pipeline.navigation.avoid import AvoidDriver
+from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.driver import Driver
+from pipeline.navigation.localiser import Localiser
+from pipeline.navigation.navigator import NavigationDriver, Parts
+from planners.control.pursuit import Pursuit
+from planners.costmap import Costmap, costmap_from_grid
+from planners.global_plan import fits
+from planners.tasks.sequence import GoalSequence
+from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
+from sim.robots import RobotSpec
+from sim.simulator import CONTROL_HZ
+
+Task = Literal["goal", "patrol", "avoid"]
+TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid")
+DEFAULT_DURATION_S = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What a run is asked to do. `initial_pose` is a pose, `start`, `global`, or None for none told."""
+
+    task: Task
+    seed: int
+    map_path: Path | None = None
+    start: SE2 | None = None
+    initial_pose: SE2 | Literal["start", "global"] | None = None
+    goal: SE2 | None = None
+    waypoints_path: Path | None = None
+    laps: int | None = None
+    timeout_s: float | None = None
+    duration_s: float | None = None
+    keepout: Sequence[Array] = field(default=())
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A request that has been checked: the map, the places to go and to keep out of."""
+
+    request: Request
+    config: NavigateConfig
+    robot: RobotSpec
+    grid: OccupancyGrid | None
+    costmap: Costmap | None
+    waypoints: tuple[Waypoint, ...]
+
+
+def prepare(request: Request, robot: RobotSpec, config: NavigateConfig) -> Mission:
+    """Check a request and load what it names; InputError before anything is written."""
+    if request.task == "avoid":
+        return Mission(request, config, robot, None, None, ())
+    if request.map_path is None:
+        raise InputError(f"--task {request.task}: needs --map MAP.yaml")
+    places = _places(request)
+    grid = load_map(request.map_path)
+    keepout = [*request.keepout, *places.keepout]
+    costmap = costmap_from_grid(grid, config.costmap, keepout)
+    if request.task == "goal":
+        _check_goal(request, costmap, robot)
+    return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
+
+
+def _places(request: Request) -> WaypointFile:
+    if request.task == "goal":
+        if request.goal is None:
+            raise InputError("--task goal: needs --goal X,Y,YAW")
+        x, y, yaw = request.goal.xyt.tolist()
+        return WaypointFile((Waypoint(request.goal, "", (x, y, yaw)),))
+    return tutorial_patrol() if request.waypoints_path is None else load_waypoints(request.waypoints_path)
+
+
+def _check_goal(request: Request, costmap: Costmap, robot: RobotSpec) -> None:
+    goal = request.goal
+    if goal is None:
+        return
+    x, y, yaw = goal.xyt.tolist()
+    text = f"--goal {x:g},{y:g},{yaw:g}"
+    gx, gy = (costmap.T_grid_map @ goal.xy).tolist()
+    width, height = costmap.size
+    if not (0.0 <= gx < width and 0.0 <= gy < height):
+        raise InputError(f"{text}: is off the map {request.map_path}")
+    if not fits(costmap, robot.model, goal):
+        raise InputError(
+            f"{text}: the robot would stand in an obstacle or unknown space of {request.map_path}"
+        )
+
+
+def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
+    """Command-line options over the configuration; a single goal has no wait before it."""
+    changes: dict[str, float | int] = {}
+    if request.task == "goal":
+        changes["initial_wait"] = 0.0
+        changes["timeout"] = 600.0
+    if request.timeout_s is not None:
+        changes["timeout"] = request.timeout_s
+    if request.laps is not None:
+        changes["laps"] = request.laps
+    return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
+
+
+def make_driver(
+    mission: Mission, first: Observation, publisher: BagWriter, say: Callable[[str], None]
+) -> tuple[Driver, Localiser | None, GoalSequence | None]:
+    """The driver of a mission, the localiser it uses and the goals it works through."""
+    request, config = mission.request, mission.config
+    if mission.grid is None or mission.costmap is None:
+        duration = request.duration_s or DEFAULT_DURATION_S
+        return AvoidDriver(config.avoid, duration, say), None, None
+    robot = mission.robot
+    lidar = robot.lidar.spec(config.sim.lidar.turning)
+    rng = stream(request.seed, "amcl")
+    localiser = Localiser(Amcl(mission.grid, lidar, robot.T_base_lidar, config.amcl, rng), publisher)
+    _tell_pose(localiser, request.initial_pose, first)
+    sequence = GoalSequence(mission.waypoints, config.sequence)
+    parts = Parts(
+        model=robot.model,
+        costmap=mission.costmap,
+        localiser=localiser,
+        controller=Pursuit(robot.model, config.pursuit, 1.0 / CONTROL_HZ),
+        plan_config=config.plan,
+        checker_config=config.goal_checker,
+        publisher=publisher,
+        plan_seed=int(stream(request.seed, "plan").integers(2**31)),
+    )
+    publisher.map(first.stamp_ns, mission.grid)
+    return NavigationDriver(parts, sequence), localiser, sequence
+
+
+def _tell_pose(
+    localiser: Localiser, initial_pose: SE2 | Literal["start", "global"] | None, first: Observation
+) -> None:
+    T_odom_base = first.odometry.T_odom_base
+    if initial_pose is None:
+        return
+    if initial_pose == "global":
+        localiser.initialise_globally()
+    elif initial_pose == "start":
+        # Odometry begins at the true start.
+        localiser.initialise(T_odom_base, T_odom_base)
+    else:
+        localiser.initialise(initial_pose, T_odom_base)

@@ -1,0 +1,57 @@
+"""Whether the goal is reached: near, turned right, standing still, and so for a while."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2
+from datasets.types import Twist, yaw_difference
+
+Preset = Literal["default", "tutorial"]
+TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}
+
+
+class GoalCheckerConfig(BaseModel):
+    """Tolerances by preset: `default` 0.03 m and 0.05 rad, `tutorial` 0.05 m and 0.17 rad."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    preset: Preset = "default"
+    xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
+    yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
+    hysteresis: float = Field(default=1.2, ge=1.0)
+    """Once inside, the tolerances are this much wider until the goal counts as reached."""
+    hold: float = Field(default=0.3, ge=0.0)
+    """Seconds it must stay so."""
+    stopped_v: float = Field(default=0.01, gt=0.0)
+    stopped_w: float = Field(default=0.06, gt=0.0)
+
+    def tolerances(self) -> tuple[float, float]:
+        """Position [m] and heading [rad]."""
+        xy, yaw = TOLERANCES[self.preset]
+        return self.xy_goal_tolerance or xy, self.yaw_goal_tolerance or yaw
+
+
+class GoalChecker:
+    """Watches one goal."""
+
+    def __init__(self, config: GoalCheckerConfig, T_map_goal: SE2) -> None:
+        self.config = config
+        self.goal = T_map_goal
+        self._since_ns: int | None = None
+
+    def reached(self, now_ns: int, T_map_base: SE2, twist: Twist) -> bool:
+        """Whether the goal has been held long enough, by the estimated pose and measured speed."""
+        xy, yaw = self.config.tolerances()
+        slack = 1.0 if self._since_ns is None else self.config.hysteresis
+        near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy * slack
+        turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw * slack
+        still = abs(twist.v) <= self.config.stopped_v and abs(twist.w) <= self.config.stopped_w
+        if not (near and turned and still):
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        return now_ns - self._since_ns >= self.config.hold * 1e9

@@ -1,0 +1,62 @@
+"""What every local controller is: a follower of a path that turns poses into commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from datasets.se2 import SE2
+from datasets.types import RobotModel, Twist
+from planners.costmap import Costmap
+
+
+@dataclass(frozen=True)
+class SpeedLimits:
+    """Limits that a command must obey: speeds [m/s, rad/s], changes [m/s^2, rad/s^2], period [s]."""
+
+    max_v: float
+    max_w: float
+    max_dv: float
+    max_dw: float
+    period: float
+
+    @staticmethod
+    def of(model: RobotModel, period: float, *, max_v: float, max_w: float, max_dv: float) -> SpeedLimits:
+        """The robot's own limits, narrowed by what a configuration asks for."""
+        return SpeedLimits(
+            min(model.max_v, max_v), min(model.max_w, max_w), min(model.max_dv, max_dv), model.max_dw, period
+        )
+
+
+class Controller(Protocol):
+    """A local controller; poses are in the frame of its path (map, or odom for mapless goals)."""
+
+    state: str
+    """One word on what it is doing, for the log."""
+
+    def set_path(self, poses: SE2) -> None:
+        """Follow a new path, (n,) poses; the last one is the goal."""
+        ...
+
+    def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
+        """The next command, from the pose now, the command before, and what is in the way."""
+        ...
+
+    def brake(self, last: Twist) -> Twist:
+        """The next command on the way to a standstill."""
+        ...
+
+
+def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
+    """The target, as far as the acceleration limits let the last command change in one period.
+
+    While the speed ramps, the rotation keeps the target's curvature.
+    """
+    dv, dw = limits.max_dv * limits.period, limits.max_dw * limits.period
+    v = min(max(target.v, last.v - dv), last.v + dv)
+    v = min(max(v, -limits.max_v), limits.max_v)
+    wanted_w = target.w
+    if abs(target.v) > 1e-6 and target.v * v > 0.0:
+        wanted_w = target.w * min(1.0, v / target.v)
+    w = min(max(wanted_w, last.w - dw), last.w + dw)
+    return Twist(v, min(max(w, -limits.max_w), limits.max_w))

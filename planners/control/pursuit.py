@@ -1,0 +1,185 @@
+"""Regulated pure pursuit (Macenski et al. 2023): turn to the path, follow it, settle on the goal's pose."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2
+from datasets.types import RobotModel, Twist
+from planners.control.interface import SpeedLimits, ramped
+from planners.control.tracking import arc_lengths, point_at, project
+from planners.costmap import Costmap
+from planners.footprint import footprint_clearance, sample_footprint
+
+
+class PursuitConfig(BaseModel):
+    """SI units; angles in radians."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    max_v: float = Field(default=1.0, gt=0.0)
+    """Asked top speed; the robot's own limit is kept anyway."""
+    max_w: float = Field(default=1.4, gt=0.0)
+    max_dv: float = Field(default=0.8, gt=0.0)
+    """Acceleration and braking asked for; at or under the robot's own."""
+    lookahead_time: float = Field(default=1.3, gt=0.0)
+    min_lookahead: float = Field(default=0.2, gt=0.0)
+    max_lookahead: float = Field(default=0.6, gt=0.0)
+    turn_first: float = Field(default=0.75, gt=0.0)
+    """A bearing to the path beyond this is turned away on the spot."""
+    turned: float = Field(default=0.1, gt=0.0)
+    regulated_radius: float = Field(default=0.45, gt=0.0)
+    """Curves tighter than this are taken more slowly, in proportion."""
+    near: float = Field(default=0.2, gt=0.0)
+    """With less room than this the robot slows down, in proportion."""
+    slowest: float = Field(default=0.35, gt=0.0, le=1.0)
+    """But never below this part of the top speed."""
+    settle_distance: float = Field(default=0.12, gt=0.0)
+    """From here on the goal itself is steered for."""
+    position: float = Field(default=0.012, gt=0.0)
+    """How near the goal the robot settles before it turns to the goal's yaw."""
+    release: float = Field(default=0.028, gt=0.0)
+    """Drifting this far off while turning makes it settle again."""
+    heading: float = Field(default=0.012, gt=0.0)
+
+
+class Pursuit:
+    """A controller (see planners.control.interface)."""
+
+    def __init__(self, model: RobotModel, config: PursuitConfig, period: float) -> None:
+        self.config = config
+        self.limits = SpeedLimits.of(
+            model, period, max_v=config.max_v, max_w=config.max_w, max_dv=config.max_dv
+        )
+        self.samples = sample_footprint(model, 0.03)
+        self.state = "idle"
+        self._points = np.zeros((0, 2))
+        self._lengths = np.zeros(0)
+        self._goal = (0.0, 0.0, 0.0)
+        self._s = 0.0
+
+    def set_path(self, poses: SE2) -> None:
+        """Follow a new path; where the robot is on it is looked for from its start."""
+        self._points = np.ascontiguousarray(poses.xy)
+        self._lengths = arc_lengths(self._points)
+        x, y, yaw = poses.xyt[-1].tolist()
+        same_goal = self._goal == (x, y, yaw)
+        self._goal = (x, y, yaw)
+        self._s = 0.0
+        if not (same_goal and self.state in ("settle", "align", "arrived")):
+            self.state = "turn"
+
+    def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
+        """The next command; rotation on the spot, pursuit, or settling, by the state."""
+        if len(self._points) < 2:
+            return ramped(Twist(), last, self.limits)
+        x, y, yaw = pose.xyt.tolist()
+        if self.state in ("turn", "follow"):
+            target = self._along_path(x, y, yaw, last, costmap)
+        else:
+            target = self._onto_goal(x, y, yaw, last)
+        return ramped(target, last, self.limits)
+
+    def brake(self, last: Twist) -> Twist:
+        """The next command on the way to a standstill."""
+        return ramped(Twist(), last, self.limits)
+
+    def remaining(self) -> float:
+        """Length of the path still ahead [m]."""
+        return float(self._lengths[-1] - self._s) if len(self._lengths) else 0.0
+
+    def _along_path(self, x: float, y: float, yaw: float, last: Twist, costmap: Costmap) -> Twist:
+        c = self.config
+        self._s, _ = project(self._points, self._lengths, x, y, self._s - 0.1, self._s + 1.0)
+        remaining = self.remaining()
+        if remaining < c.settle_distance:
+            self.state = "settle"
+            return self._onto_goal(x, y, yaw, last)
+        reach = min(max(abs(last.v) * c.lookahead_time, c.min_lookahead), c.max_lookahead)
+        px, py = point_at(self._points, self._lengths, self._s + reach)
+        bearing = _wrap(math.atan2(py - y, px - x) - yaw)
+        if self.state == "follow" and abs(bearing) > c.turn_first:
+            self.state = "turn"
+        if self.state == "turn":
+            if abs(bearing) > c.turned:
+                return Twist(0.0, self._turning_speed(bearing) if abs(last.v) < 0.05 else last.w * 0.5)
+            self.state = "follow"
+        distance = max(math.hypot(px - x, py - y), 0.05)
+        curvature = 2.0 * math.sin(bearing) / distance
+        v = self._regulated_speed(x, y, yaw, curvature, remaining, costmap)
+        return Twist(v, curvature * v)
+
+    def _regulated_speed(
+        self, x: float, y: float, yaw: float, curvature: float, remaining: float, costmap: Costmap
+    ) -> float:
+        c, top = self.config, self.limits.max_v
+        v = top
+        if abs(curvature) * c.regulated_radius > 1.0:
+            v = min(v, top / (abs(curvature) * c.regulated_radius))
+        gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
+        room = footprint_clearance(
+            costmap.clearance,
+            costmap.resolution,
+            self.samples.points,
+            self.samples.inscribed,
+            self.samples.circumscribed,
+            gx,
+            gy,
+            gyaw,
+        )
+        if room < c.near:
+            v *= max(c.slowest, room / c.near)
+        v = max(v, c.slowest * top * 0.5)
+        return min(
+            v,
+            math.sqrt(2.0 * 0.6 * self.limits.max_dv * remaining),
+            self.limits.max_w / max(abs(curvature), 1e-6),
+        )
+
+    def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:
+        c = self.config
+        gx, gy, goal_yaw = self._goal
+        distance = math.hypot(gx - x, gy - y)
+        bearing = _wrap(math.atan2(gy - y, gx - x) - yaw)
+        backwards = abs(bearing) > math.pi / 2.0
+        if self.state == "settle":
+            steer = _wrap(bearing + math.pi) if backwards else bearing
+            ahead = distance * math.cos(steer)
+            # Done when near enough, or when the closest point of this straight run is reached.
+            if distance < c.position or (distance < c.release * 0.8 and ahead < 0.003):
+                self.state = "align"
+            elif abs(steer) > 0.35 and distance > c.position:
+                return Twist(0.0, self._turning_speed(steer))
+            else:
+                v = min(
+                    0.5 * self.limits.max_v,
+                    math.sqrt(2.0 * 0.3 * self.limits.max_dv * distance),
+                    1.5 * distance,
+                )
+                v = max(v, 0.015) * (-1.0 if backwards else 1.0)
+                return Twist(v, 1.5 * steer)
+        error = _wrap(goal_yaw - yaw)
+        if distance > c.release and abs(last.v) < 0.02:
+            self.state = "settle"
+            return Twist()
+        self.state = "arrived" if abs(error) < c.heading else "align"
+        return Twist(0.0, 0.0 if self.state == "arrived" else self._turning_speed(error))
+
+    def _turning_speed(self, error: float) -> float:
+        """Fast while far off, and slow enough to stop on the mark."""
+        size = min(
+            self.limits.max_w, math.sqrt(2.0 * 0.4 * self.limits.max_dw * abs(error)), 3.0 * abs(error)
+        )
+        return math.copysign(max(size, 0.04), error)
+
+
+def _in_grid(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    tx, ty, tyaw = costmap.T_grid_map.xyt.tolist()
+    cos, sin = math.cos(tyaw), math.sin(tyaw)
+    return tx + cos * x - sin * y, ty + sin * x + cos * y, yaw + tyaw
+
+
+def _wrap(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

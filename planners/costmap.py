@@ -1,0 +1,137 @@
+"""What a planner knows of a map: which cells stop the robot, and how far away the nearest of them is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy import ndimage
+
+from datasets.grid import UNKNOWN, OccupancyGrid
+from datasets.se2 import SE2, Array
+
+Mask = NDArray[np.bool_]
+EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
+LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
+
+
+class CostmapConfig(BaseModel):
+    """Names as in costmap_2d where the idea is the same; metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    unknown: Literal["blocked", "free"] = "blocked"
+    """Whether cells never seen stop the robot."""
+    speck_area: float = Field(default=0.06, ge=0.0)
+    """Unknown patches smaller than this [m^2] inside seen floor count as free."""
+    inflation_radius: float = Field(default=1.0, gt=0.0)
+    cost_scaling_factor: float = Field(default=3.0, gt=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Costmap:
+    """`lethal` (rows, cols) says which cells stop the robot; everything beyond the grid does too.
+
+    `clearance` is the exact Euclidean distance from each cell's centre to the nearest lethal
+    cell's centre [m]. `T_map_grid` is the frame of cell (0, 0)'s outer corner; planners work in
+    that grid frame, where cell (row, col) covers [col, col + 1) x [row, row + 1) times resolution.
+    """
+
+    lethal: Mask
+    resolution: float
+    T_map_grid: SE2
+
+    @cached_property
+    def clearance(self) -> NDArray[np.float32]:
+        """Distance to the nearest lethal cell [m], (rows, cols) float32."""
+        return clearance_field(self.lethal, self.resolution)
+
+    @cached_property
+    def T_grid_map(self) -> SE2:
+        """The map frame seen from the grid frame."""
+        return self.T_map_grid.inverse()
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extent along the grid's own x and y [m]."""
+        rows, cols = self.lethal.shape
+        return cols * self.resolution, rows * self.resolution
+
+    def clearance_at(self, points_map: Array) -> Array:
+        """Distance from the cells under points (..., 2) to the nearest lethal cell [m]; 0 off the map."""
+        xy = self.T_grid_map @ np.asarray(points_map, dtype=np.float64)
+        cells = np.floor(xy[..., ::-1] / self.resolution).astype(np.int64)
+        shape = np.array(self.lethal.shape)
+        inside = np.all((cells >= 0) & (cells < shape), axis=-1)
+        cells = np.clip(cells, 0, shape - 1)
+        return np.where(inside, self.clearance[cells[..., 0], cells[..., 1]], 0.0).astype(np.float64)
+
+    def regions(self, radius: float) -> NDArray[np.int32]:
+        """Labels (0: blocked) of the parts of the floor that a disc of `radius` can move about in."""
+        labels, _ = ndimage.label(self.clearance > radius, structure=EIGHT_NEIGHBOURS)
+        return labels.astype(np.int32)
+
+    def with_lethal(self, extra: Mask) -> Costmap:
+        """The same map with more lethal cells."""
+        return Costmap(self.lethal | extra, self.resolution, self.T_map_grid)
+
+
+def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
+    """Exact distance transform (Maurer et al. 2003, via SciPy) of a mask; the world beyond it is lethal."""
+    # One ring of lethal cells stands for everything beyond the grid.
+    padded = np.pad(lethal, 1, constant_values=True)
+    return (ndimage.distance_transform_edt(~padded)[1:-1, 1:-1] * resolution).astype(np.float32)
+
+
+def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Array] = ()) -> Costmap:
+    """Costmap of an occupancy grid; `keepout` polygons, (n, 2) each in the map frame, are lethal."""
+    lethal = grid.cells >= LETHAL_PERCENT
+    if config.unknown == "blocked":
+        lethal |= _unknown_without_specks(grid, config.speck_area)
+    costmap = Costmap(lethal, grid.resolution, grid.T_map_grid)
+    for polygon in keepout:
+        costmap = costmap.with_lethal(polygon_mask(costmap, polygon))
+    return costmap
+
+
+def _unknown_without_specks(grid: OccupancyGrid, speck_area: float) -> Mask:
+    """Unknown cells, without small patches amid free floor: gaps between beams.
+
+    A patch that touches an occupied cell stays: it may be the inside of a pillar.
+    """
+    unknown = grid.cells == UNKNOWN
+    labels, count = ndimage.label(unknown, structure=EIGHT_NEIGHBOURS)
+    areas = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution**2
+    beside_occupied = ndimage.binary_dilation(grid.cells >= LETHAL_PERCENT, structure=EIGHT_NEIGHBOURS)
+    keep = areas >= speck_area
+    keep[np.unique(labels[beside_occupied & unknown])] = True
+    return np.asarray(unknown & keep[labels], dtype=bool)
+
+
+def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
+    """Cells whose centre lies in a polygon (even-odd rule), (n, 2) corners in the map frame."""
+    corners = costmap.T_grid_map @ np.asarray(polygon_map, dtype=np.float64)
+    rows, cols = costmap.lethal.shape
+    x = (np.arange(cols) + 0.5)[None, :] * costmap.resolution
+    y = (np.arange(rows) + 0.5)[:, None] * costmap.resolution
+    inside = np.zeros((rows, cols), dtype=bool)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if ay == by:
+            continue
+        crosses = (ay > y) != (by > y)
+        inside ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+    return inside
+
+
+def inflated_costs(costmap: Costmap, inscribed_radius: float, config: CostmapConfig) -> NDArray[np.uint8]:
+    """costmap_2d's inflation: 254 lethal, 253 within the inscribed radius, exponential beyond."""
+    d = costmap.clearance
+    cost = (252.0 * np.exp(-config.cost_scaling_factor * (d - inscribed_radius))).astype(np.uint8)
+    cost[d <= inscribed_radius] = 253
+    cost[d > config.inflation_radius] = 0
+    cost[costmap.lethal] = 254
+    return cost

@@ -1,0 +1,119 @@
+"""Whether the robot's polygon fits at a pose: compiled checks against a clearance field.
+
+Kernels take the grid frame's coordinates, the field (rows, cols) float32 [m] and its resolution.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from datasets.se2 import Array
+from datasets.types import RobotModel
+
+Field32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class FootprintSamples:
+    """Points of the footprint's outline (n, 2) in the base frame [m], and its two radii [m]."""
+
+    points: Array
+    inscribed: float
+    circumscribed: float
+
+
+def sample_footprint(model: RobotModel, pitch: float) -> FootprintSamples:
+    """Outline points no further apart than `pitch`; the inner disc is checked by its centre."""
+    corners = model.footprint
+    points = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = max(1, math.ceil(float(np.linalg.norm(b - a)) / pitch))
+        points.append(a + (b - a) * (np.arange(count) / count)[:, None])
+    rear = _inner_points(corners, pitch)
+    return FootprintSamples(
+        np.concatenate([*points, rear]), model.inscribed_radius, model.circumscribed_radius
+    )
+
+
+def _inner_points(corners: Array, pitch: float) -> Array:
+    """A lattice inside the convex polygon, so that a thin post cannot hide within it."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    xs = np.arange(low[0] + pitch / 2.0, high[0], pitch)
+    ys = np.arange(low[1] + pitch / 2.0, high[1], pitch)
+    points = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    edges = np.roll(corners, -1, axis=0) - corners
+    offset = points[:, None] - corners[None]
+    left = edges[:, 0] * offset[..., 1] - edges[:, 1] * offset[..., 0]
+    return points[np.all(left > 0.0, axis=1)]
+
+
+@njit(cache=True)
+def field_at(field: Field32, resolution: float, x: float, y: float) -> float:
+    """Clearance at a point, bilinear between cell centres; 0 off the grid."""
+    rows, cols = field.shape
+    if x < 0.0 or y < 0.0 or x >= cols * resolution or y >= rows * resolution:
+        return 0.0
+    u = min(max(x / resolution - 0.5, 0.0), cols - 1.0)
+    v = min(max(y / resolution - 0.5, 0.0), rows - 1.0)
+    col, row = min(int(u), max(cols - 2, 0)), min(int(v), max(rows - 2, 0))
+    du, dv = u - col, v - row
+    col1, row1 = min(col + 1, cols - 1), min(row + 1, rows - 1)
+    low = field[row, col] * (1.0 - du) + field[row, col1] * du
+    high = field[row1, col] * (1.0 - du) + field[row1, col1] * du
+    return low * (1.0 - dv) + high * dv
+
+
+@njit(cache=True)
+def footprint_clearance(
+    field: Field32,
+    resolution: float,
+    points: Array,
+    inscribed: float,
+    circumscribed: float,
+    x: float,
+    y: float,
+    yaw: float,
+) -> float:
+    """Least clearance of the footprint at a pose [m]; a lower bound far from everything, <= 0 inside."""
+    center = field_at(field, resolution, x, y)
+    if center > circumscribed + 0.5:
+        return center - circumscribed
+    c, s = math.cos(yaw), math.sin(yaw)
+    least = center - inscribed
+    for k in range(points.shape[0]):
+        px = x + c * points[k, 0] - s * points[k, 1]
+        py = y + s * points[k, 0] + c * points[k, 1]
+        d = field_at(field, resolution, px, py)
+        if d < least:
+            least = d
+            if least <= 0.0:
+                return least
+    return least
+
+
+@njit(cache=True)
+def disc_segment_free(
+    field: Field32, resolution: float, radius: float, x0: float, y0: float, x1: float, y1: float
+) -> bool:
+    """Whether a disc moves straight from (x0, y0) to (x1, y1) with every clearance over `radius`.
+
+    Steps by what the field itself proves free, and by half a cell at least.
+    """
+    length = math.hypot(x1 - x0, y1 - y0)
+    if field_at(field, resolution, x1, y1) <= radius:
+        return False
+    if length == 0.0:
+        return True
+    ux, uy = (x1 - x0) / length, (y1 - y0) / length
+    t = 0.0
+    while t < length:
+        d = field_at(field, resolution, x0 + t * ux, y0 + t * uy)
+        if d <= radius:
+            return False
+        t += max(d - radius, 0.5 * resolution)
+    return True

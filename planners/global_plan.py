@@ -1,0 +1,198 @@
+"""A path over the map: connectivity says whether one exists, OMPL finds it, an elastic band rounds it.
+
+The floor is searched for the disc that holds the whole footprint, first with room to spare, then
+with less: a differential robot can turn on the spot anywhere along such a path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2, Array
+from datasets.types import RobotModel
+from planners.costmap import Costmap
+from planners.footprint import footprint_clearance, sample_footprint
+from planners.ompl_planner import OmplConfig, solve
+from planners.smoothing import densify, path_length, relax, shortcut, with_headings
+from planners.wavefront import descend, wave
+
+
+class PlanConfig(BaseModel):
+    """Distances in metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    ompl: OmplConfig = OmplConfig()
+    margins: tuple[float, ...] = (0.10, 0.04, 0.0)
+    """Room kept round the robot's circumscribed circle, tried in this order."""
+    preferred_clearance: float = Field(default=0.35, ge=0.0)
+    """The elastic band moves the path this far from obstacles where that costs little length."""
+    spacing: float = Field(default=0.05, gt=0.0)
+    """Distance between the path's poses."""
+    snap: float = Field(default=0.35, ge=0.0)
+    """How far the start may be moved to reach free floor, when the robot stands too near an obstacle."""
+
+
+class NoPath(Exception):
+    """There is certainly no path, or none was found; the text says which and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A path in the map frame, (n,) poses from start to goal, and how it came about."""
+
+    poses: SE2
+    length: float
+    margin: float
+    planner: str
+    attempts: int
+
+
+def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
+    """Whether the footprint stands free of lethal cells at a pose."""
+    samples = sample_footprint(model, costmap.resolution / 2.0)
+    x, y, yaw = (costmap.T_grid_map @ T_map_base).xyt.tolist()
+    clearance = footprint_clearance(
+        costmap.clearance,
+        costmap.resolution,
+        samples.points,
+        samples.inscribed,
+        samples.circumscribed,
+        x,
+        y,
+        yaw,
+    )
+    return clearance > 0.0
+
+
+def plan_path(
+    costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, config: PlanConfig, seed: int
+) -> Plan:
+    """A collision-free path for the footprint; raises NoPath with the reason."""
+    start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
+    if not fits(costmap, model, T_map_goal):
+        raise NoPath("the goal is in an obstacle or off the map")
+    reason = "the goal is too near an obstacle"
+    for margin in config.margins:
+        radius = model.circumscribed_radius + margin
+        search = _Search(costmap, radius, config)
+        entry = search.entry(start.xy)
+        exit_ = search.entry(goal.xy) if margin == config.margins[-1] else search.cell(goal.xy)
+        if entry is None or exit_ is None:
+            if entry is None:
+                reason = "the robot stands too near an obstacle"
+            continue
+        found = search.run(entry, exit_, seed)
+        if found is None:
+            reason = "no way leads there"
+            continue
+        points, attempts = found
+        points = np.concatenate([start.xy[None], points, goal.xy[None]])
+        points = _without_repeats(points)
+        poses = with_headings(points, float(start.yaw), float(goal.yaw))
+        return Plan(costmap.T_map_grid @ poses, path_length(points), margin, config.ompl.planner, attempts)
+    raise NoPath(reason)
+
+
+def _without_repeats(points: Array) -> Array:
+    """Drop points that repeat the one before; two are kept at least."""
+    keep = np.ones(len(points), dtype=bool)
+    keep[1:] = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6
+    if keep.sum() < 2:
+        return points[[0, -1]]
+    return points[keep]
+
+
+class _Search:
+    """One search for one radius, in the grid frame."""
+
+    def __init__(self, costmap: Costmap, radius: float, config: PlanConfig) -> None:
+        self.field = costmap.clearance
+        self.resolution = costmap.resolution
+        self.radius = radius
+        self.config = config
+        self.free: NDArray[np.bool_] = costmap.clearance > radius
+
+    def cell(self, xy: Array) -> tuple[int, int] | None:
+        """The free cell under a point."""
+        row, col = (int(v) for v in np.floor(xy[::-1] / self.resolution))
+        rows, cols = self.free.shape
+        inside = 0 <= row < rows and 0 <= col < cols
+        return (row, col) if inside and self.free[row, col] else None
+
+    def entry(self, xy: Array) -> tuple[int, int] | None:
+        """The free cell under a point, or the nearest one within the snapping distance."""
+        cell = self.cell(xy)
+        if cell is not None:
+            return cell
+        reach = int(self.config.snap / self.resolution)
+        row, col = (int(v) for v in np.floor(xy[::-1] / self.resolution))
+        r0, c0 = max(row - reach, 0), max(col - reach, 0)
+        window = self.free[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)]
+        cells = np.argwhere(window)
+        if len(cells) == 0:
+            return None
+        cells = cells + np.array([r0, c0])
+        gap = np.hypot(
+            cells[:, 0] + 0.5 - xy[1] / self.resolution, cells[:, 1] + 0.5 - xy[0] / self.resolution
+        )
+        best = int(gap.argmin())
+        if gap[best] * self.resolution > self.config.snap:
+            return None
+        return int(cells[best, 0]), int(cells[best, 1])
+
+    def center(self, cell: tuple[int, int]) -> Array:
+        return (np.array([cell[1], cell[0]], dtype=np.float64) + 0.5) * self.resolution
+
+    def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int] | None:
+        """Points (n, 2) of a smooth path and the number of OMPL runs it took; None: not connected."""
+        from_goal = wave(self.free, goal[0], goal[1], np.inf)
+        shortest = float(from_goal[start])
+        if not np.isfinite(shortest):
+            return None
+        limit = shortest * self.config.ompl.informed_factor + 2.0
+        from_start = wave(self.free, start[0], start[1], limit)
+        # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
+        inside = from_start + from_goal <= limit
+        a, b = self.center(start), self.center(goal)
+        bound = path_length(
+            shortcut(self.field, self.resolution, self.radius, self._cells_path(from_goal, start))
+        )
+        best: Array | None = None
+        attempts = 0
+        for attempt in range(self.config.ompl.restarts):
+            attempts += 1
+            raw = solve(
+                self.field, inside, self.resolution, self.radius, a, b, self.config.ompl, seed + attempt
+            )
+            if raw is None:
+                continue
+            tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 0.1))
+            if best is None or path_length(tight) < path_length(best):
+                best = tight
+            if path_length(best) <= self.config.ompl.good_enough * bound:
+                break
+        if best is None:
+            raise NoPath(f"{self.config.ompl.planner} found no path within its iterations")
+        return self._rounded(best), attempts
+
+    def _cells_path(self, from_goal: NDArray[np.float32], start: tuple[int, int]) -> Array:
+        cells = descend(from_goal, *start)
+        return np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
+
+    def _rounded(self, tight: Array) -> Array:
+        dense = densify(tight, self.config.spacing)
+        band = relax(
+            self.field,
+            self.resolution,
+            self.radius,
+            dense,
+            max(self.config.preferred_clearance, self.radius),
+            0.5,
+            0.1,
+            60,
+        )
+        return densify(band, 2.0 * self.config.spacing)

@@ -1,0 +1,144 @@
+"""OMPL's planners by name: seeded, bounded by iterations, exact solutions only.
+
+OMPL's seed is process-wide; it is set before every call and every OMPL object is made anew, so
+that a call's result depends on its arguments alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import Array
+from planners.footprint import Field32, disc_segment_free
+
+PlannerName = Literal[
+    "RRTConnect",
+    "RRT",
+    "RRTstar",
+    "InformedRRTstar",
+    "SORRTstar",
+    "AORRTC",
+    "BITstar",
+    "FMT",
+    "BFMT",
+    "PRM",
+    "PRMstar",
+    "KPIECE1",
+    "BKPIECE1",
+    "LBKPIECE1",
+]
+
+
+class OmplConfig(BaseModel):
+    """Which planner, and how long it may search."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    planner: PlannerName = "RRTConnect"
+    iterations: int = Field(default=4000, gt=0)
+    """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
+    restarts: int = Field(default=12, gt=0)
+    """Runs from new seeds until a path is good enough; the shortest is kept."""
+    good_enough: float = Field(default=1.02, ge=1.0)
+    """Length over that of the tightened grid path at which no further run is made."""
+    informed_factor: float = Field(default=1.1, ge=1.0)
+    """Only floor on some way at most this much longer than the shortest is searched."""
+    range: float = Field(default=1.5, gt=0.0)
+    """Longest motion of the tree planners [m]."""
+
+
+def solve(
+    field: Field32,
+    inside: NDArray[np.bool_],
+    resolution: float,
+    radius: float,
+    start: Array,
+    goal: Array,
+    config: OmplConfig,
+    seed: int,
+) -> Array | None:
+    """Corner points (n, 2) of an exact path for a disc in the grid frame, or None within the budget.
+
+    `field` is the clearance; `inside` (rows, cols) bounds the search.
+    """
+    from ompl import base as ob
+    from ompl import util as ou
+
+    ou.noOutputHandler()
+    ou.RNG.setSeed(seed % (2**32 - 1) + 1)
+    space = ob.RealVectorStateSpace(2)
+    space.setBounds(_bounds(ob, inside, resolution))
+    info = ob.SpaceInformation(space)
+    rows, cols = inside.shape
+
+    def valid(state: Any) -> bool:
+        col, row = int(state[0] / resolution), int(state[1] / resolution)
+        return 0 <= row < rows and 0 <= col < cols and bool(inside[row, col])
+
+    info.setStateValidityChecker(valid)
+    motions = _motion_validator(ob, info, field, resolution, radius)
+    info.setMotionValidator(motions)
+    info.setup()
+    problem = ob.ProblemDefinition(info)
+    problem.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    planner = make_planner(info, config)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(iteration_limit(config.iterations))
+    # PlannerStatus is truthy for approximate solutions too.
+    if not problem.hasExactSolution():
+        return None
+    return np.array([[state[0], state[1]] for state in problem.getSolutionPath().getStates()])
+
+
+def make_planner(info: Any, config: OmplConfig) -> Any:
+    """The planner named in `config` for a space information."""
+    from ompl import geometric as og
+
+    planner = getattr(og, config.planner)(info)
+    if hasattr(planner, "setRange"):
+        planner.setRange(config.range)
+    return planner
+
+
+def iteration_limit(iterations: int) -> Any:
+    """A termination condition that turns true after so many calls."""
+    from ompl import base as ob
+
+    calls = 0
+
+    def spent() -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > iterations
+
+    return ob.PlannerTerminationCondition(spent)
+
+
+def _bounds(ob: Any, inside: NDArray[np.bool_], resolution: float) -> Any:
+    """Bounding box of the searched floor."""
+    rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    bounds = ob.RealVectorBounds(2)
+    for axis, cells in ((0, cols), (1, rows)):
+        bounds.setLow(axis, float(cells[0] * resolution))
+        bounds.setHigh(axis, float((cells[-1] + 1) * resolution))
+    return bounds
+
+
+def _state(space: Any, xy: Array) -> Any:
+    state = space.allocState()
+    state[0], state[1] = float(xy[0]), float(xy[1])
+    return state
+
+
+def _motion_validator(ob: Any, info: Any, field: Field32, resolution: float, radius: float) -> Any:
+    class DiscMotion(ob.MotionValidator):  # type: ignore[misc]
+        """A whole motion is checked in one compiled call."""
+
+        def checkMotion(self, a: Any, b: Any) -> bool:
+            return bool(disc_segment_free(field, resolution, radius, a[0], a[1], b[0], b[1]))
+
+    return DiscMotion(info)

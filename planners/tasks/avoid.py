@@ -1,0 +1,79 @@
+"""Driving about without a map: three sectors of the scan, three tiers of distance (the tutorial's rule)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import Array
+from datasets.types import Scan, Twist
+
+
+class AvoidConfig(BaseModel):
+    """The tutorial's numbers; metres, m/s, rad/s."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    stop_distance: float = Field(default=0.5, gt=0.0)
+    slow_distance: float = Field(default=1.0, gt=0.0)
+    cruise_v: float = Field(default=0.2, gt=0.0)
+    slow_v: float = Field(default=0.1, gt=0.0)
+    slow_w: float = Field(default=0.3, gt=0.0)
+    turn_w: float = Field(default=0.5, gt=0.0)
+
+
+@dataclass(frozen=True)
+class Sectors:
+    """Least valid range to the left, in front and to the right [m]; +inf where there is none."""
+
+    left: float
+    front: float
+    right: float
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What to do, and in a word why."""
+
+    action: str
+    command: Twist
+
+
+def read_sectors(scan: Scan) -> Sectors:
+    """Front -30..30 degrees (it straddles 0), left 60..120, right 240..300, ends included.
+
+    NaN, +inf and anything under 0.01 m (so -inf too) are ignored.
+    """
+    degrees = np.round(np.degrees(scan.lidar.angles), 3) % 360.0
+    ranges = scan.ranges.astype(np.float64)
+    ranges = np.where(np.isfinite(ranges) & (ranges >= 0.01), ranges, np.inf)
+
+    def least(low: float, high: float) -> Array:
+        return ranges[(degrees >= low) & (degrees <= high)]
+
+    front = np.concatenate([least(330.0, 360.0), least(0.0, 30.0)])
+    return Sectors(_least(least(60.0, 120.0)), _least(front), _least(least(240.0, 300.0)))
+
+
+def _least(ranges: Array) -> float:
+    return float(ranges.min()) if len(ranges) else math.inf
+
+
+def tutorial_rule(sectors: Sectors, config: AvoidConfig) -> Decision:
+    """Stop and turn, slow down and veer, or drive straight; a tie between the sides goes right."""
+    side, sign = ("left", 1.0) if sectors.left > sectors.right else ("right", -1.0)
+    if sectors.front < config.stop_distance:
+        return Decision(f"stop, turn {side}", Twist(0.0, sign * config.turn_w))
+    if sectors.front <= config.slow_distance:
+        return Decision(f"slow, veer {side}", Twist(config.slow_v, sign * config.slow_w))
+    return Decision("straight", Twist(config.cruise_v, 0.0))
+
+
+def decision_line(t_s: float, sectors: Sectors, decision: Decision) -> str:
+    """The line printed for a decision."""
+    return (
+        f"{t_s:8.1f} s  left {sectors.left:5.2f}  front {sectors.front:5.2f}  "
+        f"right {sectors.right:5.2f}  {decision.action}"
+    )

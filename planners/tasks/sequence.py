@@ -1,0 +1,113 @@
+"""Going to goals one after the other: waiting, timeouts, pauses, laps, and what became of each goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2
+from planners.tasks.waypoints import Waypoint
+
+Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]
+
+
+class SequenceConfig(BaseModel):
+    """Simulated seconds; the defaults are the tutorial's patrol."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    initial_wait: float = Field(default=3.0, ge=0.0)
+    timeout: float = Field(default=60.0, gt=0.0)
+    """For each goal, from the moment it is set."""
+    pause: float = Field(default=1.0, ge=0.0)
+    """After each goal reached."""
+    laps: int = Field(default=1, ge=1)
+    closed: bool = False
+    """Whether a lap ends at its first waypoint again."""
+    retry_missed: bool = False
+    """Whether a goal not reached is tried once more after the last lap."""
+
+
+@dataclass(frozen=True, eq=False)
+class GoalOutcome:
+    """What became of one goal; `started_ns` to `ended_ns` is the time it was pursued."""
+
+    index: int
+    waypoint: Waypoint
+    status: Status
+    reason: str
+    started_ns: int
+    ended_ns: int
+
+    @property
+    def time_s(self) -> float:
+        """How long the goal was pursued [s]."""
+        return (self.ended_ns - self.started_ns) * 1e-9
+
+
+class GoalSequence:
+    """Decides which goal is pursued now. `update` is called once a tick."""
+
+    def __init__(self, waypoints: Sequence[Waypoint], config: SequenceConfig) -> None:
+        self.config = config
+        lap = list(waypoints)
+        if config.closed and len(lap) > 1:
+            self._queue = [lap[0], *([*lap[1:], lap[0]] * config.laps)]
+        else:
+            self._queue = lap * config.laps
+        self.index = -1
+        self.outcomes: list[GoalOutcome] = []
+        self._retried = False
+        self._resume_ns: int | None = None
+        self._started_ns = 0
+        self._active = False
+
+    @property
+    def finished(self) -> bool:
+        """Whether every goal has its outcome."""
+        return not self._active and self.index + 1 >= len(self._queue)
+
+    @property
+    def goal(self) -> SE2 | None:
+        """The goal pursued now; None while waiting."""
+        return self._queue[self.index].T_map_goal if self._active else None
+
+    def update(self, now_ns: int) -> SE2 | None:
+        """The goal to pursue at this instant; times out the active one, starts the next when due."""
+        if self._resume_ns is None:
+            self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
+        if self._active and now_ns - self._started_ns >= self.config.timeout * 1e9:
+            self.close("timeout", f"not there within {self.config.timeout:g} s", now_ns)
+        while not self._active and now_ns >= self._resume_ns and self.index + 1 < len(self._queue):
+            self.index += 1
+            self._started_ns = now_ns
+            self._active = True
+            waypoint = self._queue[self.index]
+            if waypoint.T_map_goal is None:
+                self.close("rejected", waypoint.reason, now_ns)
+        return self.goal
+
+    def close(self, status: Status, reason: str, now_ns: int) -> None:
+        """Record the outcome of the active goal; a pause follows one that was reached."""
+        waypoint = self._queue[self.index]
+        self.outcomes.append(GoalOutcome(self.index, waypoint, status, reason, self._started_ns, now_ns))
+        self._active = False
+        pause = self.config.pause if status == "reached" else 0.0
+        self._resume_ns = now_ns + round(pause * 1e9)
+        last = self.index + 1 == len(self._queue)
+        if last and self.config.retry_missed and not self._retried:
+            self._retried = True
+            self._queue += [o.waypoint for o in self.outcomes if o.status in ("timeout", "unreachable")]
+
+    def reject_all(self, reason: str, now_ns: int) -> None:
+        """Give every goal still to come the status `rejected`."""
+        if self._active:
+            self.close("rejected", reason, now_ns)
+        while self.index + 1 < len(self._queue):
+            self.index += 1
+            waypoint = self._queue[self.index]
+            self.outcomes.append(
+                GoalOutcome(self.index, waypoint, "rejected", waypoint.reason or reason, now_ns, now_ns)
+            )

@@ -1,0 +1,133 @@
+"""Waypoint files: a list of poses, and the places to keep out of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from datasets.errors import InputError
+from datasets.se2 import SE2, Array
+
+KEYS = {"waypoints", "keepout"}
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoint:
+    """One entry: a pose in the map frame, or the reason why it is none.
+
+    `written` holds the x, y, yaw found in the file, NaN where a number is missing.
+    """
+
+    T_map_goal: SE2 | None
+    reason: str = ""
+    written: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class WaypointFile:
+    """Waypoints in order, and polygons (n, 2) in the map frame that are kept out of."""
+
+    waypoints: tuple[Waypoint, ...]
+    keepout: tuple[Array, ...] = ()
+
+
+def tutorial_patrol() -> WaypointFile:
+    """The tutorial's eight waypoints."""
+    text = resources.files("planners.tasks").joinpath("patrol.yaml").read_text()
+    return parse_waypoints(yaml.safe_load(text), "patrol.yaml")
+
+
+def load_waypoints(path: Path) -> WaypointFile:
+    """Read a waypoints YAML; a bad entry becomes a Waypoint with a reason, a bad file an InputError."""
+    if not path.is_file():
+        raise InputError(f"--waypoints {path}: no such file")
+    try:
+        data = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f"--waypoints {path}: not valid YAML") from None
+    return parse_waypoints(data, f"--waypoints {path}")
+
+
+def parse_waypoints(data: Any, where: str) -> WaypointFile:
+    """The content of a waypoints file: a list of entries, or a mapping with `waypoints` and `keepout`."""
+    if isinstance(data, list):
+        data = {"waypoints": data}
+    if not isinstance(data, Mapping) or not isinstance(data.get("waypoints"), list):
+        raise InputError(f"{where}: expected a list of waypoints, or the key 'waypoints' with one")
+    if unknown := sorted(str(key) for key in set(data) - KEYS):
+        raise InputError(f"{where}: unknown key {unknown[0]} (known: {', '.join(sorted(KEYS))})")
+    if not data["waypoints"]:
+        raise InputError(f"{where}: no waypoints in it")
+    return WaypointFile(
+        tuple(parse_waypoint(entry) for entry in data["waypoints"]),
+        parse_polygons(data.get("keepout") or [], where),
+    )
+
+
+def parse_waypoint(entry: Any) -> Waypoint:
+    """One entry: x, y and yaw or quaternion [x, y, z, w]; [x, y, yaw] is understood too."""
+    if isinstance(entry, (list, tuple)) and len(entry) in (2, 3):
+        entry = dict(zip(("x", "y", "yaw"), entry, strict=False))
+    if not isinstance(entry, Mapping):
+        return Waypoint(None, "not an entry with x, y and yaw")
+    if unknown := sorted(str(key) for key in set(entry) - {"x", "y", "yaw", "quaternion"}):
+        return Waypoint(None, f"unknown key {unknown[0]}")
+    x, y = _number(entry.get("x")), _number(entry.get("y"))
+    if "quaternion" in entry:
+        if "yaw" in entry:
+            return Waypoint(None, "both yaw and quaternion are given", (x, y, math.nan))
+        yaw, reason = _yaw_of(entry["quaternion"])
+    else:
+        yaw = _number(entry.get("yaw", 0.0))
+        reason = "" if math.isfinite(yaw) else "yaw is not a finite number"
+    written = (x, y, yaw)
+    for name, value in (("x", x), ("y", y)):
+        if not math.isfinite(value):
+            return Waypoint(None, f"{name} is not a finite number", written)
+    if reason:
+        return Waypoint(None, reason, written)
+    return Waypoint(SE2.from_xyt(x, y, yaw), "", written)
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def _yaw_of(value: Any) -> tuple[float, str]:
+    """Yaw of a quaternion [x, y, z, w], normalised; the reason when it has none."""
+    if not isinstance(value, (list, tuple)) or len(value) != 4:
+        return math.nan, "invalid quaternion: expected [x, y, z, w]"
+    quaternion = np.array([_number(part) for part in value])
+    norm = float(np.linalg.norm(quaternion))
+    if not math.isfinite(norm) or norm < 1e-9:
+        return math.nan, "invalid quaternion: its norm is zero or not finite"
+    x, y, z, w = (quaternion / norm).tolist()
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)), ""
+
+
+def parse_polygons(data: Any, where: str) -> tuple[Array, ...]:
+    """Polygons of at least three finite corners; InputError names a bad one."""
+    if not isinstance(data, list):
+        raise InputError(f"{where}: keepout: expected a list of polygons")
+    polygons = []
+    for index, corners in enumerate(data, start=1):
+        try:
+            polygon = np.array(corners, dtype=np.float64)
+        except (TypeError, ValueError):
+            polygon = np.zeros(0)
+        if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
+            raise InputError(f"{where}: keepout {index}: expected three or more corners [x, y]")
+        polygons.append(polygon)
+    return tuple(polygons)

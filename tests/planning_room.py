@@ -1,0 +1,23 @@
+"""A burger and a walled room, shared by the tests of the planners."""
+
+import numpy as np
+
+from datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from datasets.se2 import SE2
+from datasets.types import RobotModel
+
+BURGER = RobotModel(
+    "burger",
+    np.array([[-0.105, -0.105], [0.041, -0.105], [0.041, 0.105], [-0.105, 0.105]]),
+    0.22,
+    2.84,
+    1.0,
+    12.5,
+)
+
+
+def room(rows=40, cols=60, resolution=0.05) -> OccupancyGrid:
+    cells = np.full((rows, cols), FREE, dtype=np.int8)
+    cells[[0, -1], :] = OCCUPIED
+    cells[:, [0, -1]] = OCCUPIED
+    return OccupancyGrid(cells, resolution, SE2.from_xyt(-1.0, -0.5, 0.0))

@@ -1,0 +1,153 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+from planning_room import BURGER, room
+
+from datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from datasets.se2 import SE2
+from planners.costmap import CostmapConfig, costmap_from_grid
+from planners.global_plan import NoPath, PlanConfig, fits, plan_path
+from planners.ompl_planner import OmplConfig
+from planners.smoothing import densify, path_length, relax, shortcut
+from planners.wavefront import descend, wave
+
+
+def walled_room() -> OccupancyGrid:
+    """4 x 4 m at 5 cm, with a wall at x = 2 that leaves a gap at y > 3."""
+    cells = np.full((80, 80), FREE, dtype=np.int8)
+    cells[[0, -1], :] = OCCUPIED
+    cells[:, [0, -1]] = OCCUPIED
+    cells[:60, 40] = OCCUPIED
+    return OccupancyGrid(cells, 0.05)
+
+
+START, GOAL = SE2.from_xyt(1.0, 1.0, 0.0), SE2.from_xyt(3.0, 1.0, math.pi / 2)
+
+
+def test_a_plan_leads_from_start_to_goal_and_keeps_its_clearance():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=3)
+    np.testing.assert_allclose(plan.poses.xyt[0], START.xyt, atol=1e-9)
+    np.testing.assert_allclose(plan.poses.xyt[-1], GOAL.xyt, atol=1e-9)
+    dense = densify(plan.poses.xy, 0.01)
+    assert costmap.clearance_at(dense).min() > BURGER.circumscribed_radius
+    # Round the wall's end at (2.025, 3.0), keeping the disc off it.
+    straight = 2.0 * math.hypot(1.0, 2.0)
+    assert straight < plan.length < 1.2 * straight
+
+
+def test_the_same_seed_gives_the_same_plan_whatever_was_planned_before():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    first = plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=3)
+    plan_path(costmap, BURGER, GOAL, START, PlanConfig(), seed=99)
+    again = plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=3)
+    assert np.array_equal(first.poses.xyt, again.poses.xyt)
+
+
+@pytest.mark.parametrize("planner", ["RRTConnect", "RRTstar", "InformedRRTstar", "BITstar", "KPIECE1"])
+def test_planners_can_be_chosen_by_name(planner):
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=3000, restarts=1))
+    plan = plan_path(costmap, BURGER, START, GOAL, config, seed=1)
+    assert costmap.clearance_at(densify(plan.poses.xy, 0.01)).min() > BURGER.circumscribed_radius
+
+
+def test_a_closed_wall_is_certainly_no_path():
+    grid = walled_room()
+    grid.cells[:, 40] = OCCUPIED
+    costmap = costmap_from_grid(grid, CostmapConfig())
+    with pytest.raises(NoPath, match="no way leads there"):
+        plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=1)
+
+
+def test_a_gap_narrower_than_the_robot_is_no_path():
+    grid = walled_room()
+    grid.cells[:, 40] = OCCUPIED
+    grid.cells[70:74, 40] = FREE
+    costmap = costmap_from_grid(grid, CostmapConfig())
+    with pytest.raises(NoPath):
+        plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=1)
+
+
+def test_a_goal_in_a_wall_or_off_the_map_is_refused():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    for x, y in ((2.0, 1.0), (9.0, 1.0), (-3.0, 1.0)):
+        assert not fits(costmap, BURGER, SE2.from_xyt(x, y, 0.0))
+        with pytest.raises(NoPath, match="obstacle or off the map"):
+            plan_path(costmap, BURGER, START, SE2.from_xyt(x, y, 0.0), PlanConfig(), seed=1)
+
+
+def test_a_robot_against_a_wall_plans_its_way_out():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    plan = plan_path(costmap, BURGER, SE2.from_xyt(0.16, 1.0, 0.0), GOAL, PlanConfig(), seed=1)
+    np.testing.assert_allclose(plan.poses.xy[0], [0.16, 1.0])
+
+
+def test_a_plan_in_a_turned_map_is_the_turned_plan():
+    T_map_grid = SE2.from_xyt(3.0, -1.0, 0.7)
+    grid = walled_room()
+    straight = costmap_from_grid(grid, CostmapConfig())
+    turned = costmap_from_grid(OccupancyGrid(grid.cells, 0.05, T_map_grid), CostmapConfig())
+    a = plan_path(straight, BURGER, START, GOAL, PlanConfig(), seed=3)
+    b = plan_path(turned, BURGER, T_map_grid @ START, T_map_grid @ GOAL, PlanConfig(), seed=3)
+    assert b.length == pytest.approx(a.length, rel=0.02)
+    assert turned.clearance_at(densify(b.poses.xy, 0.01)).min() > BURGER.circumscribed_radius
+
+
+def test_wave_distances_match_a_plain_relaxation():
+    rng = np.random.default_rng(8)
+    free = rng.random((15, 20)) > 0.3
+    free[3, 3] = True
+    expected = np.full(free.shape, np.inf)
+    expected[3, 3] = 0.0
+    for _ in range(free.size):
+        before = expected.copy()
+        for dr, dc in itertools.product((-1, 0, 1), repeat=2):
+            if (dr, dc) == (0, 0):
+                continue
+            shifted = np.full(free.shape, np.inf)
+            rows, cols = np.indices(free.shape)
+            r, c = rows + dr, cols + dc
+            ok = (r >= 0) & (r < 15) & (c >= 0) & (c < 20)
+            shifted[ok] = expected[r[ok], c[ok]] + math.hypot(dr, dc)
+            expected = np.where(free, np.minimum(expected, shifted), expected)
+        expected[3, 3] = 0.0
+        if np.array_equal(before, expected):
+            break
+    np.testing.assert_allclose(wave(free, 3, 3, np.inf), expected, rtol=1e-5)
+
+
+def test_descending_a_wave_walks_to_its_source_over_free_cells():
+    free = costmap_from_grid(walled_room(), CostmapConfig()).clearance > 0.15
+    distance = wave(free, 20, 20, np.inf)
+    path = descend(distance, 20, 60)
+    assert path[0].tolist() == [20, 60]
+    assert path[-1].tolist() == [20, 20]
+    assert np.abs(np.diff(path, axis=0)).max() == 1
+    assert free[path[:, 0], path[:, 1]].all()
+
+
+def test_shortcuts_never_lengthen_and_stay_free():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    zigzag = np.array([[1.0, 1.0], [0.5, 2.0], [1.5, 3.0], [1.0, 3.5], [2.2, 3.5], [3.5, 3.2], [3.0, 1.0]])
+    tight = shortcut(costmap.clearance, 0.05, 0.15, densify(zigzag, 0.1))
+    assert path_length(tight) < path_length(zigzag)
+    assert costmap.clearance_at(densify(tight, 0.01)).min() > 0.15 - 0.05
+
+
+def test_the_elastic_band_moves_away_from_obstacles_and_holds_its_ends():
+    costmap = costmap_from_grid(room(), CostmapConfig())
+    grid_line = densify(np.array([[0.3, 0.2], [2.7, 0.2]]), 0.05)
+    band = relax(costmap.clearance, 0.05, 0.15, grid_line, 0.5, 0.5, 0.1, 200)
+    np.testing.assert_allclose(band[[0, -1]], grid_line[[0, -1]])
+    assert band[len(band) // 2, 1] > 0.4
+
+
+def test_densify_keeps_corners_and_spacing():
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.33]])
+    dense = densify(corners, 0.1)
+    assert np.linalg.norm(np.diff(dense, axis=0), axis=1).max() <= 0.1 + 1e-12
+    assert path_length(dense) == pytest.approx(path_length(corners))
+    assert any(np.allclose(point, [1.0, 0.0]) for point in dense)
