@@ -2,7 +2,10 @@
 
 import pytest
 from bag_samples import write_drive
+from rosbags.highlevel import AnyReader
 
+from datasets.bags.source import open_bag
+from datasets.recordings import load_recording
 from pipeline.cli import main
 
 
@@ -26,3 +29,38 @@ def test_info_of_no_bag_is_one_line_and_exit_2(tmp_path, capsys):
     assert captured.out == ""
     assert captured.err.count("\n") == 1
     assert "nothing: no such file" in captured.err
+
+
+def test_recover_makes_a_whole_bag_of_an_unfinished_one(drive, tmp_path, capsys):
+    partial = tmp_path / "rec.partial" / "bag"
+    partial.mkdir(parents=True)
+    whole = (drive / "bag_0.mcap").read_bytes()
+    (partial / "bag_0.mcap").write_bytes(whole[: len(whole) // 2])
+    assert main(["bag", "recover", str(tmp_path / "rec.partial"), "--out", str(tmp_path / "rec")]) == 0
+    expected = [message[1:] for message in open_bag(drive).messages()]
+    saved = [message[1:] for message in open_bag(tmp_path / "rec").messages()]
+    assert saved == expected[: len(saved)]
+    assert 0.2 < len(saved) / len(expected) < 0.6
+    assert (tmp_path / "rec" / "manifest.json").is_file()
+    with AnyReader([tmp_path / "rec" / "bag"]) as reader:
+        assert reader.message_count == len(saved)
+
+
+def test_recover_of_nothing_writes_nothing(tmp_path, capsys):
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert main(["bag", "recover", str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
+
+
+@pytest.mark.parametrize(
+    "options", [["--out", "x.bag"], ["--out", "x"], ["--out", "x", "--storage", "sqlite3"]]
+)
+def test_convert_writes_what_map_reads(drive, tmp_path, monkeypatch, options):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bag", "convert", str(drive), *options]) == 0
+    recording = load_recording(tmp_path / options[1])
+    assert recording.stamps_ns.tolist() == load_recording(drive).stamps_ns.tolist()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [options[1]]
+    assert main(["bag", "convert", str(drive), *options]) == 2
+    assert main(["bag", "convert", str(drive), *options, "--force"]) == 0

@@ -7,20 +7,11 @@ from pathlib import Path
 from types import TracebackType
 
 from datasets.bags import cdr
-from datasets.bags.mcap import McapWriter
-from datasets.bags.topics import (
-    DATA_FILE,
-    METADATA_FILE,
-    TOPICS,
-    TopicSummary,
-    bag_metadata,
-    definition,
-    metadata_text,
-)
-from datasets.errors import InputError
+from datasets.bags.folder import BagFolder
+from datasets.bags.topics import TOPICS, definition, metadata_text
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
-from datasets.types import Imu, LidarSpec, Observation, Scan, Twist
+from datasets.types import Imu, LidarSpec, Observation, Odometry, Scan, Twist
 
 _POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
@@ -38,18 +29,8 @@ class BagWriter:
     """
 
     def __init__(self, folder: Path, *, custom: Mapping[str, str]) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._mcap = McapWriter(folder / DATA_FILE)
-        except FileExistsError:
-            raise InputError(f"{folder}: there is a bag already; choose another folder") from None
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-        self._folder = folder
-        self._custom = dict(custom)
+        self._bag = BagFolder(folder, custom=custom)
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._closed = False
         self._odom = cdr.odometry("odom", "base_footprint", _POSE_VARIANCES)
         self._truth = cdr.odometry("world", "base_footprint", _TRUTH_VARIANCES)
         self._tf_odom = cdr.transform("odom", "base_footprint")
@@ -67,23 +48,11 @@ class BagWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None or issubclass(kind, KeyboardInterrupt):
-            self.close()
-        elif not self._closed:
-            self._closed = True
-            self._mcap.abort()
+        self._bag.leave(kind)
 
     def close(self) -> None:
         """Finish the file, then write metadata.yaml."""
-        if self._closed:
-            return
-        self._closed = True
-        self._mcap.flush()
-        information = bag_metadata(self._summaries(), self._mcap.span_ns, self._custom)
-        self._mcap.close({"rosbag2": {"serialized_metadata": metadata_text(information)}})
-        unfinished = self._folder / (METADATA_FILE + ".tmp")
-        unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
-        unfinished.rename(self._folder / METADATA_FILE)
+        self._bag.close()
 
     def static_transforms(
         self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
@@ -95,7 +64,18 @@ class BagWriter:
         """/imu, /odom, /tf, /joint_states and, when a sweep was completed, /scan."""
         for sample in observation.imu:
             self._imu_sample(sample)
-        odometry, stamp = observation.odometry, observation.odometry.stamp_ns
+        self.odometry(observation.odometry)
+        template = self._joints
+        template.patch_stamp(observation.joints.stamp_ns)
+        template.patch_doubles("position", observation.joints.position)
+        template.patch_doubles("velocity", observation.joints.velocity)
+        self._write("/joint_states", observation.joints.stamp_ns, bytes(template.data))
+        if observation.scan is not None:
+            self.scan(observation.stamp_ns, observation.scan)
+
+    def odometry(self, odometry: Odometry) -> None:
+        """/odom and its transform on /tf."""
+        stamp = odometry.stamp_ns
         x, y, yaw = odometry.T_odom_base.xyt.tolist()
         template = self._odom
         template.patch_stamp(stamp)
@@ -106,13 +86,6 @@ class BagWriter:
         template.patch_stamp(stamp)
         template.patch_pose(x, y, yaw)
         self._write("/tf", stamp, bytes(template.data))
-        template = self._joints
-        template.patch_stamp(observation.joints.stamp_ns)
-        template.patch_doubles("position", observation.joints.position)
-        template.patch_doubles("velocity", observation.joints.velocity)
-        self._write("/joint_states", observation.joints.stamp_ns, bytes(template.data))
-        if observation.scan is not None:
-            self._scan(observation.stamp_ns, observation.scan)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """/ground_truth/odom, in the frame world; never in /tf."""
@@ -168,7 +141,8 @@ class BagWriter:
         template.patch_doubles("linear", sample.linear_acceleration.tolist())
         self._write("/imu", sample.stamp_ns, bytes(template.data))
 
-    def _scan(self, log_time_ns: int, scan: Scan) -> None:
+    def scan(self, log_time_ns: int, scan: Scan) -> None:
+        """/scan; its header has the stamp of the first beam, the log time is when it was complete."""
         template = self._scans.get(scan.lidar)
         if template is None:
             lidar = scan.lidar
@@ -195,20 +169,11 @@ class BagWriter:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._register(topic)
-        self._mcap.write(channel, log_time_ns, data)
+        self._bag.write(channel, log_time_ns, data)
 
     def _register(self, topic: str) -> int:
         kind = TOPICS[topic]
         text, type_hash = definition(kind.msgtype)
-        if kind.msgtype not in self._schemas:
-            self._schemas[kind.msgtype] = self._mcap.add_schema(kind.msgtype, text)
-        metadata = {"offered_qos_profiles": metadata_text(kind.qos()), "topic_type_hash": type_hash}
-        return self._mcap.add_channel(topic, self._schemas[kind.msgtype], metadata)
-
-    def _summaries(self) -> list[TopicSummary]:
-        return [
-            TopicSummary(
-                topic, TOPICS[topic].msgtype, TOPICS[topic].qos(), definition(TOPICS[topic].msgtype)[1], count
-            )
-            for topic, count in zip(self._channels, self._mcap.counts, strict=True)
-        ]
+        return self._bag.add_topic(
+            topic, kind.msgtype, text, qos=metadata_text(kind.qos()), type_hash=type_hash
+        )

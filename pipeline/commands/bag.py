@@ -1,14 +1,23 @@
-"""`turtlebag bag`: look at bags."""
+"""`turtlebag bag`: look at bags, repair and convert them."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from datasets.bags import convert
 from datasets.bags.reader import BagInfo, bag_info
+from datasets.bags.recover import recover
+from datasets.bags.source import is_bag
+from datasets.errors import InputError
+from datasets.outputs import Stopwatch, check_free, staged_output, write_manifest
+from datasets.recordings import load_recording
+from pipeline.commands.arguments import add_output
 from pipeline.console import log
 
 EXAMPLE = "turtlebag bag info data/record"
@@ -17,9 +26,37 @@ EXAMPLE = "turtlebag bag info data/record"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="topics, counts, rates and gaps")
-    info.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag folder or bag file")
-    info.set_defaults(act=_info)
+
+    def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> _Parser:
+        sub = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=example)
+        sub.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag folder or bag file")
+        sub.set_defaults(act=act)
+        return sub
+
+    action("info", _info, "topics, counts, rates and gaps", "example: turtlebag bag info data/record")
+    sub = action(
+        "recover",
+        _recover,
+        "save what is intact of a truncated, damaged or unfinished bag",
+        "example: turtlebag bag recover data/record.partial --out data/record",
+    )
+    add_output(sub)
+    sub = action(
+        "convert",
+        _convert,
+        "write a bag as another kind; CARMEN logs become bags",
+        "example: turtlebag bag convert intel.clf.bz2 --out data/intel; --out x.bag writes ROS 1",
+    )
+    add_output(sub)
+    sub.add_argument(
+        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the rosbag2 folder (default: mcap)"
+    )
+    sub.add_argument(
+        "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out, may be repeated"
+    )
+
+
+_Parser = argparse.ArgumentParser
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,5 +86,85 @@ def _print_info(info: BagInfo) -> None:
         gap = f"{topic.longest_gap_ns * 1e-9:.3f}" if topic.count > 1 else "-"
         table.add_row(topic.name, topic.msgtype, str(topic.count), rate, gap)
     console.print(table)
-    for note in info.notes:
+    _print_notes(info.notes)
+
+
+def _print_notes(notes: list[str] | tuple[str, ...]) -> None:
+    for note in notes:
         log.warning("note: %s", note)
+
+
+def _recover(args: argparse.Namespace) -> int:
+    watch = Stopwatch()
+    # Not OUT.partial: that is where the unfinished recording lies that is to be saved.
+    with staged_output(args.out, force=args.force, suffix=".recovering") as folder:
+        saved = recover(args.bag, folder / "bag")
+        _manifest(folder, "bag recover", args, watch)
+    _print_notes(saved.notes)
+    span = (saved.end_ns - saved.start_ns) * 1e-9
+    log.info("saved %d messages, %.2f s: %s", saved.messages, span, args.out)
+    return 0
+
+
+def _convert(args: argparse.Namespace) -> int:
+    watch = Stopwatch()
+    if not args.bag.exists():
+        raise InputError(f"{args.bag}: no such file or folder")
+    if args.out.suffix == ".bag":
+        with _staged_file(args.out, force=args.force) as file:
+            count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
+            convert.require_messages(args.bag, count, notes)
+    else:
+        with staged_output(args.out, force=args.force) as folder:
+            count, notes = _to_folder(args, folder / "bag")
+            convert.require_messages(args.bag, count, notes)
+            _manifest(folder, "bag convert", args, watch)
+    _print_notes(notes)
+    log.info("%d messages: %s", count, args.out)
+    return 0
+
+
+def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
+    if args.storage == "sqlite3":
+        return convert.to_sqlite3(_a_bag(args.bag), folder, exclude=args.exclude)
+    if _is_log(args.bag):
+        return convert.carmen_to_mcap(load_recording(args.bag), folder)
+    return convert.to_mcap(args.bag, folder, exclude=args.exclude)
+
+
+def _is_log(path: Path) -> bool:
+    names = path.name.lower().split(".")
+    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(names[1:]))
+
+
+def _a_bag(path: Path) -> Path:
+    if _is_log(path):
+        raise InputError(f"{path}: a CARMEN log is converted to rosbag2 with mcap storage only")
+    return path
+
+
+@contextmanager
+def _staged_file(out: Path, *, force: bool) -> Iterator[Path]:
+    """A file that grows beside `out` and is renamed when it is whole."""
+    check_free(out, force=force)
+    partial = out.with_name(out.name + ".partial")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)
+        yield partial
+        partial.replace(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:
+    write_manifest(
+        folder,
+        stage=stage,
+        command=args.command_line,
+        inputs={"bag": args.bag},
+        seed=None,
+        wall_s=watch.seconds(),
+    )

@@ -1,0 +1,40 @@
+"""What can be saved of a damaged or unfinished bag, as a new and whole one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from datasets.bags.copying import TopicCopier
+from datasets.bags.folder import BagFolder
+from datasets.bags.source import open_bag
+from datasets.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """Messages saved, the log times of the first and last [ns], and what was wrong with the source."""
+
+    messages: int
+    start_ns: int
+    end_ns: int
+    notes: tuple[str, ...]
+
+
+def recover(path: Path, folder: Path) -> Recovered:
+    """Copy every intact message of the bag at `path` into a new bag in `folder`.
+
+    Damaged stretches are stepped over and named in the notes. InputError when nothing can be saved.
+    """
+    bag = open_bag(path)
+    times: list[int] = []
+    with BagFolder(folder, custom={"recovered": "true"}) as out:
+        copier = TopicCopier(out)
+        for message in bag.messages(step_over=True):
+            copier.write(message)
+            times.append(message.log_time_ns)
+        if not copier.count:
+            reason = "; ".join(bag.notes) or "it is empty"
+            raise InputError(f"{path}: no message could be saved ({reason})")
+    notes = (*bag.notes, *(f"skipped {text}" for text in copier.skipped.values()))
+    return Recovered(copier.count, min(times), max(times), notes)
