@@ -19,6 +19,7 @@ from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import RunRecorder, trajectory_of
 from pipeline.navigation.setup import Mission, Request, make_driver, prepare
+from pipeline.record import static_transforms
 from planners.tasks.sequence import GoalSequence
 from sim.robots import default_robot, load_robot
 from sim.simulator import Simulator
@@ -49,10 +50,10 @@ def navigate(
     mission = prepare(request, load_robot(robot), config or NavigateConfig())
     text = config_text(mission.config)
     custom = {
-        "turtlebag_seed": str(request.seed),
-        "turtlebag_config_sha256": sha256_text(text),
-        "turtlebag_world": arena.name,
-        "turtlebag_task": request.task,
+        "seed": str(request.seed),
+        "config_sha256": sha256_text(text),
+        "world": arena.name,
+        "task": request.task,
     }
     with (
         Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
@@ -90,10 +91,7 @@ def _drive(
 ) -> tuple[dict[str, Any], RunRecorder, Trajectory]:
     """The closed loop: observe, decide, log, act."""
     observation = simulator.reset(mission.request.start)
-    x, y, yaw = mission.robot.T_base_lidar.xyt.tolist()
-    bag.static_transforms(
-        observation.stamp_ns, [("base_footprint", "base_scan", (x, y, mission.robot.lidar_height), yaw)]
-    )
+    bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
     driver, localiser, sequence = make_driver(mission, observation, bag, say)
     recorder = RunRecorder(simulator, bag)
     while True:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -37,6 +38,13 @@ def make_report(
         write_json(partial / "metrics.json", numbers)
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
         write_manifest(
-            partial, stage="report", command=command, inputs=inputs, seed=None, wall_s=watch.seconds()
+            partial,
+            stage="report",
+            command=command,
+            inputs=inputs,
+            seed=None,
+            wall_s=watch.seconds(),
+            # A report moved together with its inputs still finds them.
+            extra={"folders": {name: os.path.relpath(folder, out) for name, folder in inputs.items()}},
         )
     return out / "index.html"

@@ -22,6 +22,9 @@ MIN_NORMAL_DOT = 0.6
 # Standard deviation of a fitted line's direction [rad]: what a normal's error alone can fake of
 # information along a straight corridor (see `observable`).
 NORMAL_NOISE_RAD = 0.06
+# Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
+# weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
+PRIOR_SHARE = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +243,8 @@ def _step(
         if prior_soft > 0.0:
             q = e @ (prior_information @ e)
             w = 1.0 / (1.0 + q / (prior_soft * prior_soft))
+        # what the scan sees it decides; odometry fills in the directions it is blind in
+        w *= PRIOR_SHARE
         a = a + w * prior_information
         b = b - w * (prior_information @ e)
     return _safe_solve(a, b)
@@ -257,8 +262,7 @@ def _safe_solve(a: Array, b: Array) -> Array:
     damped[0, 0] += scale
     damped[1, 1] += scale
     damped[2, 2] += 1e-9 + 1e-6 * a[2, 2] + scale * 1e-3
-    solution: Array = np.linalg.solve(damped, b)
-    return solution
+    return np.linalg.solve(damped, b)  # type: ignore[return-value]
 
 
 @njit(cache=True)

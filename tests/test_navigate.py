@@ -1,0 +1,125 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.maps import save_map
+from datasets.outputs import sha256_tree
+from datasets.runlog import RunLog
+from datasets.se2 import SE2
+from datasets.trajectories import load_tum
+from pipeline.cli import main
+from pipeline.navigate import navigate
+from pipeline.navigation.setup import Request
+from sim.robots import load_robot
+from sim.worlds import load_world
+
+WORLD = "turtlebot3_world"
+
+
+@pytest.fixture(scope="module")
+def true_map(tmp_path_factory) -> Path:
+    world = load_world(WORLD)
+    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
+
+
+def run(out: Path, **wishes) -> dict:
+    request = Request(**{"seed": 1, "task": "goal", "initial_pose": "start", **wishes})
+    code = navigate(WORLD, request, out, say=lambda line: None)
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert code == (0 if metrics["success"] else 1)
+    return metrics
+
+
+@pytest.fixture(scope="module")
+def goal_run(true_map, tmp_path_factory):
+    out = tmp_path_factory.mktemp("goal") / "run"
+    metrics = run(out, map_path=true_map, goal=SE2.from_xyt(-0.6, -1.6, 1.2))
+    return out, metrics
+
+
+def test_a_goal_is_reached_in_position_and_heading(goal_run):
+    _, metrics = goal_run
+    (goal,) = metrics["goals"]
+    assert goal["status"] == "reached"
+    assert goal["error_m"] < 0.05
+    assert goal["error_rad"] < 0.08
+    assert metrics["collisions"] == {"visible": 0, "low": 0}
+    assert metrics["min_clearance_m"] > 0.05
+    assert metrics["localisation_error_m"]["rmse"] < 0.03
+
+
+def test_a_run_leaves_the_contracts_files(goal_run):
+    out, metrics = goal_run
+    files = set(sha256_tree(out))
+    assert {"trajectory.tum", "metrics.json", "config.yaml", "runlog.csv", "truth/map.yaml"} <= files
+    log = RunLog.load(out / "runlog.csv")
+    assert np.all(np.diff(log.t_ns) > 0)
+    assert metrics["time_s"] == pytest.approx((log.t_ns[-1] - log.t_ns[0]) * 1e-9, abs=1e-6)
+    estimate, truth = load_tum(out / "trajectory.tum"), load_tum(out / "truth" / "trajectory.tum")
+    assert estimate.stamps_ns.tolist() == truth.stamps_ns.tolist()
+    assert (out / "manifest.json").is_file()
+
+
+def test_commands_obey_the_limits(goal_run):
+    log = RunLog.load(goal_run[0] / "runlog.csv")
+    model = load_robot("burger").model
+    assert np.abs(log.v).max() <= model.max_v + 1e-6
+    assert np.abs(np.diff(log.v)).max() <= model.max_dv / 30.0 + 1e-5
+    assert log.v[-1] == 0.0
+
+
+def test_the_same_seed_gives_the_same_bytes(goal_run, true_map, tmp_path):
+    out, _ = goal_run
+    run(tmp_path / "again", map_path=true_map, goal=SE2.from_xyt(-0.6, -1.6, 1.2))
+    assert sha256_tree(tmp_path / "again") == sha256_tree(out)
+
+
+def test_without_an_initial_pose_the_goal_is_rejected(true_map, tmp_path):
+    metrics = run(tmp_path / "run", map_path=true_map, goal=SE2.from_xyt(-1.5, -0.5, 0.0), initial_pose=None)
+    assert metrics["goals"][0]["status"] == "rejected"
+    assert metrics["goals"][0]["reason"] == "no initial pose"
+    assert metrics["distance_m"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        ("1.1,1.1,0", "obstacle"),
+        ("100,0,0", "off the map"),
+        ("1,nan,0", "y is not a finite"),
+        ("1,2", "X,Y,YAW"),
+    ],
+)
+def test_bad_goals_are_one_line_and_write_nothing(true_map, tmp_path, capsys, goal, said):
+    out = tmp_path / "run"
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--out", str(out)]
+    assert main([*words, "--initial-pose", "start", f"--goal={goal}"]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_world_and_missing_map_are_input_errors(tmp_path):
+    with pytest.raises(InputError, match="turtlebot3_world"):
+        navigate("moon", Request(task="avoid", seed=1), tmp_path / "run")
+    with pytest.raises(InputError, match="needs --map"):
+        navigate(WORLD, Request(task="patrol", seed=1), tmp_path / "run")
+    with pytest.raises(InputError, match="no such map"):
+        navigate(WORLD, Request(task="patrol", seed=1, map_path=tmp_path / "m.yaml"), tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_avoid_prints_its_decisions_and_touches_nothing_in_ten_seconds(tmp_path):
+    lines: list[str] = []
+    request = Request(task="avoid", seed=2, duration_s=10.0)
+    assert navigate(WORLD, request, tmp_path / "run", say=lines.append) == 0
+    assert len(lines) == 49
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["localisation_error_m"] is None
+    assert metrics["goals"] == []
+    assert metrics["time_s"] == pytest.approx(10.0)
+    assert len(load_tum(tmp_path / "run" / "trajectory.tum")) == 50

@@ -1,0 +1,120 @@
+import math
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from planners.tasks.sequence import GoalSequence, SequenceConfig
+from planners.tasks.waypoints import Waypoint, load_waypoints, parse_waypoint, tutorial_patrol
+
+S = 10**9
+
+
+def waypoints(count):
+    return [Waypoint(SE2.from_xyt(float(k), 0.0, 0.0)) for k in range(count)]
+
+
+def test_the_tutorial_patrol_is_the_eight_waypoints_in_order():
+    found = tutorial_patrol()
+    expected = [(1.5, 1.5), (0, 2), (-1.5, 1.5), (-2, 0), (-1.5, -1.5), (0, -2), (1.5, -1.5), (2, 0)]
+    assert [w.T_map_goal.xyt.tolist() for w in found.waypoints] == [[x, y, 0.0] for x, y in expected]
+    np.testing.assert_array_equal(np.abs(found.keepout[0]), np.full((4, 2), 1.1))
+
+
+def test_waits_before_the_first_and_pauses_after_each_reached():
+    sequence = GoalSequence(waypoints(2), SequenceConfig())
+    assert sequence.update(0) is None
+    assert sequence.update(3 * S - 1) is None
+    assert float(sequence.update(3 * S).x) == 0.0
+    sequence.close("reached", "", 10 * S)
+    assert sequence.update(11 * S - 1) is None
+    assert float(sequence.update(11 * S).x) == 1.0
+    sequence.close("reached", "", 20 * S)
+    assert sequence.finished
+    assert [o.time_s for o in sequence.outcomes] == [7.0, 9.0]
+
+
+def test_a_goal_not_reached_in_time_is_logged_and_not_retried():
+    sequence = GoalSequence(waypoints(2), SequenceConfig(initial_wait=0.0))
+    sequence.update(0)
+    assert float(sequence.update(60 * S - 1).x) == 0.0
+    # No pause after a missed one: the next starts in the same tick.
+    assert float(sequence.update(60 * S).x) == 1.0
+    sequence.close("reached", "", 70 * S)
+    assert [o.status for o in sequence.outcomes] == ["timeout", "reached"]
+    assert sequence.update(80 * S) is None
+    assert sequence.finished
+
+
+def test_bad_entries_are_rejected_and_the_patrol_goes_on():
+    entries = [Waypoint(None, "yaw is not a finite number"), *waypoints(1), Waypoint(None, "no")]
+    sequence = GoalSequence(entries, SequenceConfig(initial_wait=0.0, pause=0.0))
+    assert sequence.update(0) is not None
+    sequence.close("reached", "", S)
+    sequence.update(S)
+    assert [o.status for o in sequence.outcomes] == ["rejected", "reached", "rejected"]
+    assert sequence.finished
+
+
+def test_laps_closed_laps_and_retries():
+    def visited(config, miss=()):
+        sequence = GoalSequence(waypoints(3), config)
+        found, now = [], 0
+        while not sequence.finished:
+            goal = sequence.update(now)
+            now += S
+            if goal is not None:
+                found.append(int(goal.x))
+                sequence.close("unreachable" if len(found) in miss else "reached", "", now)
+        return found
+
+    quick = {"initial_wait": 0.0, "pause": 0.0}
+    assert visited(SequenceConfig(laps=2, **quick)) == [0, 1, 2, 0, 1, 2]
+    assert visited(SequenceConfig(laps=2, closed=True, **quick)) == [0, 1, 2, 0, 1, 2, 0]
+    assert visited(SequenceConfig(retry_missed=True, **quick), miss=(2,)) == [0, 1, 2, 1]
+    assert visited(SequenceConfig(retry_missed=True, **quick), miss=(2, 4)) == [0, 1, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("entry", "yaw"),
+    [
+        ({"x": 1, "y": 2, "yaw": 0.5}, 0.5),
+        ([1, 2, 0.5], 0.5),
+        ({"x": 1, "y": 2}, 0.0),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, 3.0, 3.0]}, math.pi / 2),
+    ],
+)
+def test_good_entries(entry, yaw):
+    np.testing.assert_allclose(parse_waypoint(entry).T_map_goal.xyt, [1.0, 2.0, yaw], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ({"x": 1, "y": 2, "yaw": float("nan")}, "yaw is not a finite number"),
+        ({"x": "a", "y": 2, "yaw": 0}, "x is not a finite number"),
+        ({"x": True, "y": 2, "yaw": 0}, "x is not a finite number"),
+        ({"x": 1, "yaw": 0}, "y is not a finite number"),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "norm is zero"),
+        ({"x": 1, "y": 2, "quaternion": [0, 0, float("inf"), 1]}, "not finite"),
+        ({"x": 1, "y": 2, "quaternion": [0, 1]}, "expected"),
+        ({"x": 1, "y": 2, "z": 2}, "unknown key z"),
+        (7, "not an entry"),
+    ],
+)
+def test_bad_entries_have_a_reason(entry, reason):
+    found = parse_waypoint(entry)
+    assert found.T_map_goal is None
+    assert reason in found.reason
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "7", "waypoints: []", "waypoints: [[1, 2, 0]]\nkeepuot: []", "a: [", "keepout: [[[0, 0], [1, 1]]]"],
+)
+def test_bad_files_are_input_errors(tmp_path, text):
+    path = tmp_path / "w.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match="w.yaml"):
+        load_waypoints(path)
