@@ -58,16 +58,5 @@ def test_the_three_tiers(front, left, right, expected):
 def test_the_line_says_what_was_seen_and_decided():
     sectors = Sectors(0.75, 0.4, math.inf)
     line = decision_line(1.2, sectors, tutorial_rule(sectors, AvoidConfig()))
-    assert line.split() == [
-        "1.2",
-        "s",
-        "left",
-        "0.75",
-        "front",
-        "0.40",
-        "right",
-        "inf",
-        "stop,",
-        "turn",
-        "right",
-    ]
+    words = ["1.2", "s", "left", "0.75", "front", "0.40", "right", "inf", "stop,", "turn", "right"]
+    assert line.split() == words

@@ -116,5 +116,5 @@ def test_bad_entries_have_a_reason(entry, reason):
 def test_bad_files_are_input_errors(tmp_path, text):
     path = tmp_path / "w.yaml"
     path.write_text(text)
-    with pytest.raises(InputError, match="w.yaml"):
+    with pytest.raises(InputError, match=r"w\.yaml"):
         load_waypoints(path)
