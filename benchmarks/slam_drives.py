@@ -1,0 +1,303 @@
+"""Drives along a route, the odometry they leave (truthful or lying), and the log a lidar makes of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from benchmarks.slam_plans import Caster, FloorPlan
+from datasets.se2 import SE2, Array
+from datasets.seeds import stream
+from datasets.types import LidarSpec, Recording, Trajectory
+
+DT = 0.02
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How a route is driven: speeds [m/s, rad/s], accelerations, pure-pursuit distance [m]."""
+
+    v: float = 0.5
+    w: float = 0.9
+    dv: float = 0.6
+    dw: float = 2.0
+    ahead: float = 0.5
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Errors of odometry: of scale (share), of turn (share), drift of yaw [rad/m], noise [per sqrt m]."""
+
+    scale: float = 0.01
+    turn: float = 0.02
+    bias: float = 0.001
+    noise_m: float = 0.004
+    noise_rad: float = 0.003
+
+
+@dataclass(frozen=True)
+class Lie:
+    """Odometry of the interval [start, start + length) s is `kind`: reverse, freeze, slip, spin, jump."""
+
+    kind: str
+    start: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Lidar with its noise: sigma [m], quantum [m], shares of lost and of mixed beams."""
+
+    spec: LidarSpec
+    period: float
+    T_base_lidar: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma: float = 0.01
+    quantum: float = 0.01
+    lost: float = 0.005
+    mixed: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A recording with its truth (base pose at each scan's stamp, in the frame of the floor plan)."""
+
+    name: str
+    recording: Recording
+    truth: Trajectory
+    plan: FloorPlan
+
+
+def sick(beams: int = 180, range_max: float = 80.0) -> LidarSpec:
+    """Half a circle, as the public CARMEN logs have it."""
+    step = math.pi / (180 if beams in (180, 181) else 360)
+    return LidarSpec(beams, -math.pi / 2, step, 0.0, range_max)
+
+
+def lds(turning: bool = True) -> LidarSpec:
+    """TurtleBot3's lidar."""
+    step = math.radians(1.0)
+    return LidarSpec(360, 0.0, step, 0.12, 3.5, 0.2 / 360 if turning else 0.0, 0.2)
+
+
+def make_log(
+    name: str,
+    plan: FloorPlan,
+    route: Array,
+    sensor: Sensor,
+    *,
+    drive: Drive = Drive(),
+    wheels: Wheels = Wheels(),
+    lies: tuple[Lie, ...] = (),
+    seed: int = 1,
+    person: bool = False,
+    pace: float = 0.0,
+) -> Log:
+    """Drive the route (n, 2) and record it. `pace` > 0 stops for that many seconds at the route's start."""
+    poses = follow(np.asarray(route, dtype=float), drive, pace)
+    worst = plan.clearance(poses[::10, :2]).min()
+    if worst < 0.15:
+        at = poses[::10][plan.clearance(poses[::10, :2]).argmin()]
+        raise ValueError(f"{name}: the route touches a wall near {at.round(2)}")
+    rng = stream(seed, name)
+    odometry = drifted(poses, wheels, lies, rng)
+    sweep = sensor.spec.time_increment * sensor.spec.n_beams
+    times = np.arange(0.0, (len(poses) - 2) * DT - sweep, sensor.period)
+    jitter = 0.02 * sensor.period if sensor.spec.time_increment == 0.0 else 0.0
+    times = np.abs(times + rng.normal(0.0, jitter, len(times)) if jitter else times)
+    ranges = measure(Caster(plan), poses, times, sensor, rng, person)
+    stamps = np.round((times + 100.0) * 1e9).astype(np.int64)
+    T_odom_base, T_world_base = at_times(odometry, times), at_times(poses, times)
+    stream_30hz = None
+    if sensor.spec.time_increment > 0.0:
+        t = np.arange(0.0, (len(poses) - 1) * DT, 1.0 / 30.0)
+        stream_30hz = Trajectory(np.round((t + 100.0) * 1e9).astype(np.int64), at_times(odometry, t))
+    recording = Recording(
+        source=name, stamps_ns=stamps, ranges=ranges, lidar=sensor.spec,
+        T_base_lidar=SE2(np.array(sensor.T_base_lidar)), T_odom_base=T_odom_base, odometry=stream_30hz,
+    )  # fmt: skip
+    return Log(name, recording, Trajectory(stamps, T_world_base), plan)
+
+
+def at_times(poses: Array, times: Array) -> SE2:
+    """Poses (n, 3) at steps of DT, interpolated."""
+    k = np.minimum((times / DT).astype(int), len(poses) - 2)
+    return SE2.from_array(poses[k]).interpolate(SE2.from_array(poses[k + 1]), times / DT - k)
+
+
+def follow(route: Array, drive: Drive, pace: float = 0.0) -> Array:
+    """True poses (n, 3) at steps of DT along a polyline, by pure pursuit."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
+    s = np.arange(0.0, length[-1], 0.02)
+    dense = np.stack([np.interp(s, length, route[:, 0]), np.interp(s, length, route[:, 1])], axis=1)
+    driven = _pursue(dense, drive.v, drive.w, drive.dv, drive.dw, drive.ahead)
+    return np.concatenate([np.repeat(driven[:1], round(pace / DT), axis=0), driven])
+
+
+@njit(cache=True)
+def _pursue(path: Array, v_max: float, w_max: float, dv: float, dw: float, ahead: float) -> Array:
+    out = np.empty((40 * len(path), 3))
+    x, y = path[0]
+    yaw = math.atan2(path[5, 1] - y, path[5, 0] - x)
+    v, w, k, n = 0.0, 0.0, 0, 0
+    while n < len(out):
+        out[n, 0], out[n, 1], out[n, 2] = x, y, yaw
+        n += 1
+        while k < len(path) - 1 and math.hypot(path[k, 0] - x, path[k, 1] - y) < ahead:
+            k += 1
+        left = math.hypot(path[-1, 0] - x, path[-1, 1] - y)
+        if k == len(path) - 1 and left < 0.08:
+            break
+        e = math.atan2(path[k, 1] - y, path[k, 0] - x) - yaw
+        e = (e + math.pi) % (2.0 * math.pi) - math.pi
+        want_w = min(max(2.5 * e, -w_max), w_max)
+        want_v = v_max * math.cos(e) ** 2 if abs(e) < 0.9 else 0.0
+        if k == len(path) - 1:
+            want_v = min(want_v, left)
+        v += min(max(want_v - v, -dv * DT), dv * DT)
+        w += min(max(want_w - w, -dw * DT), dw * DT)
+        yaw += 0.5 * w * DT
+        x += v * DT * math.cos(yaw)
+        y += v * DT * math.sin(yaw)
+        yaw += 0.5 * w * DT
+    return out[:n]
+
+
+def drifted(poses: Array, wheels: Wheels, lies: tuple[Lie, ...], rng: np.random.Generator) -> Array:
+    """Odometry (n, 3) of true poses (n, 3), starting at the first of them."""
+    steps = (SE2.from_array(poses[:-1]).inverse() @ SE2.from_array(poses[1:])).xyt
+    distance = np.hypot(steps[:, 0], steps[:, 1])
+    root = np.sqrt(distance + 0.2 * np.abs(steps[:, 2]))
+    seen = steps.copy()
+    seen[:, :2] *= 1.0 + wheels.scale
+    seen[:, 0] += wheels.noise_m * root * rng.standard_normal(len(steps))
+    seen[:, 2] = seen[:, 2] * (1.0 + wheels.turn) + wheels.bias * distance
+    seen[:, 2] += wheels.noise_rad * root * rng.standard_normal(len(steps))
+    held = np.zeros(len(steps), dtype=bool)
+    for lie in lies:
+        part = slice(round(lie.start / DT), round((lie.start + lie.length) / DT))
+        if lie.kind == "reverse":
+            seen[part, 0] *= -1.0
+        elif lie.kind == "slip":
+            seen[part, 0] += 0.3 * DT
+        elif lie.kind == "spin":
+            seen[part, 2] += 0.25 * DT
+        elif lie.kind == "freeze":
+            held[part] = True
+        elif lie.kind == "jump":
+            seen[part.start] += (1.5, 0.5, 0.8)
+        else:
+            raise ValueError(f"no such lie: {lie.kind}")
+    out = _integrate(poses[0], seen)
+    # While frozen the last value is repeated; afterwards the odometry is right again, at once.
+    index = np.where(np.concatenate([[False], held]), 0, np.arange(len(out)))
+    return out[np.maximum.accumulate(index)]
+
+
+@njit(cache=True)
+def _integrate(start: Array, steps: Array) -> Array:
+    out = np.empty((len(steps) + 1, 3))
+    out[0] = start
+    for k in range(len(steps)):
+        c, s = math.cos(out[k, 2]), math.sin(out[k, 2])
+        out[k + 1, 0] = out[k, 0] + c * steps[k, 0] - s * steps[k, 1]
+        out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
+        out[k + 1, 2] = out[k, 2] + steps[k, 2]
+    return out
+
+
+def measure(
+    caster: Caster, poses: Array, times: Array, sensor: Sensor, rng: np.random.Generator, person: bool
+) -> NDArray[np.float32]:
+    """Ranges (n_scans, n_beams) as a driver would hand them on."""
+    spec = sensor.spec
+    when = times[:, None] + spec.time_increment * np.arange(spec.n_beams)
+    T_base_lidar = SE2(np.array(sensor.T_base_lidar))
+    T_world_lidar = at_times(poses, when.ravel()) @ T_base_lidar
+    angles = T_world_lidar.yaw + np.tile(spec.angles, len(times))
+    true = caster.cast(np.ascontiguousarray(T_world_lidar.xy), angles, spec.range_max + 3.0)
+    if person:
+        true = np.minimum(true, _person(T_world_lidar, angles, when.ravel()))
+    out = true.reshape(when.shape)
+    neighbour = np.roll(out, -1, axis=1)
+    blend = rng.random(out.shape)
+    with np.errstate(invalid="ignore"):
+        mixed = (np.abs(neighbour - out) > 0.3) & (neighbour < spec.range_max) & (out < spec.range_max)
+        mixed &= rng.random(out.shape) < sensor.mixed
+        out = np.where(mixed, blend * out + (1.0 - blend) * neighbour, out)
+    out = out + sensor.sigma * rng.standard_normal(out.shape)
+    if sensor.quantum > 0.0:
+        out = np.round(out / sensor.quantum) * sensor.quantum
+    out = np.where((out > spec.range_max) | (rng.random(out.shape) < sensor.lost), np.inf, out)
+    return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
+
+
+def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
+    """Ranges to two legs that walk with the robot for 10 of every 20 s, weaving in front of it."""
+    out = np.full(len(when), np.inf)
+    here = (when % 20.0) < 10.0
+    bearing, reach = 0.9 * np.sin(0.9 * when), 1.4 + 0.5 * np.sin(0.37 * when)
+    for side in (-1.0, 1.0):
+        stride = 0.15 * side * np.sin(5.0 * when)
+        legs = T_world_lidar @ np.stack(
+            [reach * np.cos(bearing) + stride, reach * np.sin(bearing) + 0.12 * side], axis=-1
+        )
+        offset = legs - T_world_lidar.xy
+        along = offset[:, 0] * np.cos(angles) + offset[:, 1] * np.sin(angles)
+        inside = along**2 - (offset**2).sum(axis=1) + 0.08**2
+        hit = here & (inside > 0.0) & (along > 0.0)
+        out[hit] = np.minimum(out[hit], along[hit] - np.sqrt(inside[hit]))
+    return out
+
+
+def without(log: Log, start: float, length: float) -> Log:
+    """The log with the scans of an interval missing [s since its first scan]."""
+    return _kept(log, ~_interval(log, start, length))
+
+
+def blinded(log: Log, start: float, length: float) -> Log:
+    """The log with NaN-only scans in an interval."""
+    ranges = log.recording.ranges.copy()
+    ranges[_interval(log, start, length)] = np.nan
+    return replace(log, recording=replace(log.recording, ranges=ranges))
+
+
+def clock_back(log: Log, start: float, seconds: float) -> Log:
+    """The log whose clock was set back once."""
+    late = (log.recording.stamps_ns - log.recording.stamps_ns[0]) * 1e-9 >= start
+    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
+
+
+def shaken_stamps(log: Log, share: float, spread: float, seed: int = 1) -> Log:
+    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
+    rng = stream(seed, "stamps")
+    n = len(log.recording)
+    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
+    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
+
+
+def _interval(log: Log, start: float, length: float) -> NDArray[np.bool_]:
+    t = (log.recording.stamps_ns - log.recording.stamps_ns[0]) * 1e-9
+    return (t >= start) & (t < start + length)
+
+
+def _stamped(log: Log, stamps: NDArray[np.int64]) -> Log:
+    return replace(
+        log,
+        recording=replace(log.recording, stamps_ns=stamps),
+        truth=Trajectory(stamps, log.truth.poses),
+    )
+
+
+def _kept(log: Log, keep: NDArray[np.bool_]) -> Log:
+    r = log.recording
+    odometry = None if r.T_odom_base is None else r.T_odom_base[keep]
+    stamps = r.stamps_ns[keep]
+    return replace(
+        log,
+        recording=replace(r, stamps_ns=stamps, ranges=r.ranges[keep], T_odom_base=odometry),
+        truth=Trajectory(stamps, log.truth.poses[keep]),
+    )

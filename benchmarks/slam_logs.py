@@ -1,0 +1,307 @@
+"""Synthetic logs with exact truth: the kinds of building, robot and mishap the mapper must cope with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks.slam_drives import (
+    Drive,
+    Lie,
+    Log,
+    Sensor,
+    Wheels,
+    blinded,
+    clock_back,
+    lds,
+    make_log,
+    shaken_stamps,
+    sick,
+    without,
+)
+from benchmarks.slam_plans import FloorPlan
+from datasets.se2 import Array
+from datasets.seeds import stream
+
+WHEELS = {
+    1: Wheels(0.01, 0.02, 0.001),
+    2: Wheels(-0.02, -0.03, -0.003),
+    3: Wheels(0.03, 0.01, 0.004, 0.008, 0.006),
+}
+
+
+def ring(seed: int, range_max: float) -> Log:
+    """Corridor ring 20 x 14 m, 2 m wide, not one feature on its walls; three laps."""
+    plan = FloorPlan(24.0, 18.0)
+    plan.carve(2.0, 2.0, 22.0, 16.0)
+    plan.box(4.0, 4.0, 20.0, 14.0)
+    lap = [(3.0, 3.0), (21.0, 3.0), (21.0, 15.0), (3.0, 15.0)]
+    route = np.array([(8.0, 3.0), *(lap[1:] + lap[:1]) * 3, (9.0, 3.0)])
+    sensor = Sensor(sick(180, range_max), 0.2)
+    return make_log(f"ring-{range_max:.0f}m-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed)
+
+
+def hall(seed: int, **mishap: tuple[Lie, ...]) -> Log:
+    """Two rooms joined by 30 m of corridor without a feature (seen from 8 m), there and back."""
+    plan = FloorPlan(46.0, 12.0)
+    plan.carve(1.0, 2.0, 7.0, 10.0)
+    plan.carve(39.0, 1.0, 45.0, 8.0)
+    plan.carve(7.0, 4.0, 39.0, 6.0)
+    plan.pillar(3.0, 8.0, 0.3)
+    plan.turned_box(42.0, 2.5, 1.2, 0.6, 0.5)
+    leg = [(3.0, 3.5), (5.5, 5.0), (41.0, 5.0), (43.0, 6.5), (43.5, 4.0), (41.0, 5.0), (5.5, 5.0), (3.0, 6.5)]
+    route = np.array([*leg, (2.0, 4.0), *leg])
+    sensor = Sensor(sick(180, 8.0), 0.2)
+    return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed, **mishap)
+
+
+def killian(seed: int) -> Log:
+    """Long corridors with identical doors, alcoves and rooms: 104 x 44 m, two loops, 10000 scans."""
+    rng = stream(seed, "killian plan")
+    plan = FloorPlan(120.0, 60.0)
+    x0, x1, x2, y0, y1 = 8.0, 60.0, 112.0, 8.0, 52.0
+    w = 1.2
+    for y in (y0, y1):
+        plan.carve(x0 - w, y - w, x2 + w, y + w)
+        for x in np.arange(x0 + 4.0, x2 - 3.0, 4.0):
+            for side in (-1.0, 1.0):
+                _door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
+    for x in (x0, x1, x2):
+        plan.carve(x - w, y0 - w, x + w, y1 + w)
+        for y in np.arange(y0 + 6.0, y1 - 5.0, 4.0):
+            for side in (-1.0, 1.0):
+                _door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
+    for _ in range(25):
+        x = rng.choice([x0, x1]) + rng.uniform(4.0, 46.0)
+        y, side = rng.choice([y0, y1]), rng.choice([-1.0, 1.0])
+        plan.box(
+            x,
+            y + min(side * (w - 0.3), side * w),
+            x + rng.uniform(0.4, 1.5),
+            y + max(side * (w - 0.3), side * w),
+        )
+    big = [(x0, y0), (x2, y0), (x2, y1), (x0, y1)]
+    left = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    route = np.array(
+        [(x0 + 3.0, y0), *big[1:], *left, *big[:1], *big[::-1], *left[:1], *left, (x0, y0), (x0 + 9, y0)]
+    )
+    wheels = {1: Wheels(0.02, 0.04, 0.004), 2: Wheels(-0.02, -0.03, 0.006, 0.01, 0.01)}[seed]
+    return make_log(
+        f"killian-{seed}",
+        plan,
+        route,
+        Sensor(sick(180, 50.0), 0.16),
+        drive=Drive(v=0.75),
+        wheels=wheels,
+        seed=seed,
+    )
+
+
+def aces(seed: int) -> Log:
+    """Square building of four corridors crossed by two more, with doors; 50 x 50 m."""
+    rng = stream(seed, "aces plan")
+    plan = FloorPlan(62.0, 62.0)
+    lines, w = (6.0, 31.0, 56.0), 1.1
+    for c in lines:
+        plan.carve(6.0 - w, c - w, 56.0 + w, c + w)
+        plan.carve(c - w, 6.0 - w, c + w, 56.0 + w)
+    for c in lines:
+        for along in np.arange(9.0, 54.0, 3.5):
+            if abs(along - 31.0) < 3.0:
+                continue
+            for side in (-1.0, 1.0):
+                for axis in (0.0, 1.0):
+                    if rng.random() < 0.5:
+                        _door(plan, along, c + side * w, axis, side, False)
+    a, b, c = lines
+    lap = [(a, a), (c, a), (c, c), (a, c)]
+    route = np.array(
+        [(a + 2, a), *lap[1:], (a, b), (c, b), (c, a), (b, a), (b, c), (a, c), (a, a), *lap[1:3], (b, c)]
+    )
+    return make_log(
+        f"aces-{seed}", plan, route, Sensor(sick(180, 40.0), 0.2), wheels=WHEELS[seed + 1], seed=seed
+    )
+
+
+def _door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:
+    """An alcove 0.9 m wide, 0.2 m deep; a room of 3.4 x 4 m behind it when open."""
+
+    def carve(a0: float, a1: float, c0: float, c1: float) -> None:
+        c0, c1 = min(c0, c1), max(c0, c1)
+        if axis == 0.0:
+            plan.carve(a0, c0, a1, c1)
+        else:
+            plan.carve(c0, a0, c1, a1)
+
+    carve(along - 0.45, along + 0.45, across, across + side * 0.2)
+    if room:
+        carve(along - 0.45, along + 0.45, across, across + side * 0.4)
+        carve(along - 1.7, along + 1.7, across + side * 0.4, across + side * 4.4)
+
+
+def office_plan(seed: int) -> FloorPlan:
+    """Two corridors round a block of rooms, rooms outside as well, furniture in all; 34 x 22 m."""
+    rng = stream(seed, "office plan")
+    plan = FloorPlan(34.0, 22.0)
+    plan.carve(6.0, 6.0, 28.0, 16.0)
+    plan.box(8.0, 8.0, 26.0, 14.0)
+    for x in (8.2, 12.8, 17.4, 22.0):
+        for y, door in ((8.2, 8.0), (1.0, 5.85), (16.15, 16.0)):
+            depth = {8.2: 5.6, 1.0: 4.85, 16.15: 4.85}[y]
+            plan.carve(x, y, x + 3.6, y + depth)
+            plan.carve(x + 1.4, door - 0.1, x + 2.4, door + 0.3)
+            for _ in range(3):
+                fx, fy = x + rng.choice([0.5, 3.1]), y + rng.uniform(0.6, depth - 0.6)
+                plan.turned_box(fx, fy, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.5), rng.uniform(0.0, 3.0))
+    for y in (6.5, 11.5):
+        plan.carve(1.0, y, 5.85, y + 4.2)
+        plan.carve(5.8, y + 1.6, 6.1, y + 2.6)
+        plan.carve(28.15, y, 33.0, y + 4.2)
+        plan.carve(27.9, y + 1.6, 28.2, y + 2.6)
+        plan.turned_box(2.0, y + 1.0, 1.2, 0.6, rng.uniform(0.0, 3.0))
+        plan.turned_box(31.5, y + 3.0, 1.2, 0.6, rng.uniform(0.0, 3.0))
+    return plan
+
+
+def office_route(rooms: int = 8) -> Array:
+    """Round the corridors twice, into `rooms` of the rooms."""
+
+    def visit(x: float, corridor: float, inside: float) -> list[tuple[float, float]]:
+        return [(x, corridor), (x, inside), (x + 0.3, inside), (x, corridor)]
+
+    stops = [
+        [(9.0, 7.0), *visit(10.1, 7.0, 4.0), *visit(14.7, 7.0, 10.5)],
+        [*visit(19.3, 7.0, 4.2), (27.0, 7.0), (27.0, 8.6), (30.0, 8.6), (30.2, 8.7), (27.0, 8.6)],
+        [(27.0, 15.0), *visit(23.9, 15.0, 18.5), *visit(19.3, 15.0, 17.8)],
+        [*visit(14.7, 15.0, 18.0), (7.0, 15.0), (7.0, 13.6), (4.0, 13.6), (3.9, 13.4), (7.0, 13.6)],
+    ]
+    lap = [point for part in stops[: max(1, rooms // 2)] for point in part]
+    plain = [(7.0, 7.0), (27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0), (12.0, 7.0)]
+    return np.array([(9.0, 7.0), *lap, *plain])
+
+
+OFFICE_SENSOR = Sensor(sick(360, 40.0), 0.2, T_base_lidar=(0.08, 0.0, 0.0))
+
+
+def office(seed: int, what: str = "plain") -> Log:
+    """The office with one mishap: see MISHAPS."""
+    lies, change, person = MISHAPS[what]
+    log = make_log(
+        f"office-{what}-{seed}", office_plan(seed), office_route(), OFFICE_SENSOR,
+        wheels=WHEELS[seed], lies=lies, seed=seed, person=person, pace=1.0,
+    )  # fmt: skip
+    return change(log)
+
+
+def _same(log: Log) -> Log:
+    return log
+
+
+def _gaps(log: Log) -> Log:
+    return without(without(log, 35.0, 3.0), 120.0, 3.0)
+
+
+def _blind(log: Log) -> Log:
+    return blinded(blinded(log, 30.0, 2.0), 130.0, 4.0)
+
+
+def _backwards(log: Log) -> Log:
+    return clock_back(log, 100.0, 40.0)
+
+
+def _shaken(log: Log) -> Log:
+    return shaken_stamps(log, 0.1, 0.5)
+
+
+Change = Callable[[Log], Log]
+MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
+    "plain": ((), _same, False),
+    "reverse": ((Lie("reverse", 20.0, 6.0), Lie("reverse", 95.0, 8.0)), _same, False),
+    "freeze": ((Lie("freeze", 18.0, 1.5), Lie("freeze", 60.0, 2.0), Lie("freeze", 140.0, 1.0)), _same, False),
+    "slip": ((Lie("slip", 25.0, 5.0), Lie("spin", 110.0, 5.0)), _same, False),
+    "jump": ((Lie("jump", 40.0, 0.1), Lie("jump", 150.0, 0.1)), _same, False),
+    "gaps": ((), _gaps, False),
+    "blind": ((), _blind, False),
+    "backwards": ((), _backwards, False),
+    "shaken": ((), _shaken, False),
+    "person": ((), _same, True),
+    "all": (
+        (
+            Lie("reverse", 20.0, 6.0),
+            Lie("freeze", 60.0, 1.5),
+            Lie("slip", 110.0, 5.0),
+            Lie("jump", 150.0, 0.1),
+        ),
+        _gaps,
+        True,
+    ),
+}
+
+
+def arena(seed: int, style: str) -> Log:
+    """Nine pillars in a walled arena, TurtleBot3's lidar turning."""
+    plan = FloorPlan(7.0, 7.0)
+    plan.carve(1.0, 1.0, 6.0, 6.0)
+    for x, y in ((1.2, 1.2), (5.8, 1.2), (1.2, 5.8), (5.8, 5.8)):
+        plan.turned_box(x, y, 1.0, 1.0, 0.785)
+    for x in (2.4, 3.5, 4.6):
+        for y in (2.4, 3.5, 4.6):
+            plan.pillar(x, y, 0.15)
+    a, b, c, d = 1.85, 2.95, 4.05, 5.15
+    lap = [(b, a), (b, b), (c, b), (c, a), (d, a), (d, d), (c, d), (c, c), (b, c), (b, d), (a, d), (a, c)]
+    route = [(a, a), *lap, (a, a)] * 2
+    if style == "spiral":
+        t = np.linspace(0.0, 1.0, 60)
+        route = [(a, a), (b, a)]
+        for k in range(10):
+            cx, cy = ((b, b), (c, b), (c, c), (b, c))[k % 4]
+            route += list(zip(cx + 0.25 * np.cos(12 * t), cy + 0.25 * np.sin(12 * t), strict=True))
+    drive = {
+        "slow": Drive(v=0.12, w=0.6, ahead=0.3),
+        "fast": Drive(v=0.22, w=2.6, dv=2.0, dw=10.0, ahead=0.25),
+        "spiral": Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.12),
+    }[style]
+    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+    return make_log(
+        f"arena-{style}-{seed}", plan, np.array(route), sensor, drive=drive, wheels=WHEELS[seed], seed=seed
+    )
+
+
+def rooms(seed: int) -> Log:
+    """A small house for TurtleBot3: six rooms, 11 x 7.5 m, walls often beyond the lidar's 3.5 m."""
+    plan = FloorPlan(13.0, 9.5)
+    for x in (1.0, 4.7, 8.4):
+        plan.carve(x, 1.0, x + 3.55, 3.6)
+        plan.carve(x, 4.8, x + 3.55, 8.5)
+        plan.carve(x + 1.2, 3.5, x + 2.1, 4.9)
+    plan.carve(1.0, 3.75, 11.95, 4.65)
+    for x, y, a in ((2.0, 7.6, 0.2), (6.0, 1.6, 0.9), (9.0, 7.8, 0.0), (11.2, 1.7, 0.4), (5.2, 7.9, 1.2)):
+        plan.turned_box(x, y, 0.8, 0.4, a)
+    route = [(2.0, 2.0)]
+    for x, up in ((1.0, True), (4.7, False), (4.7, True), (8.4, False), (8.4, True), (1.0, False)):
+        d = x + 1.65
+        route += [
+            (d, 4.2),
+            (d, 6.0 if up else 2.5),
+            (d + 0.8, 6.6 if up else 2.5),
+            (d, 6.0 if up else 2.5),
+            (d, 4.2),
+        ]
+    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.064, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+    drive = Drive(v=0.22, w=1.2, ahead=0.3)
+    return make_log(
+        f"rooms-{seed}", plan, np.array(route), sensor, drive=drive, wheels=WHEELS[seed], seed=seed
+    )
+
+
+LOGS: dict[str, Callable[[], Log]] = {
+    **{f"ring-{r}m-{s}": (lambda s=s, r=r: ring(s, float(r))) for r in (8, 80) for s in (1, 2, 3)},
+    **{f"hall-{s}": (lambda s=s: hall(s)) for s in (1, 2, 3)},
+    **{f"killian-{s}": (lambda s=s: killian(s)) for s in (1, 2)},
+    **{f"aces-{s}": (lambda s=s: aces(s)) for s in (1, 2)},
+    **{f"office-{m}-{s}": (lambda s=s, m=m: office(s, m)) for m in MISHAPS for s in (1, 2)},
+    **{f"arena-{d}-{s}": (lambda s=s, d=d: arena(s, d)) for d in ("slow", "fast", "spiral") for s in (1, 2)},
+    **{f"rooms-{s}": (lambda s=s: rooms(s)) for s in (1, 2)},
+}
+"""Every log by name; calling makes it."""
