@@ -136,6 +136,8 @@ class McapScan:
         At the first damage reading stops, or with `step_over` goes on at the next record that is whole.
         """
         self.state = state = McapState()
+        if step_over:
+            self._register_from_summary()
         at, end = len(MAGIC), len(self._data)
         while at < end:
             try:
@@ -210,6 +212,22 @@ class McapScan:
         else:
             return
         fields.end()
+
+    def _register_from_summary(self) -> None:
+        """Topics from the end of the file, should the chunk that introduced them be the damaged one."""
+        footer = len(self._data) - len(MAGIC) - _RECORD.size - 20
+        if footer < 0 or self._data[-len(MAGIC) :] != MAGIC or self._data[footer] != FOOTER:
+            return
+        at, _, crc = struct.unpack_from("<QQI", self._data, footer + _RECORD.size)
+        if not 0 < at <= footer or (crc and crc != zlib.crc32(self._data[at : footer + _RECORD.size + 16])):
+            return
+        try:
+            while at < footer:
+                opcode, body, at = self._record(at)
+                if opcode in (SCHEMA, CHANNEL):
+                    self._register(opcode, body)
+        except Damage:
+            self.state.channels.clear()
 
     def _chunk_messages(
         self, records: bytes, wanted: Callable[[McapChannel], bool] | None
