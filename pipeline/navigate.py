@@ -8,24 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from datasets.bags.writer import BagWriter
+from datasets.maps import save_map
 from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_json, write_manifest
 from datasets.trajectories import save_tum
-from datasets.types import Trajectory
 from pipeline.config import config_text
 from pipeline.console import log
 from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.driver import Driver
-from pipeline.navigation.localiser import Localiser
-from pipeline.navigation.metrics import run_metrics
-from pipeline.navigation.recorder import RunRecorder, trajectory_of
-from pipeline.navigation.setup import Mission, Request, make_driver, prepare
-from pipeline.record import static_transforms
-from planners.tasks.sequence import GoalSequence
+from pipeline.navigation.episode import Episode, drive
+from pipeline.navigation.setup import Request, prepare
 from sim.robots import default_robot, load_robot
 from sim.simulator import Simulator
 from sim.worlds import load_world
-
-MAX_SIMULATED_S = 4 * 3600.0
 
 
 def navigate(
@@ -47,7 +40,7 @@ def navigate(
     watch = Stopwatch()
     arena = load_world(world)
     robot = robot or default_robot(world)
-    mission = prepare(request, load_robot(robot), config or NavigateConfig())
+    mission = prepare(request, load_robot(robot), config or NavigateConfig(), arena.keepout)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),
@@ -60,11 +53,11 @@ def navigate(
         staged_output(out, force=force) as folder,
     ):
         with BagWriter(folder / "bag", custom=custom) as bag:
-            metrics, recorder, estimate = _drive(simulator, mission, bag, say or _print)
-        loop_s = watch.seconds()
-        save_tum(estimate, folder / "trajectory.tum")
-        recorder.log().save(folder / "runlog.csv")
-        recorder.save_truth(folder / "truth")
+            episode = drive(simulator, mission, bag, say or _print)
+        metrics, loop_s = episode.metrics, watch.seconds()
+        save_tum(episode.estimate, folder / "trajectory.tum")
+        episode.log.save(folder / "runlog.csv")
+        _save_truth(episode, simulator, folder / "truth")
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(text)
         write_manifest(
@@ -86,39 +79,11 @@ def navigate(
     return 0 if metrics["success"] else 1
 
 
-def _drive(
-    simulator: Simulator, mission: Mission, bag: BagWriter, say: Callable[[str], None]
-) -> tuple[dict[str, Any], RunRecorder, Trajectory]:
-    """The closed loop: observe, decide, log, act."""
-    observation = simulator.reset(mission.request.start)
-    bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
-    driver, localiser, sequence = make_driver(mission, observation, bag, say)
-    recorder = RunRecorder(simulator, bag)
-    while True:
-        command = driver.step(observation)
-        recorder.tick(observation, driver, command)
-        if driver.finished or observation.stamp_ns > MAX_SIMULATED_S * 1e9:
-            break
-        observation = simulator.step(command)
-    return _results(mission, driver, localiser, sequence, recorder)
-
-
-def _results(
-    mission: Mission,
-    driver: Driver,
-    localiser: Localiser | None,
-    sequence: GoalSequence | None,
-    recorder: RunRecorder,
-) -> tuple[dict[str, Any], RunRecorder, Trajectory]:
-    estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
-    metrics = run_metrics(
-        mission.request.task,
-        recorder.log(),
-        sequence.outcomes if sequence is not None else [],
-        recorder.truth(),
-        None if localiser is None else estimate,
-    )
-    return metrics, recorder, estimate
+def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
+    """`truth/`: the trajectory, and the world's map at the lidar's height."""
+    folder.mkdir()
+    save_tum(episode.truth, folder / "trajectory.tum")
+    save_map(simulator.world.rasterize(simulator.robot.lidar_height), folder)
 
 
 def _inputs(request: Request) -> dict[str, Path]:

@@ -2,25 +2,50 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from datasets.bags.writer import BagWriter
-from datasets.maps import save_map
+from datasets.grid import OccupancyGrid
 from datasets.runlog import RunLog, RunLogBuilder
 from datasets.se2 import SE2
-from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist
 from pipeline.navigation.driver import Driver
-from pipeline.navigation.localiser import OdometryBuffer
+from pipeline.navigation.localiser import OdometryBuffer, Publisher
 from sim.simulator import Simulator
+
+
+class Bag(Publisher, Protocol):
+    """What a run writes to its bag (see datasets.bags.writer)."""
+
+    def static_transforms(
+        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
+    ) -> None:
+        """Fixed frames of the robot."""
+        ...
+
+    def observation(self, observation: Observation) -> None:
+        """Everything the robot measured in a tick."""
+        ...
+
+    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
+        """The true state."""
+        ...
+
+    def command(self, stamp_ns: int, twist: Twist) -> None:
+        """The command given."""
+        ...
+
+    def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
+        """The map used."""
+        ...
 
 
 class RunRecorder:
     """Writes each tick of a run to the bag and keeps its rows."""
 
-    def __init__(self, simulator: Simulator, bag: BagWriter) -> None:
+    def __init__(self, simulator: Simulator, bag: Bag) -> None:
         self._simulator = simulator
         self._bag = bag
         self._rows = RunLogBuilder()
@@ -64,13 +89,6 @@ class RunRecorder:
     def odometry(self) -> Trajectory:
         """Odometry at the stamps of the scans."""
         return trajectory_of(list(zip(self._scan_stamps, self._scan_odometry, strict=True)))
-
-    def save_truth(self, folder: Path) -> None:
-        """Write `truth/`: the trajectory and the world's map at the lidar's height."""
-        folder.mkdir()
-        save_tum(self.truth(), folder / "trajectory.tum")
-        simulator = self._simulator
-        save_map(simulator.world.rasterize(simulator.robot.lidar_height), folder)
 
 
 def trajectory_of(samples: list[tuple[int, SE2]]) -> Trajectory:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
@@ -20,6 +19,7 @@ from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.driver import Driver
 from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.navigator import NavigationDriver, Parts
+from pipeline.navigation.recorder import Bag
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
 from planners.global_plan import fits
@@ -47,7 +47,6 @@ class Request:
     laps: int | None = None
     timeout_s: float | None = None
     duration_s: float | None = None
-    keepout: Sequence[Array] = field(default=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +61,20 @@ class Mission:
     waypoints: tuple[Waypoint, ...]
 
 
-def prepare(request: Request, robot: RobotSpec, config: NavigateConfig) -> Mission:
-    """Check a request and load what it names; InputError before anything is written."""
+def prepare(
+    request: Request, robot: RobotSpec, config: NavigateConfig, keepout: Sequence[Array] = ()
+) -> Mission:
+    """Check a request and load what it names; InputError before anything is written.
+
+    `keepout` are the world's own outlines, (n, 2) each; those of the waypoints file come on top.
+    """
     if request.task == "avoid":
         return Mission(request, config, robot, None, None, ())
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
     places = _places(request)
     grid = load_map(request.map_path)
-    keepout = [*request.keepout, *places.keepout]
-    costmap = costmap_from_grid(grid, config.costmap, keepout)
+    costmap = costmap_from_grid(grid, config.costmap, [*keepout, *places.keepout])
     if request.task == "goal":
         _check_goal(request, costmap, robot)
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
@@ -116,7 +119,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
 
 
 def make_driver(
-    mission: Mission, first: Observation, publisher: BagWriter, say: Callable[[str], None]
+    mission: Mission, first: Observation, publisher: Bag, say: Callable[[str], None]
 ) -> tuple[Driver, Localiser | None, GoalSequence | None]:
     """The driver of a mission, the localiser it uses and the goals it works through."""
     request, config = mission.request, mission.config

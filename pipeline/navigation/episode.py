@@ -1,0 +1,89 @@
+"""The closed loop itself: a mission driven in the simulator, with or without a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from datasets.grid import OccupancyGrid
+from datasets.runlog import RunLog
+from datasets.se2 import SE2, Array
+from datasets.types import Observation, Trajectory, Twist
+from pipeline.navigation.metrics import run_metrics
+from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
+from pipeline.navigation.setup import Mission, make_driver
+from pipeline.record import static_transforms
+from sim.simulator import Simulator
+
+MAX_SIMULATED_S = 4 * 3600.0
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What a run did: metrics as in the contract, the log, and where it thought it was at each scan."""
+
+    metrics: dict[str, Any]
+    log: RunLog
+    truth: Trajectory
+    estimate: Trajectory
+
+
+class NoBag:
+    """Takes everything that a bag would record, and forgets it."""
+
+    def static_transforms(
+        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
+    ) -> None:
+        """Forgotten, as everything here."""
+
+    def observation(self, observation: Observation) -> None:
+        """Forgotten."""
+
+    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
+        """Forgotten."""
+
+    def command(self, stamp_ns: int, twist: Twist) -> None:
+        """Forgotten."""
+
+    def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
+        """Forgotten."""
+
+    def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
+        """Forgotten."""
+
+    def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
+        """Forgotten."""
+
+    def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
+        """Forgotten."""
+
+    def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
+        """Forgotten."""
+
+    def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
+        """Forgotten."""
+
+
+def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str], None]) -> Episode:
+    """Observe, decide, log, act, until the driver is done."""
+    observation = simulator.reset(mission.request.start)
+    bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
+    driver, localiser, sequence = make_driver(mission, observation, bag, say)
+    recorder = RunRecorder(simulator, bag)
+    while True:
+        command = driver.step(observation)
+        recorder.tick(observation, driver, command)
+        if driver.finished or observation.stamp_ns > MAX_SIMULATED_S * 1e9:
+            break
+        observation = simulator.step(command)
+    estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
+    truth, log = recorder.truth(), recorder.log()
+    metrics = run_metrics(
+        mission.request.task,
+        log,
+        sequence.outcomes if sequence is not None else [],
+        truth,
+        None if localiser is None else estimate,
+    )
+    return Episode(metrics, log, truth, estimate)
