@@ -45,7 +45,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
 	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	$(TURTLEBAG) doctor
+	$(TURTLEBAG) doctor --trial
 	@touch $@
 
 demo: $(READY) ## from nothing to a navigation report: record, map, patrol, report
