@@ -10,7 +10,7 @@ from typing import Any
 from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
 from reports.metrics.recording import recording_metrics
-from reports.numbers import Number, lookup, numbers_of, other_values, shown
+from reports.numbers import GOAL_UNITS, Number, lookup, numbers_of, other_values, shown
 from reports.stages import Group, Stage
 
 TITLES = {"record": "Recording", "map": "Mapping", "navigate": "Navigation"}
@@ -154,9 +154,9 @@ def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
                 "pose": f"{shown(x, 'm')}, {shown(y, 'm')}, {shown(yaw, 'deg')}",
                 "status": str(goal.get("status")),
                 "reason": goal.get("reason") or "",
-                "time": shown(goal.get("time_s"), "s"),
-                "error": shown(goal.get("error_m"), "cm"),
-                "turn": shown(goal.get("error_rad"), "deg"),
+                "numbers": [
+                    (key, goal.get(key), shown(goal.get(key), unit)) for key, unit in GOAL_UNITS.items()
+                ],
             }
         )
     return rows

@@ -208,6 +208,7 @@ RUN = (
     ),
 )
 
+GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
 SPECS = {"record": RECORD, "map": MAP, "navigate": RUN}
 
 

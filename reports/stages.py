@@ -17,7 +17,7 @@ from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
 from datasets.outputs import sha256_file
 from datasets.runlog import RunLog
-from datasets.trajectories import load_tum
+from datasets.trajectories import load_tum, stamp_text
 from datasets.types import Trajectory
 
 KINDS = ("record", "map", "navigate")
@@ -113,6 +113,15 @@ class Stage:
     def runlog(self) -> RunLog | None:
         """Its rows per control tick: runlog.csv."""
         return RunLog.load(self.folder / "runlog.csv") if self.has("runlog.csv") else None
+
+    @property
+    def span(self) -> str:
+        """First and last stamp of its scans, as text."""
+        trajectory = self.trajectory if self.trajectory is not None else self.truth
+        if trajectory is None or len(trajectory) == 0:
+            return ""
+        first, last = int(trajectory.stamps_ns.min()), int(trajectory.stamps_ns.max())
+        return f"{stamp_text(first)} to {stamp_text(last)} s"
 
     def input_paths(self) -> dict[str, Path]:
         """Its inputs by the names the manifest gives them."""

@@ -11,11 +11,15 @@ from datasets.outputs import write_json, write_manifest
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
 from datasets.seeds import stream
-from datasets.trajectories import save_tum
-from datasets.types import Joints, Observation, Odometry, Trajectory, Twist
+from datasets.trajectories import load_tum, save_tum
+from datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
+from reports.metrics.map import map_metrics
+from reports.metrics.navigation import localisation_error, pose_error
+from reports.metrics.trajectory import trajectory_metrics
 
 TICK_NS = 1_000_000_000 // 30
 TICKS = 900
+LIDAR = LidarSpec(4, 0.0, np.pi / 2, 0.12, 3.5)
 GOALS = ((1.5, 0.0), (0.0, 1.2), (-1.5, 0.0))
 
 
@@ -65,9 +69,12 @@ def write_bag(folder: Path, *, particles: bool, world: str = "room") -> tuple[np
         for k in range(TICKS):
             stamp, twist = int(stamps[k]), Twist(0.2, 0.1)
             joints = Joints(stamp, (0.0, 0.0), (0.0, 0.0))
-            bag.observation(Observation(stamp, Odometry(stamp, odometry[k], twist), joints))
+            scan = Scan(stamp, np.ones(4, dtype=np.float32), LIDAR) if k % 6 == 0 else None
+            bag.observation(Observation(stamp, Odometry(stamp, odometry[k], twist), joints, scan))
             bag.truth(stamp, truth[k], twist)
             bag.command(stamp, twist)
+            if particles and k % 300 == 0:
+                bag.goal(stamp, SE2.from_xyt(*GOALS[k // 300], 0.0))
             if particles and k % 30 == 0:
                 spread = 0.4 * np.exp(-k / 150.0) + 0.02
                 bag.particles(stamp, SE2.from_array(truth[k].xyt + rng.normal(scale=spread, size=(200, 3))))
@@ -101,14 +108,21 @@ def fake_map(folder: Path, record: Path) -> Path:
     save_tum(noisy(Trajectory(stamps, ellipse()[::6]), 0.005), folder / "trajectory.tum")
     save_map(mapped_room(), folder)
     (folder / "config.yaml").write_text("voxel: 0.2\n")
+    truth = load_tum(record / "truth/trajectory.tum")
+    estimate = load_tum(folder / "trajectory.tum")
     metrics = {
         "scans": 150,
-        "keyframes": 20,
+        "keyframes": 3,
         "loops": {"proposed": 9, "accepted": 5, "rejected": 4},
-        "ate_m": {"rmse": 0.007, "max": 0.02},
-        "map": {"iou": 0.9, "occupied_error_m": {"mean": 0.004, "p95": 0.02, "within_one_cell": 0.995}},
+        "log_s": estimate.duration(),
+        **trajectory_metrics(estimate, truth),
+        "map": map_metrics(mapped_room(), true_room()),
         "curious": {"value": 0.25},
     }
+    (folder / "graph.g2o").write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 0.1 0 0\n"
+        "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\nEDGE_SE2 0 2 0 0 0.02 100 0 0 100 0 400\n"
+    )
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "map", str(record), "--out", str(folder)]
     inputs = {"input": record / "bag"}
@@ -134,31 +148,36 @@ def fake_run(folder: Path, map_folder: Path, *, task: str = "patrol", missed: bo
             contact_visible=missed and 400 <= k < 410,
             contact_low=False,
             goal_index=k // 300,
-            state="drive",
+            state="reached" if k % 300 == 299 and not (missed and k // 300 == 1) else "drive",
         )
     log.build().save(folder / "runlog.csv")
     (folder / "config.yaml").write_text("world: room\nrobot: burger\n")
-    goals = [
-        {
-            "x": x,
-            "y": y,
-            "yaw": 0.0,
-            "status": "timeout" if missed and number == 1 else "reached",
-            "time_s": 10.0,
-            "error_m": 0.03,
-            "error_rad": 0.01,
-        }
-        for number, (x, y) in enumerate(GOALS)
-    ]
+    goals = []
+    for number, (x, y) in enumerate(GOALS):
+        late = missed and number == 1
+        last = 300 * number + (300 if late else 299)
+        error_m, error_rad = pose_error(truth[last], SE2.from_xyt(x, y, 0.0))
+        goals.append(
+            {
+                "x": x,
+                "y": y,
+                "yaw": 0.0,
+                "status": "timeout" if late else "reached",
+                "time_s": (last - 300 * number) * TICK_NS * 1e-9,
+                "error_m": error_m,
+                "error_rad": error_rad,
+            }
+        )
+    scans = Trajectory(stamps[::6], truth[::6])
     metrics = {
         "task": task,
         "success": not missed,
         "goals": goals,
         "collisions": {"visible": int(missed), "low": 0},
-        "min_clearance_m": 0.1,
-        "distance_m": 8.5,
-        "time_s": 30.0,
-        "localisation_error_m": {"rmse": 0.014, "max": 0.03},
+        "min_clearance_m": min(0.3 + 0.2 * float(np.sin(k / 90.0)) for k in range(TICKS)),
+        "distance_m": Trajectory(stamps, truth).length(),
+        "time_s": float(stamps[-1]) * 1e-9,
+        "localisation_error_m": localisation_error(estimate, scans),
     }
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "navigate", "--world", "room", "--map", f"{map_folder}/map.yaml", "--task", task]

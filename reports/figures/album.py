@@ -33,6 +33,9 @@ class Album:
             raise ValueError(f"two pictures are called {name}")
         self.folder.mkdir(parents=True, exist_ok=True)
         with styled():
+            # Laid out once; each saving would do it again, and draw twice.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
             save_png(figure, self.folder / f"{name}.png")
             picture = Picture(name, title, caption, svg_text(figure, name))
         self.pictures.append(picture)

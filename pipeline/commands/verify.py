@@ -1,0 +1,40 @@
+"""turtlebag verify: compute a report's numbers again."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from datasets.errors import InputError
+from pipeline.verify import verify
+
+EXAMPLE = "turtlebag verify data/report"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag verify`."""
+    parser.add_argument("report", type=Path, metavar="REPORT", help="folder that report wrote")
+    parser.add_argument("--only", metavar="KEY", help="show one number: WORLD/STAGE:PATH as on the page")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what differs; exit 1 when anything does."""
+    found = verify(args.report)
+    if args.only is not None:
+        matching = [check for check in found.checks if check.key == args.only]
+        if not matching:
+            raise InputError(f"--only {args.only}: no such number here; -v lists them all")
+        found.checks, found.problems = matching, [p for p in found.problems if p.startswith(args.only)]
+    if args.verbosity > 0 or args.only is not None:
+        for check in found.checks:
+            print(f"{'same' if check.agrees else 'DIFFERS':8}{check.key}  {check.found}")
+        if args.only is None:
+            for key in found.unchecked:
+                print(f"{'as told':8}{key}")
+    for problem in found.problems:
+        print(f"DIFFERS {problem}")
+    agreeing = sum(check.agrees for check in found.checks)
+    print(f"{agreeing} of {len(found.checks)} numbers computed again and equal, {found.files} files hashed")
+    if found.unchecked and args.only is None:
+        print(f"{len(found.unchecked)} cannot be computed from files: {', '.join(found.unchecked)}")
+    return 1 if found.problems else 0

@@ -1,0 +1,136 @@
+"""Verify a report: hashes of everything it rests on, and every number computed again."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_file
+from reports.content import stage_metrics
+from reports.numbers import GOAL_UNITS, SPECS, leaves, shown
+from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
+from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json
+
+PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
+
+
+@dataclass
+class Verification:
+    """What was found: every check, every problem in one line each, and what could not be checked."""
+
+    checks: list[Check] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+    files: int = 0
+
+
+def stage_folders(report: Path) -> list[Path]:
+    """Where the report's stages are: where the manifest says, or beside a report that was moved with them."""
+    manifest = read_json(_file(report, "manifest.json"))
+    if manifest.get("stage") != "report":
+        raise InputError(f"{report}: is a {manifest.get('stage')} output, not a report")
+    folders = []
+    for label, entry in manifest["inputs"].items():
+        relative = manifest.get("folders", {}).get(label, "")
+        for candidate in (report / relative, Path(entry["path"])):
+            if (candidate / "manifest.json").is_file():
+                folders.append(candidate)
+                break
+        else:
+            raise InputError(f"{report}: its input {label} is neither at {entry['path']} nor beside it")
+    return folders
+
+
+def _file(folder: Path, name: str) -> Path:
+    if not (folder / name).is_file():
+        raise InputError(f"{folder}: has no {name}, so it is not a report")
+    return folder / name
+
+
+def verify(report: Path) -> Verification:
+    """Check a report folder; InputError when it or its inputs cannot be read at all."""
+    found = Verification()
+    groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
+    reported = read_json(_file(report, "metrics.json"))
+    _check_report_files(report, groups, found)
+    for group in groups:
+        for stage in group.stages:
+            metrics = reported.get(group.name, {}).get(stage.label)
+            if metrics is None:
+                found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
+                continue
+            _check_stage(stage, group, metrics, found)
+    _check_page(_file(report, "index.html"), found)
+    return found
+
+
+def _check_report_files(report: Path, groups: list[Group], found: Verification) -> None:
+    manifest = read_json(report / "manifest.json")
+    for path, digest in manifest["outputs"].items():
+        found.files += 1
+        if not (report / path).is_file() or sha256_file(report / path) != digest:
+            found.problems.append(f"{report.name}/{path}: changed since the report was made")
+    for group in groups:
+        for stage in group.stages:
+            name = f"{group.name}/{stage.label}"
+            then = manifest["inputs"].get(name, {}).get("sha256", {})
+            for path, digest in then.items():
+                if stage.outputs.get(path) != digest:
+                    found.problems.append(f"{name}/{path}: made again since the report")
+
+
+def _check_stage(stage: Stage, group: Group, metrics: dict[str, Any], found: Verification) -> None:
+    name = f"{group.name}/{stage.label}"
+    found.files += len(stage.outputs)
+    found.problems += [f"{name}/{path}: not what its manifest says" for path in changed_files(stage)]
+    disagreement = truth_disagreement(stage)
+    if disagreement is not None and disagreement > TRUTH_AGREES_M:
+        apart = shown(disagreement, "cm")
+        found.problems.append(f"{name}/truth/trajectory.tum: {apart} from the bag's /ground_truth/odom")
+    for path, value in leaves(stage_metrics(stage)):
+        if dict(leaves(metrics)).get(path) != value:
+            found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
+    done = list(checks(stage, group, metrics))
+    found.checks += done
+    for check in done:
+        if not check.agrees:
+            found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
+    known = {check.key for check in done}
+    numbers = (int, float)
+    found.unchecked += [
+        f"{name}:{path}"
+        for path, value in leaves(metrics)
+        if f"{name}:{path}" not in known and isinstance(value, numbers) and not isinstance(value, bool)
+    ]
+
+
+def _check_page(page: Path, found: Verification) -> None:
+    """The numbers printed on the page against what was computed."""
+    known = {check.key: check.found for check in found.checks if check.agrees}
+    for key, value, text in page_numbers(page):
+        unit = _unit(key)
+        if key in known and unit is not None and shown(known[key], unit) != text:
+            found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
+
+
+def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
+    """(key, stored value, shown text) of each number on a page."""
+    for match in PAGE_NUMBER.finditer(page.read_text()):
+        key, value, text = (html.unescape(part) for part in match.groups())
+        yield key, value, text
+
+
+def _unit(key: str) -> str | None:
+    path = key.partition(":")[2]
+    if path.startswith("goals."):
+        return GOAL_UNITS.get(path.rpartition(".")[2])
+    for specs in SPECS.values():
+        for spec in specs:
+            if spec.path == path:
+                return spec.unit
+    return None
