@@ -24,7 +24,7 @@ MIN_NORMAL_DOT = 0.6
 NORMAL_NOISE_RAD = 0.06
 # Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
 # weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
-PRIOR_SHARE = 0.002
+PRIOR_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
