@@ -21,7 +21,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
     "report": ("report", "make a page of stage outputs"),
     "verify": ("verify", "compute a report's numbers again from the bags"),
-    "bag": ("bag", "look at bags: info"),
+    "bag": ("bag", "look at bags, repair and convert them"),
     "world": ("world", "list the worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
 }

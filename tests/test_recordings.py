@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 from bag_samples import LIDAR, LINKS, observation, pose, stamp, write_drive
+from foreign_bags import ODOMETRY, SCAN, TF, header, laser_scan, odometry, tf, transform, write_foreign
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
@@ -17,8 +17,6 @@ from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.se2 import SE2
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = STORE.types
 FULL_TURN = 2.0 * math.pi
 
 
@@ -118,59 +116,6 @@ def test_info_counts_rates_and_gaps(drive):
     assert info.count == sum(topic.count for topic in info.topics)
 
 
-# Bags of other recorders, written with rosbags.
-
-
-def header(stamp_ns, frame, types=TYPES, **extra):
-    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
-    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **extra)
-
-
-def laser_scan(stamp_ns, ranges, frame="base_scan", **changes):
-    n = len(ranges)
-    values = {
-        "angle_min": 0.0,
-        "angle_max": math.radians(n - 1),
-        "angle_increment": math.radians(1.0),
-        "time_increment": 0.0,
-        "scan_time": 0.2,
-        "range_min": 0.12,
-        "range_max": 3.5,
-    }
-    return TYPES["sensor_msgs/msg/LaserScan"](
-        header=header(stamp_ns, frame),
-        ranges=np.asarray(ranges, dtype=np.float32),
-        intensities=np.zeros(0, dtype=np.float32),
-        **{**values, **changes},
-    )
-
-
-def transform(stamp_ns, parent, child, xyz, quaternion):
-    vector = TYPES["geometry_msgs/msg/Vector3"](*xyz)
-    rotation = TYPES["geometry_msgs/msg/Quaternion"](*quaternion)
-    return TYPES["geometry_msgs/msg/TransformStamped"](
-        header(stamp_ns, parent), child, TYPES["geometry_msgs/msg/Transform"](vector, rotation)
-    )
-
-
-def write_foreign(folder, messages, storage=StoragePlugin.MCAP):
-    """`messages`: (topic, type, log time, message)."""
-    with Writer2(folder, version=9, storage_plugin=storage) as writer:
-        connections = {}
-        for topic, msgtype, time, message in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, msgtype, typestore=STORE)
-            writer.write(connections[topic], time, bytes(STORE.serialize_cdr(message, msgtype)))
-    return folder
-
-
-SCAN, TF = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"
-
-
-def tf(*transforms):
-    return TYPES[TF](list(transforms))
-
-
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_odometry_and_laser_pose_from_tf(tmp_path, storage):
     half = math.sin(math.pi / 4), math.cos(math.pi / 4)
@@ -241,21 +186,11 @@ def test_two_clocks_are_joined_by_the_recorder_s(tmp_path):
     messages = []
     for k in range(10):
         time = wall + k * 10**8
-        odometry = STORE.deserialize_cdr(odometry_bytes(k * 10**8, 0.1 * k), "nav_msgs/msg/Odometry")
-        messages.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
+        messages.append(("/odom", ODOMETRY, time, odometry(k * 10**8, 0.1 * k)))
         messages.append(("/scan", SCAN, time, laser_scan(time, np.ones(360))))
     recording = load_recording(write_foreign(tmp_path / "bag", messages))
     np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(10))
     assert any("different clocks" in note for note in recording.notes)
-
-
-def odometry_bytes(stamp_ns, x):
-    from datasets.bags import cdr
-
-    template = cdr.odometry("odom", "base_footprint", (0.0,) * 6)
-    template.patch_stamp(stamp_ns)
-    template.patch_pose(x, 0.0, 0.0)
-    return bytes(template.data)
 
 
 def test_ros1_bag(drive, tmp_path):
@@ -266,16 +201,16 @@ def test_ros1_bag(drive, tmp_path):
     path = tmp_path / "drive.bag"
     with Writer1(path) as writer:
         scan_connection = writer.add_connection("/scan", SCAN, typestore=store1)
-        odom_connection = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store1)
+        odom_connection = writer.add_connection("/odom", ODOMETRY, typestore=store1)
         for step in range(1, 181):
             sample = observation(step)
-            message = STORE.deserialize_cdr(odometry_bytes(sample.stamp_ns, 0.0), "nav_msgs/msg/Odometry")
+            message = odometry(sample.stamp_ns, 0.0)
             message.header = header(sample.stamp_ns, "/odom", types, seq=step)
             x, y, yaw = sample.odometry.T_odom_base.xyt.tolist()
             message.pose.pose.position.x, message.pose.pose.position.y = x, y
             message.pose.pose.orientation.z = math.sin(yaw / 2)
             message.pose.pose.orientation.w = math.cos(yaw / 2)
-            raw = store1.serialize_ros1(message, "nav_msgs/msg/Odometry")
+            raw = store1.serialize_ros1(message, ODOMETRY)
             writer.write(odom_connection, sample.stamp_ns, bytes(raw))
             if sample.scan is not None:
                 scan = laser_scan(sample.scan.stamp_ns, sample.scan.ranges)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from datasets.bags import convert
+from datasets.bags.doctor import examine
 from datasets.bags.reader import BagInfo, bag_info
 from datasets.bags.recover import recover
 from datasets.bags.source import is_bag
@@ -34,6 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         return sub
 
     action("info", _info, "topics, counts, rates and gaps", "example: turtlebag bag info data/record")
+    action(
+        "doctor",
+        _doctor,
+        "find what is wrong with a bag and say what it would break (exit 1 on errors)",
+        "example: turtlebag bag doctor my_robot.bag",
+    )
     sub = action(
         "recover",
         _recover,
@@ -92,6 +99,16 @@ def _print_info(info: BagInfo) -> None:
 def _print_notes(notes: list[str] | tuple[str, ...]) -> None:
     for note in notes:
         log.warning("note: %s", note)
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    findings = examine(args.bag)
+    for finding in findings:
+        print(f"{finding.severity}: {finding.check}: {finding.what}")
+        print(f"    breaks: {finding.breaks}")
+    errors = sum(finding.severity == "error" for finding in findings)
+    print(f"{errors} errors, {len(findings) - errors} warnings" if findings else "no defect found")
+    return 1 if errors else 0
 
 
 def _recover(args: argparse.Namespace) -> int:
