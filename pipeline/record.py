@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from datasets.bags.writer import BagWriter
+from datasets.errors import InputError
 from datasets.maps import save_map
 from datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
 from datasets.se2 import SE2
@@ -20,6 +21,7 @@ from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist, seconds
 from pipeline.config import config_text
 from pipeline.console import log
+from sim.driver import Stuck
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import SimConfig, Simulator
 from sim.teleop import Script, check_script, commands, load_script
@@ -69,12 +71,16 @@ def record(
     force: bool = False,
     command: Sequence[str] = (),
 ) -> int:
-    """Record a drive; returns the exit code (0, or 130 when it was interrupted and closed early)."""
+    """Record a drive; returns the exit code.
+
+    0 done, 1 the robot got stuck, 130 interrupted; what was recorded until then is complete and kept.
+    """
     watch = Stopwatch()
     world_loaded = load_world(world)
     robot_name = robot or world_loaded.robot
     robot_loaded, script = load_robot(robot_name), load_script(teleop)
     check_script(script, world_loaded)
+    _check_left_over(out, force=force)
     config = RecordConfig(world=world, robot=robot_name, teleop=teleop, seed=seed, sim=sim or SimConfig())
     with staged_output(out, force=force) as folder:
         text = config_text(config)
@@ -86,7 +92,7 @@ def record(
             BagWriter(folder / "bag", custom=custom) as bag,
             deferred_interrupt() as interrupted,
         ):
-            duration = _drive(simulator, script, bag, truth, interrupted)
+            duration, stuck = _drive(simulator, script, bag, truth, interrupted)
         truth.save(folder / "truth", world_loaded, robot_loaded)
         wall = watch.seconds()
         write_manifest(
@@ -99,18 +105,31 @@ def record(
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
         )
     log.info("recorded %.1f s in %.1f s (%.0f x real time): %s", duration, wall, duration / wall, out)
-    return 130 if interrupted else 0
+    if stuck:
+        log.error("the drive ended early: %s", stuck)
+    return 130 if interrupted else int(stuck is not None)
+
+
+def _check_left_over(out: Path, *, force: bool) -> None:
+    """InputError when a killed recording lies where this one would grow."""
+    partial = out.with_name(out.name + ".partial")
+    if not force and any((partial / "bag").glob("*.mcap")):
+        raise InputError(
+            f"{partial}: an unfinished recording is in the way; save it with "
+            f"`turtlebag bag recover {partial} --out DIR`, or pass --force"
+        )
 
 
 def _drive(
     simulator: Simulator, script: Script, bag: BagWriter, truth: TruthLog, interrupted: list[int]
-) -> float:
-    """Run the script to its end or to an interrupt; returns the simulated time [s]."""
+) -> tuple[float, str | None]:
+    """Run the script to its end or to an interrupt: the simulated time [s], and where it got stuck."""
     observation = simulator.reset()
     limits = simulator.robot.limits
     driver = commands(script, simulator.world, limits.max_v, limits.max_w)
     bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
     next(driver)
+    stuck = None
     while True:
         bag.observation(observation)
         truth.add(observation, simulator)
@@ -122,10 +141,13 @@ def _drive(
             command = driver.send(now)
         except StopIteration:
             break
+        except Stuck as error:
+            stuck = str(error)
+            break
         bag.command(observation.stamp_ns, command)
         observation = simulator.step(command)
     bag.command(observation.stamp_ns, Twist())
-    return seconds(observation.stamp_ns)
+    return seconds(observation.stamp_ns), stuck
 
 
 def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, float, float], float]]:

@@ -22,6 +22,12 @@ STEERING = 2.0
 """Yaw rate per heading error while driving straight [1/s]."""
 NEAR_M, NEAR_RAD = 0.004, 0.01
 CREEP_V, CREEP_W = 0.02, 0.06
+PATIENCE_STEPS = 300
+"""Without getting nearer to its aim for so long, an action gives up."""
+
+
+class Stuck(Exception):
+    """The robot does not go where the driver steers it."""
 
 
 class Driver:
@@ -39,7 +45,9 @@ class Driver:
     def turn(self, truth: Truth, angle: float) -> Action:
         """Turn on the spot by an angle [rad] of any size, then stand."""
         left, yaw = angle, float(truth.T_world_base.yaw)
+        patience = _Patience(0.05)
         while abs(left) > NEAR_RAD:
+            patience.check(abs(left), truth)
             rate = min(self._w, max(CREEP_W, math.sqrt(2.0 * TURN_BRAKING * abs(left))))
             truth = yield Twist(0.0, math.copysign(rate, left))
             now = float(truth.T_world_base.yaw)
@@ -65,6 +73,7 @@ class Driver:
     def _straight(self, truth: Truth, target: tuple[float, float], direction: float) -> Action:
         start = truth.T_world_base.xyt.tolist()
         line = math.atan2(target[1] - start[1], target[0] - start[0])
+        patience = _Patience(0.02)
         while True:
             x, y, yaw = truth.T_world_base.xyt.tolist()
             dx, dy = target[0] - x, target[1] - y
@@ -72,6 +81,7 @@ class Driver:
             left = dx * math.cos(line) + dy * math.sin(line)
             if left < NEAR_M:
                 break
+            patience.check(left, truth)
             off = -dx * math.sin(line) + dy * math.cos(line)
             facing = line if direction > 0.0 else line + math.pi
             wanted = _wrapped(facing + direction * math.atan2(off, 0.3) - yaw)
@@ -87,6 +97,21 @@ class Driver:
             if abs(truth.twist.v) < 0.002 and abs(truth.twist.w) < 0.005:
                 break
         return truth
+
+
+class _Patience:
+    """Raises Stuck when what is left has not shrunk by `progress` for a while."""
+
+    def __init__(self, progress: float) -> None:
+        self._progress, self._best, self._steps = progress, math.inf, 0
+
+    def check(self, left: float, truth: Truth) -> None:
+        if left < self._best - self._progress:
+            self._best, self._steps = left, 0
+        self._steps += 1
+        if self._steps > PATIENCE_STEPS:
+            x, y, _ = truth.T_world_base.xyt.tolist()
+            raise Stuck(f"the robot is stuck at {x:.2f}, {y:.2f}")
 
 
 def _wrapped(angle: float) -> float:

@@ -87,7 +87,9 @@ def _outline(solid: Solid, step: float) -> tuple[Array, Array]:
         length = float(np.linalg.norm(b - a))
         if length < 1e-9:
             continue
-        fractions = np.linspace(0.0, 1.0, max(2, int(np.ceil(length / step)) + 1))
+        # Not into the very corners: there a face may end flush with that of a neighbour.
+        end = min(INSET_M / length, 0.5)
+        fractions = np.linspace(end, 1.0 - end, max(2, int(np.ceil(length / step)) + 1))
         points.append(a + fractions[:, None] * (b - a))
         normal = np.array([b[1] - a[1], a[0] - b[0]]) / length
         normals.append(np.broadcast_to(normal, points[-1].shape))

@@ -33,8 +33,8 @@ class _ShapeSpec(_Spec):
     name: str = ""
     z: tuple[Finite, Finite]
     reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
-    option: str | None = None
-    """Left out of the world unless this option is chosen (e.g. `gate: shut`)."""
+    when: dict[str, str] = {}
+    """Options of the world under which it is there, e.g. `{gate: shut}`; none: always."""
 
 
 class BoxSpec(_ShapeSpec):
@@ -82,6 +82,8 @@ class WorldSpec(_Spec):
     name: str
     robot: str = "burger"
     spawn: tuple[Finite, Finite, Finite]
+    options: dict[str, list[str]] = {}
+    """Choices, the default first, made as in `name:key=value`."""
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
     shapes: list[ShapeSpec]
     keepout: list[list[Point]] = []
@@ -118,11 +120,17 @@ class World:
 
 
 def load_world(name_or_path: str) -> World:
-    """A built-in world by name or a YAML file by path; InputError for unknown names lists the known."""
-    path = find_named(name_or_path, FOLDER, "world")
+    """A built-in world by name or a YAML file by path; InputError for unknown names lists the known.
+
+    Options of a world follow its name: `turtlebot3_house:gate=open`.
+    """
+    name, _, settings = name_or_path.partition(":")
+    path = find_named(name, FOLDER, "world")
     spec = checked(WorldSpec, read_mapping(path), where=str(path))
+    options = _chosen(spec, settings)
+    shapes = [shape for shape in spec.shapes if all(options.get(k) == v for k, v in shape.when.items())]
     try:
-        solids = tuple(shape.solid() for shape in spec.shapes)
+        solids = tuple(shape.solid() for shape in shapes)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     return World(
@@ -134,6 +142,21 @@ def load_world(name_or_path: str) -> World:
         keepout=tuple(np.array(outline, dtype=np.float64) for outline in spec.keepout),
         routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
     )
+
+
+def _chosen(spec: WorldSpec, settings: str) -> dict[str, str]:
+    """The world's options with `key=value,...` applied."""
+    options = {key: values[0] for key, values in spec.options.items()}
+    for setting in filter(None, settings.split(",")):
+        key, _, value = setting.partition("=")
+        values = spec.options.get(key)
+        if values is None:
+            known = ", ".join(options) or "none"
+            raise InputError(f"world {spec.name} has no option '{key}' (it has: {known})")
+        if value not in values:
+            raise InputError(f"world {spec.name}: {key}={value}: choose one of {', '.join(values)}")
+        options[key] = value
+    return options
 
 
 def world_names() -> list[str]:

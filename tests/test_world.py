@@ -104,3 +104,45 @@ def test_outlines_are_counter_clockwise_whatever_was_given():
         p = prism("p", outline, (0.0, 1.0)).polygon
         assert np.sum(p[:, 0] * np.roll(p[:, 1], -1) - p[:, 1] * np.roll(p[:, 0], -1)) == pytest.approx(2.0)
     assert as_rectangle(box("b", (0.0, 0.0), (2.0, 1.0), 0.3, (0.0, 1.0)).polygon) is not None
+
+
+def test_house_has_the_published_walls_and_furniture():
+    path = FACTS / "house.json"
+    if not path.is_file():
+        pytest.skip("the shared facts are not beside this checkout")
+    facts = json.loads(path.read_text())
+    published = facts["walls"] + [part for item in facts["furniture"] for part in item["parts"]]
+    solids = {solid.name: solid for solid in load_world("turtlebot3_house").shapes}
+    assert set(solids) == {fact["name"] for fact in published} | {"gate"}
+    for fact in published:
+        solid = solids[fact["name"]]
+        assert (solid.z_min, solid.z_max) == (fact["z_min"], fact["z_max"])
+        np.testing.assert_allclose(solid.center, fact["center"][:2])
+        if fact["kind"] == "box":
+            rectangle = as_rectangle(solid.polygon)
+            assert rectangle[2:4] == pytest.approx(fact["size"][:2])
+            assert np.sin(rectangle[4] - fact["yaw"]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
+    rooms = [(-6.3, 3.2), (-6.3, -2.5), (-3, 1), (1, 3.5), (4, 1), (5.5, -4.5)]
+    outside = np.array([0.0, -2.5])
+    shut, open_ = load_world("turtlebot3_house"), load_world("turtlebot3_house:gate=open")
+    grid = shut.rasterize(0.132)
+    assert all(grid.value_at(np.array(room)) == FREE for room in rooms)
+    assert grid.value_at(outside) == UNKNOWN
+    assert open_.rasterize(0.132).value_at(outside) == FREE
+    # A floor board is under the plane of either lidar; the keep-out list names it.
+    assert grid.value_at(np.array([6.2, -3.0])) == FREE
+    assert any(
+        np.all(outline.min(0) < (6.2, -3.0)) and np.all(outline.max(0) > (6.2, -3.0))
+        for outline in shut.keepout
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["turtlebot3_house:gate=ajar", "turtlebot3_house:roof=off", "empty:gate=open"]
+)
+def test_an_unknown_option_of_a_world_is_refused(name):
+    with pytest.raises(InputError, match=r"gate|roof"):
+        load_world(name)
