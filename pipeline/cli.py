@@ -22,6 +22,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "report": ("report", "make a page of stage outputs"),
     "verify": ("verify", "compute a report's numbers again from the bags"),
     "bag": ("bag", "look at bags, repair and convert them"),
+    "data": ("data", "list and fetch public logs"),
     "world": ("world", "list the worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
 }

@@ -1,0 +1,171 @@
+"""Public logs by name: where they are, what they are, and a verified local copy of each."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_file
+
+MIRROR_VARIABLE = "TURTLEBAG_DATA"
+"""Folder with files of the registry, searched (also below it) before anything is downloaded."""
+CACHE_VARIABLE = "TURTLEBAG_CACHE"
+"""Folder for downloads; the user's cache folder when it is not set."""
+
+_MOLA = (
+    "https://raw.githubusercontent.com/MOLAorg/mola_test_datasets/"
+    "e3f9e14ee00a07edcb13cebf5a019bfdf0eff11b/datasets/radish/"
+)
+_RELATIONS = (
+    "R. Kuemmerle, B. Steder, C. Dornhege, M. Ruhnke, G. Grisetti, C. Stachniss, A. Kleiner: "
+    "On measuring the accuracy of SLAM algorithms. Autonomous Robots 27(4), 2009"
+)
+_CC_BY = "CC BY 3.0"
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteFile:
+    """One file: its address and the sha256 of its bytes."""
+
+    url: str
+    sha256: str
+
+    @property
+    def name(self) -> str:
+        """File name."""
+        return self.url.rsplit("/", 1)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A public log with what one must know to use and to cite it.
+
+    `laser_x_m` is how far the laser sits ahead of the robot's centre, `no_return_m` the reading that
+    means "no return".
+    """
+
+    name: str
+    title: str
+    files: tuple[RemoteFile, ...]
+    license: str
+    citation: str
+    source: str
+    laser_x_m: float
+    no_return_m: float
+    beams: int
+    scans: int
+
+
+def _radish(name: str, title: str, log: str, relations: str, author: str, **facts: float) -> Dataset:
+    return Dataset(
+        name=name,
+        title=title,
+        files=(
+            RemoteFile(f"{_MOLA}{name}.clf.bz2", log),
+            RemoteFile(f"{_MOLA}{name}.relations", relations),
+        ),
+        license=_CC_BY,
+        citation=f"Log: {author}. Relations: {_RELATIONS}",
+        source="http://ais.informatik.uni-freiburg.de/slamevaluation/datasets.php",
+        laser_x_m=facts["laser_x_m"],
+        no_return_m=facts["no_return_m"],
+        beams=int(facts["beams"]),
+        scans=int(facts["scans"]),
+    )
+
+
+DATASETS: Mapping[str, Dataset] = {
+    dataset.name: dataset
+    for dataset in (
+        _radish(
+            "intel",
+            "Intel Research Lab, Seattle",
+            "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a",
+            "330378f153eeae652d6756c1746f335801f66c3e097d90611548e6c4f593c359",
+            "Dirk Haehnel",
+            laser_x_m=0.0,
+            no_return_m=81.83,
+            beams=180,
+            scans=13631,
+        ),
+        _radish(
+            "fr079",
+            "Freiburg, building 079",
+            "9c3930e17957889c24986390dc7fe3eeddd3d7019a8172085dbed8a28a0e6b77",
+            "7e7f06b4aca455cb68f1f23d04e7c7316c5e17773e872734c860ed7a274cdfc7",
+            "Cyrill Stachniss",
+            laser_x_m=-0.04,
+            no_return_m=81.91,
+            beams=360,
+            scans=4934,
+        ),
+        _radish(
+            "mit-csail",
+            "MIT CSAIL building",
+            "e010703e450a20e71a97b0e8de88d9474040c8106e547ff894d885e67a309b47",
+            "ffd7ebe97fa1738913931e39ca643ee0a1b67de80499b0197a3d01abad0f589d",
+            "Cyrill Stachniss",
+            laser_x_m=0.0,
+            no_return_m=81.91,
+            beams=361,
+            scans=1988,
+        ),
+    )
+}
+
+
+def find_dataset(name: str) -> Dataset:
+    """The dataset of that name; InputError lists the known ones."""
+    if name not in DATASETS:
+        raise InputError(f"no dataset named {name!r}; known: {', '.join(DATASETS)}")
+    return DATASETS[name]
+
+
+def fetch(name: str) -> list[Path]:
+    """Verified local files of a dataset: from the mirror folder, the cache, or downloaded into it.
+
+    InputError when a file is damaged or cannot be had.
+    """
+    return [_local(file) for file in find_dataset(name).files]
+
+
+def _local(file: RemoteFile) -> Path:
+    mirrored = _in_mirror(file)
+    return mirrored if mirrored else _downloaded(file)
+
+
+def _in_mirror(file: RemoteFile) -> Path | None:
+    folder = os.environ.get(MIRROR_VARIABLE)
+    if not folder:
+        return None
+    if not Path(folder).is_dir():
+        raise InputError(f"{MIRROR_VARIABLE}={folder}: no such folder")
+    for path in sorted(Path(folder).rglob(file.name)):
+        if sha256_file(path) != file.sha256:
+            raise InputError(
+                f"{path}: not the file of the registry (its sha256 differs); replace or remove it"
+            )
+        return path
+    return None
+
+
+def _downloaded(file: RemoteFile) -> Path:
+    import pooch
+
+    pooch.get_logger().setLevel("ERROR")
+    folder = Path(os.environ.get(CACHE_VARIABLE) or pooch.os_cache("turtlebag"))
+    try:
+        path = pooch.retrieve(
+            file.url, known_hash=f"sha256:{file.sha256}", fname=file.name, path=folder, progressbar=False
+        )
+    except ValueError:
+        raise InputError(f"{file.url}: what came is not the file of the registry (sha256)") from None
+    except Exception as error:
+        # requests, urllib3 and the file system each have their own families of errors.
+        reason = type(error).__name__
+        hint = f"set {MIRROR_VARIABLE} to a folder that holds {file.name}"
+        raise InputError(f"{file.url}: cannot be downloaded ({reason}); {hint}") from None
+    return Path(path)
