@@ -11,6 +11,7 @@ from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
 from reports.metrics.recording import recording_metrics
 from reports.numbers import GOAL_UNITS, Number, lookup, numbers_of, other_values, shown
+from reports.pointer import PointerMap, pointer_map
 from reports.stages import Group, Stage
 
 TITLES = {"record": "Recording", "map": "Mapping", "navigate": "Navigation"}
@@ -37,6 +38,7 @@ class Chapter:
 
     name: str
     robot: str
+    pointer: PointerMap | None
     parts: list[Part] = field(default_factory=list)
 
     @property
@@ -53,7 +55,7 @@ def slug(text: str) -> str:
 def build_chapter(group: Group, album: Album) -> Chapter:
     """Draw and describe every stage of a group."""
     robots = [robot for stage in group.stages if (robot := stage.fact("robot")) is not None]
-    chapter = Chapter(group.name, robots[0] if robots else "")
+    chapter = Chapter(group.name, robots[0] if robots else "", pointer_of(group))
     for stage in group.stages:
         metrics = stage_metrics(stage)
         chapter.parts.append(
@@ -69,6 +71,23 @@ def build_chapter(group: Group, album: Album) -> Chapter:
             )
         )
     return chapter
+
+
+def pointer_of(group: Group) -> PointerMap | None:
+    """The map of a group for the mouse: the built one, else the true one; with what was driven on it."""
+    built, record, runs = group.first("map"), group.first("record"), group.of_kind("navigate")
+    grids = [built.map if built else None, *(stage.true_map for stage in (record, *runs) if stage)]
+    grid = next((grid for grid in grids if grid is not None), None)
+    if grid is None:
+        return None
+    with_goals = next((run for run in runs if run.metrics.get("goals")), None)
+    if with_goals is None:
+        return pointer_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
+    paths = {
+        f"true path of {with_goals.label}": ("truth", with_goals.truth),
+        "estimate": ("estimate", with_goals.trajectory),
+    }
+    return pointer_map(grid, paths, with_goals.metrics["goals"])
 
 
 def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:

@@ -17,7 +17,9 @@ from datasets.se2 import SE2
 from datasets.types import Trajectory
 from reports.figures import maps, series
 from reports.figures.album import Album, Picture
+from reports.figures.graph import loops, pose_graph
 from reports.figures.style import styled
+from reports.g2o import PoseGraph, read_g2o
 from reports.metrics.navigation import collision_episodes
 from reports.metrics.trajectory import associate
 from reports.stages import Group, Stage
@@ -66,7 +68,20 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
                 pictures.append(
                     album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
                 )
+        if stage.has("graph.g2o"):
+            pictures.append(_graph_picture(album, prefix, read_g2o(stage.folder / "graph.g2o"), grid))
     return pictures
+
+
+def _graph_picture(album: Album, prefix: str, graph: PoseGraph, grid: OccupancyGrid | None) -> Picture:
+    far = loops(graph)
+    caption = (
+        f"{len(graph.T_map_keys)} keys and {len(graph.i)} edges; the {far.sum()} between distant keys drawn"
+    )
+    if far.any():
+        residual_cm = 100.0 * graph.residuals()[0][far]
+        caption += f", median residual {np.median(residual_cm):.2f} cm, largest {residual_cm.max():.1f} cm"
+    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", pose_graph(graph, grid))
 
 
 def _error_picture(

@@ -52,6 +52,7 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         steps=recipe(groups),
         packages=packages(groups),
         style=Markup((folder / "report.css").read_text()),
+        script=Markup((folder / "report.js").read_text()),
         chapter_numbers=chapter_numbers,
     )
 
@@ -104,7 +105,7 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         ("scans", "scans", "count", max),
     ):
         values = [
-            (value, name)
+            (value, f"{name}/{part.stage.label}")
             for name, part in parts
             if isinstance(value := lookup(part.metrics, path), (int, float))
         ]

@@ -69,7 +69,7 @@ def tags(page):
 
 
 def test_the_page_is_self_contained(tags):
-    assert tags.images == 9
+    assert tags.images == 11
     for reference in tags.references:
         assert reference.startswith(("#", "data:")), reference
 

@@ -1,0 +1,48 @@
+"""The pose graph: keys where they ended up, loops coloured by what is left of their error."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from datasets.grid import OccupancyGrid
+from datasets.types import Trajectory
+from reports.figures.maps import draw_grid, map_figure, view_box
+from reports.figures.style import FINE_TO_BAD, MUTED
+from reports.g2o import PoseGraph
+
+LOOP_GAP = 10
+"""Edges between keys at least this many apart are drawn as loops."""
+
+
+def loops(graph: PoseGraph) -> NDArray[np.bool_]:
+    """Which edges join keys that were not made one after the other, (m,)."""
+    return np.abs(graph.i - graph.j) >= LOOP_GAP
+
+
+def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None) -> Figure:
+    """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
+    keys = Trajectory(np.arange(len(graph.T_map_keys), dtype=np.int64), graph.T_map_keys)
+    figure, axes = map_figure(view_box(grid, [keys]), bar=True)
+    if grid is not None:
+        draw_grid(axes, grid, faint=True)
+    axes.plot(keys.poses.x, keys.poses.y, "-", color=MUTED, linewidth=0.8, zorder=2)
+    axes.plot(keys.poses.x, keys.poses.y, ".", color=MUTED, markersize=3, zorder=3)
+    shown = loops(graph)
+    residual_cm = 100.0 * graph.residuals()[0]
+    order = np.flatnonzero(shown)[np.argsort(residual_cm[shown], kind="stable")]
+    segments = np.stack([keys.poses.xy[graph.i[order]], keys.poses.xy[graph.j[order]]], axis=1)
+    worst = float(residual_cm[order].max()) if len(order) else 1.0
+    norm = Normalize(0.0, max(worst, 0.5))
+    lines = LineCollection(list(segments), cmap=FINE_TO_BAD, norm=norm, linewidths=0.9, alpha=0.8, zorder=4)
+    lines.set_rasterized(len(order) > 1500)
+    lines.set_array(residual_cm[order])
+    axes.add_collection(lines)
+    scale = figure.colorbar(ScalarMappable(norm, FINE_TO_BAD), ax=axes, shrink=0.7, pad=0.02, aspect=28)
+    scale.set_label("residual of the loop [cm]")
+    scale.outline.set_visible(False)  # type: ignore[operator]
+    return figure

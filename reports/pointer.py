@@ -1,0 +1,92 @@
+"""A map for the mouse: an SVG in world metres that the page's script reads coordinates from."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from datasets.grid import FREE, OccupancyGrid
+from datasets.types import Trajectory
+from reports.metrics.map import occupied
+
+PIXELS = {"occupied": 28, "unknown": 236, "free": 254}
+SPACING_M = 0.02
+
+
+@dataclass(frozen=True)
+class PointerMap:
+    """What the template needs: image, its place, the view and the lines drawn over it."""
+
+    image: str
+    columns: int
+    rows: int
+    resolution: float
+    origin: tuple[float, float, float]
+    view: str
+    width_m: float
+    lines: list[tuple[str, str, str]]
+    goals: list[tuple[float, float, int]]
+
+
+def pointer_map(
+    grid: OccupancyGrid,
+    paths: Mapping[str, tuple[str, Trajectory | None]],
+    goals: Sequence[Mapping[str, Any]],
+) -> PointerMap:
+    """The map with paths (label -> (css class, poses)) and goals, ready for the template."""
+    x0, x1, y0, y1 = _known_box(grid)
+    x, y, yaw = (float(value) for value in grid.T_map_grid.xyt)
+    lines = [
+        (label, kind, _points(path))
+        for label, (kind, path) in paths.items()
+        if path is not None and len(path)
+    ]
+    marks = [
+        (float(goal["x"]), float(goal["y"]), number)
+        for number, goal in enumerate(goals, start=1)
+        if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float))
+    ]
+    return PointerMap(
+        image=_png(grid),
+        columns=grid.shape[1],
+        rows=grid.shape[0],
+        resolution=grid.resolution,
+        origin=(x, y, yaw),
+        view=f"{x0:.3f} {-y1:.3f} {x1 - x0:.3f} {y1 - y0:.3f}",
+        width_m=x1 - x0,
+        lines=lines,
+        goals=marks,
+    )
+
+
+def _known_box(grid: OccupancyGrid) -> tuple[float, float, float, float]:
+    """Bounds of everything known, with a margin [m]."""
+    known = np.argwhere(grid.cells >= FREE)
+    xy = grid.center_of(known if len(known) else np.array([[0, 0], grid.shape]))
+    (x0, y0), (x1, y1) = xy.min(axis=0) - 0.25, xy.max(axis=0) + 0.25
+    return float(x0), float(x1), float(y0), float(y1)
+
+
+def _png(grid: OccupancyGrid) -> str:
+    """The grid as a PNG in a data address, row 0 at the bottom."""
+    pixels = np.full(grid.shape, PIXELS["unknown"], dtype=np.uint8)
+    pixels[(grid.cells >= FREE) & (grid.cells <= 25)] = PIXELS["free"]
+    pixels[occupied(grid)] = PIXELS["occupied"]
+    buffer = io.BytesIO()
+    Image.fromarray(pixels[::-1]).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _points(path: Trajectory) -> str:
+    """SVG points (y down) of a path, at least SPACING_M apart."""
+    kept = [path.poses.xy[0]]
+    for point in path.poses.xy[1:]:
+        if np.hypot(*(point - kept[-1])) >= SPACING_M:
+            kept.append(point)
+    return " ".join(f"{x:.3f},{-y:.3f}" for x, y in kept)

@@ -1,0 +1,109 @@
+"""The page in a real browser: nothing overflows, every picture is there, the map answers the mouse."""
+
+import pytest
+from browser import Browser, find_browser
+from report_fakes import fake_map, fake_record, fake_run
+
+from pipeline.report import make_report
+
+pytestmark = pytest.mark.skipif(
+    find_browser() is None, reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM"
+)
+
+OVERFLOW = """[...document.querySelectorAll("body *")].filter((element) => {
+  const box = element.getBoundingClientRect();
+  return box.right > innerWidth + 1 && !element.closest(".scroll, .recipe, svg, details:not([open])");
+}).map((element) => element.tagName + "." + element.className)"""
+CENTRE = """(() => {
+  const svg = document.querySelector(".pointer svg");
+  svg.scrollIntoView({block: "center", behavior: "instant"});
+  const p = (x, y) => {
+    const q = new DOMPoint(x, -y).matrixTransform(svg.getScreenCTM());
+    return [q.x, q.y];
+  };
+  return {room: p(-1.0, 1.0), right: p(0.0, 1.0), wall: p(0.0, 0.28), inside: p(0.0, 0.0)};
+})()"""
+READOUT = 'document.querySelector(".pointer output").textContent'
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    base = tmp_path_factory.mktemp("page")
+    record = fake_record(base / "record")
+    run = fake_run(base / "run", fake_map(base / "map", record), missed=True)
+    return make_report([record, base / "map", run], base / "report").as_uri()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(find_browser(), tmp_path_factory.mktemp("profile")) as browser:
+        yield browser
+
+
+@pytest.mark.parametrize(("width", "dark"), [(400, False), (1400, False), (1400, True)])
+def test_the_page_fits_and_complains_of_nothing(browser, address, width, dark):
+    browser.open(address, width, dark=dark)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate(OVERFLOW) == []
+    assert browser.problems() == []
+    assert browser.requests() == [address]
+
+
+def test_every_picture_is_there(browser, address):
+    browser.open(address, 1400)
+    drawn = '[...document.querySelectorAll(".drawing svg, .pointer svg")]'
+    sizes = browser.evaluate(drawn + ".map((svg) => svg.getBoundingClientRect().height)")
+    assert len(sizes) == 11
+    assert min(sizes) > 100
+    loaded = """Promise.all([...document.querySelectorAll("image, img")].map(async (element) => {
+      const image = new Image();
+      image.src = element.getAttribute("href") ?? element.getAttribute("xlink:href") ?? element.src;
+      await image.decode();
+      return image.naturalWidth;
+    }))"""
+    widths = browser.evaluate(loaded)
+    assert len(widths) > 8
+    assert min(widths) > 0
+
+
+def test_dark_and_light_are_both_readable(browser, address):
+    colours = []
+    for dark in (False, True):
+        browser.open(address, 1400, dark=dark)
+        colours.append(
+            browser.evaluate(
+                "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
+            )
+        )
+    brightness = [[sum(int(n) for n in c[4:-1].split(",")) for c in pair] for pair in colours]
+    assert brightness[0][1] - brightness[0][0] > 400
+    assert brightness[1][0] - brightness[1][1] > 400
+
+
+def test_the_map_says_where_the_cursor_is(browser, address):
+    browser.open(address, 1400)
+    places = browser.evaluate(CENTRE)
+    browser.mouse("mouseMoved", *places["room"])
+    assert browser.evaluate(READOUT).startswith("x -1.00  y 1.00  free")
+    browser.mouse("mouseMoved", *places["wall"])
+    assert browser.evaluate(READOUT).endswith("occupied")
+    browser.mouse("mouseMoved", *places["inside"])
+    assert browser.evaluate(READOUT).endswith("unknown")
+
+
+def test_a_click_gives_a_goal_and_a_drag_a_heading(browser, address):
+    browser.open(address, 400)
+    places = browser.evaluate(CENTRE)
+    browser.mouse("mousePressed", *places["room"])
+    browser.mouse("mouseReleased", *places["room"])
+    assert browser.evaluate(READOUT).startswith("--goal=-1.0")
+    assert browser.evaluate(READOUT).split()[0].endswith(",0.00")
+    browser.mouse("mousePressed", *places["right"])
+    browser.mouse("mouseMoved", *places["room"], pressed=True)
+    browser.mouse("mouseReleased", *places["room"])
+    x, y, yaw = (
+        float(part) for part in browser.evaluate(READOUT).split()[0].removeprefix("--goal=").split(",")
+    )
+    assert (x, y) == pytest.approx((0.0, 1.0), abs=0.03)
+    assert abs(yaw) == pytest.approx(3.14, abs=0.03)
+    assert browser.problems() == []
