@@ -14,9 +14,9 @@ from pipeline.localisation import motion, sampling
 from pipeline.localisation.beams import Beams, prepare
 from pipeline.localisation.estimate import Estimate, main_cluster
 from pipeline.localisation.field import distance_field
+from pipeline.localisation.fine_pose import FinePose
 from pipeline.localisation.free_space import FreeSpace
 from pipeline.localisation.parameters import AmclConfig
-from pipeline.localisation.refine import refine
 from pipeline.localisation.sensor import make_sensor_model
 
 
@@ -46,6 +46,7 @@ class Amcl:
         self._field = distance_field(grid, config.likelihood_max_dist)
         self._sensor = make_sensor_model(config, self._field, self._limits[1])
         self._free = FreeSpace(grid)
+        self._fine = FinePose(grid, config) if config.refine else None
         self._poses = np.zeros((0, 3))
         self._weights = np.zeros(0)
         self._T_odom_base: SE2 | None = None  # odometry at the last filter update
@@ -151,6 +152,8 @@ class Amcl:
         self._T_odom_base = self._T_map_odom = self._estimate = None
         self._slow = self._fast = 0.0
         self._updates = 0
+        if self._fine is not None:
+            self._fine.forget()
 
     def _check(self, T_odom_base: SE2) -> None:
         if not self.initialised:
@@ -167,9 +170,12 @@ class Amcl:
     def _predict(self, T_odom_base: SE2) -> None:
         if self._T_odom_base is not None:
             c = self.config
-            step = motion.decompose(self._T_odom_base.inverse() @ T_odom_base)
+            T_base_new = self._T_odom_base.inverse() @ T_odom_base
+            step = motion.decompose(T_base_new)
             std = motion.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
             motion.move(self._poses, step, self._rng.standard_normal(self._poses.shape) * std)
+            if self._fine is not None:
+                self._fine.predict(T_base_new, step, std)
         self._T_odom_base = T_odom_base
 
     def _weigh(self, beams: Beams) -> None:
@@ -207,18 +213,8 @@ class Amcl:
         self._weights = np.full(len(kept), 1.0 / len(kept))
 
     def _estimate_pose(self, beams: Beams, T_odom_base: SE2) -> None:
-        estimate = main_cluster(self._poses, self._weights, self.config)
-        T_map_base = estimate.T_map_base
-        if self.config.refine and len(beams) > 0:
-            c = self.config
-            T_map_base, _ = refine(
-                self._field,
-                T_map_base,
-                estimate.information,
-                beams.points,
-                sigma_hit=c.sigma_hit,
-                odds_rand=c.z_rand / self._limits[1] / c.z_hit,
-                beam_share=min(1.0, c.max_beams / len(beams)),
-            )
-        self._estimate = estimate
+        self._estimate = main_cluster(self._poses, self._weights, self.config)
+        T_map_base = self._estimate.T_map_base
+        if self._fine is not None:
+            T_map_base = self._fine.correct(self._estimate, beams.points)
         self._T_map_odom = T_map_base @ T_odom_base.inverse()

@@ -18,10 +18,10 @@ LEAST_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Mean of the main cluster, its information matrix, and the whole cloud's covariance about the mean."""
+    """Mean and covariance (`core`) of the main cluster, and the whole cloud's covariance about that mean."""
 
     T_map_base: SE2
-    information: Array
+    core: Array
     covariance: Array
     weight: float  # of the main cluster
 
@@ -43,9 +43,8 @@ def main_cluster(poses: Array, weights: Array, config: AmclConfig) -> Estimate:
     offset = _offset(poses, mean)
     covariance = (weights * offset.T) @ offset
     mass = float(weights[near].sum())
-    core = (weights[near] * offset[near].T) @ offset[near] / mass
-    information: Array = np.asarray(np.linalg.inv(core + np.diag(LEAST_VARIANCE)))
-    return Estimate(SE2.from_array(mean), information, covariance, mass)
+    core = (weights[near] * offset[near].T) @ offset[near] / mass + np.diag(LEAST_VARIANCE)
+    return Estimate(SE2.from_array(mean), core, covariance, mass)
 
 
 def weighted_mean(poses: Array, weights: Array) -> Array:

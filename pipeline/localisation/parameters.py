@@ -53,10 +53,15 @@ class AmclConfig(BaseModel):
     recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)
     recovery_alpha_fast: float = Field(default=0.1, ge=0.0, le=1.0)
 
-    refine: bool = True  # the estimate is polished on the field with all beams
-    convergence_xy: float = Field(
-        default=0.15, gt=0.0
-    )  # standard deviation below which the cloud has converged
+    # The estimate finer than the cloud (see fine_pose): residual at which a beam counts a quarter, standard
+    # deviation of a beam against the map, and how many beams' worth one wall may say in one scan.
+    refine: bool = True
+    match_scale: float = Field(default=0.03, gt=0.0)
+    match_std: float = Field(default=0.03, gt=0.0)
+    match_patch_beams: float = Field(default=2.0, gt=0.0)
+
+    # The cloud counts as converged when its standard deviations are below these.
+    convergence_xy: float = Field(default=0.15, gt=0.0)
     convergence_yaw: float = Field(default=0.1, gt=0.0)
 
     initial_cov_xx: float = Field(default=0.25, ge=0.0)
