@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from datasets.bags import convert
 from datasets.bags.doctor import examine
@@ -20,6 +23,7 @@ from datasets.outputs import Stopwatch, check_free, staged_output, write_manifes
 from datasets.recordings import load_recording
 from pipeline.commands.arguments import add_output
 from pipeline.console import log
+from pipeline.play import Player, play
 
 EXAMPLE = "turtlebag bag info data/record"
 
@@ -41,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "find what is wrong with a bag and say what it would break (exit 1 on errors)",
         "example: turtlebag bag doctor my_robot.bag",
     )
+    sub = action(
+        "play",
+        _play,
+        "show a recording as it was: clock, speeds, scan and path",
+        "example: turtlebag bag play data/record --rate 4",
+    )
+    sub.add_argument("--rate", type=float, default=1.0, metavar="R", help="times the recorded speed")
     sub = action(
         "recover",
         _recover,
@@ -109,6 +120,22 @@ def _doctor(args: argparse.Namespace) -> int:
     errors = sum(finding.severity == "error" for finding in findings)
     print(f"{errors} errors, {len(findings) - errors} warnings" if findings else "no defect found")
     return 1 if errors else 0
+
+
+def _play(args: argparse.Namespace) -> int:
+    player = Player(args.bag)
+    _print_notes(player.recording.notes)
+    if not sys.stdout.isatty():  # a log line each second instead of a moving picture
+        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / max(args.rate, 1e-9))
+        return 0
+    with Live(console=Console(highlight=False), auto_refresh=False) as live:
+        play(
+            player,
+            lambda frame: live.update(Text(f"{frame.drawing}\n{frame.status}"), refresh=True),
+            rate=args.rate,
+            every_s=0.1,
+        )
+    return 0
 
 
 def _recover(args: argparse.Namespace) -> int:
