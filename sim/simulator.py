@@ -12,6 +12,7 @@ from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
 from datasets.types import Joints, Observation, Odometry, Scan, Twist
+from sim.imu import ImuConfig, ImuSensor
 from sim.lidar import Lidar, LidarConfig
 from sim.physics import Physics, PhysicsConfig
 from sim.raycast import distance_to_outlines, distance_to_point
@@ -32,6 +33,7 @@ class SimConfig(BaseModel):
     physics: PhysicsConfig = PhysicsConfig()
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
+    imu: ImuConfig = ImuConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,7 @@ class Simulator:
         dt = 1.0 / CONTROL_HZ
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
+        self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
         self._physics.reset(start)
@@ -132,12 +135,14 @@ class Simulator:
         left, right, left_speed, right_speed = self._physics.wheels()
         visible, low = self._contacts(x, y)
         pose = np.array([x, y, yaw])
-        self._truth = Truth(stamp, SE2(pose), Twist(*self._physics.velocity(yaw)), visible, low)
+        twist = Twist(*self._physics.velocity(yaw))
+        self._truth = Truth(stamp, SE2(pose), twist, visible, low)
         return Observation(
             stamp,
             Odometry(stamp, *self._odometry.update(left, right)),
             Joints(stamp, (left, right), (left_speed, right_speed)),
             self._sweep_on(pose, stamp),
+            self._imu.samples(self._step, twist),
         )
 
     def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:

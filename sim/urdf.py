@@ -7,10 +7,9 @@ import numpy as np
 from datasets.se2 import Array
 from sim.robots import BoxPart, CylinderPart, Part, RobotSpec
 
-TREAD, FLANK = 0.2, 0.97
-"""A wheel stands on a narrow tread (this share of its width), as a crowned tyre does: rigid cylinders of
-full width would be carried now by one edge, now by the other, and the track would jump by their width.
-The full width, at this share of the radius, is there to touch walls."""
+TREAD = 0.2
+"""A wheel stands on a narrow tread (this share of its width), as a crowned tyre does: a rigid cylinder of
+full width would be carried now by one edge, now by the other, and the track would jump by its width."""
 
 
 def composite(parts: list[Part]) -> tuple[float, Array, Array]:
@@ -54,6 +53,7 @@ def urdf(robot: RobotSpec) -> str:
         f'<collision><origin xyz="{_xyz(part.center)}"/><geometry>{_geometry(part)}</geometry></collision>'
         for part in robot.parts
     )
+    collisions += "".join(_guard(robot, x) for x in wheels.pairs_x)
     text = [f'<robot name="{robot.name}"><link name="base_footprint">']
     text += [_inertial(*composite(robot.parts)), collisions, "</link>"]
     for x in wheels.pairs_x:
@@ -61,7 +61,9 @@ def urdf(robot: RobotSpec) -> str:
             name = f"wheel_{side}_{x:g}"
             text.append(
                 f'<link name="{name}">{_inertial(wheels.mass, (0.0, 0.0, 0.0), wheels.inertia)}'
-                f"{_wheel(wheels.radius, TREAD * wheels.width)}{_wheel(FLANK * wheels.radius, wheels.width)}"
+                f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/><geometry>'
+                f'<cylinder radius="{wheels.radius!r}" length="{TREAD * wheels.width!r}"/>'
+                f"</geometry></collision>"
                 f'</link><joint name="{name}_joint" type="continuous"><parent link="base_footprint"/>'
                 f'<child link="{name}"/><origin xyz="{_xyz((x, sign * wheels.joint_y, wheels.radius))}"/>'
                 f'<axis xyz="0 1 0"/></joint>'
@@ -69,9 +71,11 @@ def urdf(robot: RobotSpec) -> str:
     return "".join([*text, "</robot>"])
 
 
-def _wheel(radius: float, width: float) -> str:
-    """A cylinder lying along y."""
+def _guard(robot: RobotSpec, x: float) -> str:
+    """What walls touch of an axle: a box as wide as the wheels, clear of the floor; it has no mass."""
+    wheels = robot.wheels
+    size = (1.6 * wheels.radius, 2.0 * wheels.joint_y + wheels.width, 1.2 * wheels.radius)
     return (
-        f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/>'
-        f'<geometry><cylinder radius="{radius!r}" length="{width!r}"/></geometry></collision>'
+        f'<collision><origin xyz="{_xyz((x, 0.0, wheels.radius))}"/>'
+        f'<geometry><box size="{_xyz(size)}"/></geometry></collision>'
     )

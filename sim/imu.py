@@ -1,0 +1,77 @@
+"""The IMU: yaw rate and specific force of a body that moves on the floor, with noise and wandering bias."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import Array
+from datasets.types import Imu, Twist
+from sim.robots import RobotSpec
+
+RATE_HZ = 100
+GRAVITY = 9.81
+
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+
+class ImuConfig(BaseModel):
+    """Standard deviations: white noise a sample, bias at the start, and bias walk a root-second."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    enabled: bool = True
+    gyro_noise: NonNegative = 2e-4
+    gyro_bias: NonNegative = 5e-4
+    gyro_walk: NonNegative = 2e-5
+    accelerometer_noise: NonNegative = 1.7e-2
+    accelerometer_bias: NonNegative = 5e-2
+    accelerometer_walk: NonNegative = 5e-4
+
+
+class ImuSensor:
+    """Samples at 100 Hz between control steps, from the true planar motion; roll and pitch are left out."""
+
+    def __init__(
+        self, robot: RobotSpec, config: ImuConfig, rng: np.random.Generator, control_hz: int
+    ) -> None:
+        self._config, self._rng, self._hz = config, rng, control_hz
+        self._lever = np.array(robot.imu.position[:2])
+        self._noise = np.repeat([config.gyro_noise, config.accelerometer_noise], 3)
+        self._walk = np.repeat([config.gyro_walk, config.accelerometer_walk], 3) / math.sqrt(RATE_HZ)
+        self._bias = np.repeat([config.gyro_bias, config.accelerometer_bias], 3) * rng.standard_normal(6)
+        self._last = Twist()
+        self._count = 0
+
+    def samples(self, step: int, twist: Twist) -> tuple[Imu, ...]:
+        """Samples taken up to the end of control step number `step`, after which the body has this twist."""
+        if not self._config.enabled:
+            return ()
+        # Sample j is taken at j / RATE_HZ; the step ends at step / hz.
+        until = step * RATE_HZ // self._hz
+        n = until - self._count
+        at: Array = np.arange(self._count + 1, until + 1) * (self._hz / RATE_HZ) - (step - 1)
+        self._count = until
+        last, self._last = self._last, twist
+        draws = self._rng.standard_normal((2, n, 6))
+        walk = np.cumsum(self._walk * draws[0], axis=0) + self._bias
+        values = self._true(last, twist, at) + self._noise * draws[1] + walk
+        if n:
+            self._bias = walk[-1]
+        period = 10**9 // RATE_HZ
+        return tuple(Imu((until - n + 1 + k) * period, values[k, :3], values[k, 3:]) for k in range(n))
+
+    def _true(self, before: Twist, after: Twist, at: Array) -> Array:
+        """Gyro and specific force, (n, 6), at fractions (n,) of a control step; linear speeds between."""
+        out = np.zeros((len(at), 6))
+        dv, dw = (after.v - before.v) * self._hz, (after.w - before.w) * self._hz
+        v, w = before.v + at * (after.v - before.v), before.w + at * (after.w - before.w)
+        x, y = self._lever
+        out[:, 2] = w
+        # Acceleration of a point of the body: of the base, from the turning rate's change, centripetal.
+        out[:, 3] = dv - dw * y - w * w * x
+        out[:, 4] = v * w + dw * x - w * w * y
+        out[:, 5] = GRAVITY
+        return out
