@@ -117,3 +117,33 @@ def disc_segment_free(
             return False
         t += max(d - radius, 0.5 * resolution)
     return True
+
+
+@njit(cache=True)
+def path_clearance(
+    field: Field32,
+    resolution: float,
+    points: Array,
+    inscribed: float,
+    circumscribed: float,
+    poses: Array,
+    x: float,
+    y: float,
+    ahead: float,
+) -> float:
+    """Least footprint clearance over the poses (n, 3) of a path, from the one nearest (x, y) on [m]."""
+    first, best = 0, np.inf
+    for k in range(poses.shape[0]):
+        d = math.hypot(poses[k, 0] - x, poses[k, 1] - y)
+        if d < best:
+            best, first = d, k
+    least, driven = np.inf, 0.0
+    for k in range(first + 1, poses.shape[0]):
+        driven += math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
+        if driven > ahead:
+            break
+        d = footprint_clearance(
+            field, resolution, points, inscribed, circumscribed, poses[k, 0], poses[k, 1], poses[k, 2]
+        )
+        least = min(least, d)
+    return least

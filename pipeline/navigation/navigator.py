@@ -1,54 +1,51 @@
-"""Going to one pose after another on a map: localise, plan, follow, check, give up with a reason."""
+"""The driver of `goal` and `patrol`: localises, asks the task where to go, runs goal after goal."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from datasets.se2 import SE2
-from datasets.types import Observation, RobotModel, Twist
+from datasets.types import Observation, Twist
+from pipeline.navigation.goal_runner import GoalRunner, Tools
 from pipeline.navigation.localiser import Localiser, Publisher
-from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from planners.control.interface import Controller
-from planners.costmap import Costmap
-from planners.global_plan import NoPath, PlanConfig, fits, plan_path
+from pipeline.navigation.sensing import Sensing, Sight
+from planners.global_plan import fits
 from planners.tasks.sequence import GoalSequence
 
 
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """What a navigator is made of."""
-
-    model: RobotModel
-    costmap: Costmap
-    localiser: Localiser
-    controller: Controller
-    plan_config: PlanConfig
-    checker_config: GoalCheckerConfig
-    publisher: Publisher
-    plan_seed: int
-
-
 class NavigationDriver:
-    """The driver of `goal` and `patrol` (see pipeline.navigation.driver)."""
+    """Drives on a map (see pipeline.navigation.driver)."""
 
-    def __init__(self, parts: Parts, sequence: GoalSequence) -> None:
-        self.parts = parts
+    def __init__(
+        self,
+        tools: Tools,
+        sensing: Sensing,
+        localiser: Localiser,
+        sequence: GoalSequence,
+        publisher: Publisher,
+        plan_seed: int,
+    ) -> None:
+        self.tools = tools
+        self.sensing = sensing
+        self.localiser = localiser
         self.sequence = sequence
         self.state = "wait"
         self.goal_index = -1
         self.finished = False
         self.estimate: SE2 | None = None
-        self._goal: SE2 | None = None
-        self._checker: GoalChecker | None = None
-        self._plans = 0
+        self._publisher = publisher
+        self._plan_seed = plan_seed
+        self._runner: GoalRunner | None = None
         self._last = Twist()
+        self._now = 0
 
     def step(self, observation: Observation) -> Twist:
-        """Localise, ask the task for the goal, follow the path to it."""
-        now = observation.stamp_ns
-        self.parts.localiser.observe(observation)
-        self.estimate = self.parts.localiser.T_map_base(observation.odometry.T_odom_base)
-        if not self.parts.localiser.amcl.initialised:
+        """Localise, ask the task for the goal, pursue it."""
+        now = self._now = observation.stamp_ns
+        sight = self.sensing.observe(observation)
+        self.localiser.observe(observation)
+        self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
+        if sight is not None:
+            self._see(sight)
+        if not self.localiser.amcl.initialised:
             self.sequence.reject_all("no initial pose", now)
             return self._stop("no_pose", finished=True)
         goal = self.sequence.update(now)
@@ -56,48 +53,49 @@ class NavigationDriver:
         if self.sequence.finished:
             return self._stop("done", finished=abs(self._last.v) < 1e-3)
         if goal is None or self.estimate is None:
-            self._goal = None
+            self._runner = None
             return self._stop("wait")
-        if goal is not self._goal and not self._start(goal, self.estimate, now):
-            return self._stop("wait")
-        return self._follow(observation, self.estimate)
+        if self._runner is None or goal is not self._runner.goal:
+            self._runner = self._start(goal, now)
+            if self._runner is None:
+                return self._stop("wait")
+        return self._pursue(self._runner, observation, self.estimate, sight is not None)
 
-    def _start(self, goal: SE2, estimate: SE2, now: int) -> bool:
-        """Plan to a new goal; False when that is impossible, and its outcome is recorded."""
-        self._goal = goal
-        self._checker = GoalChecker(self.parts.checker_config, goal)
-        self.parts.publisher.goal(now, goal)
-        if not fits(self.parts.costmap, self.parts.model, goal):
-            self.sequence.close("rejected", "the goal is in an obstacle or off the map", now)
-            return False
-        return self._plan(goal, estimate, now)
-
-    def _plan(self, goal: SE2, estimate: SE2, now: int) -> bool:
-        self._plans += 1
-        seed = self.parts.plan_seed + 1000 * self._plans
-        try:
-            plan = plan_path(
-                self.parts.costmap, self.parts.model, estimate, goal, self.parts.plan_config, seed
+    def _see(self, sight: Sight) -> None:
+        T_map_odom = self.localiser.T_map_odom
+        if T_map_odom is not None:
+            self.tools.live.update(
+                sight.stamp_ns * 1e-9,
+                T_map_odom @ sight.T_odom_lidar,
+                T_map_odom @ sight.hits_odom,
+                T_map_odom @ sight.passes_odom,
             )
-        except NoPath as error:
-            self.sequence.close("unreachable", str(error), now)
-            return False
-        self.parts.controller.set_path(plan.poses)
-        self.parts.publisher.plan(now, plan.poses)
-        return True
 
-    def _follow(self, observation: Observation, estimate: SE2) -> Twist:
-        now = observation.stamp_ns
-        command = self.parts.controller.command(estimate, self._last, self.parts.costmap)
-        self.state = self.parts.controller.state
-        if self._checker is not None and self._checker.reached(now, estimate, observation.odometry.twist):
-            self.sequence.close("reached", "", now)
-            return self._stop("reached")
-        self._last = command
-        return command
+    def _start(self, goal: SE2, now: int) -> GoalRunner | None:
+        """A runner for a new goal; None when the goal is rejected, which is recorded."""
+        self._publisher.goal(now, goal)
+        if not fits(self.tools.live.static, self.tools.model, goal):
+            self.sequence.close("rejected", "the goal is in an obstacle or off the map", now)
+            return None
+        seed = self._plan_seed + 1_000_000 * self.sequence.index
+        return GoalRunner(self.tools, goal, seed, self._publish_plan)
+
+    def _publish_plan(self, poses: SE2) -> None:
+        self._publisher.plan(self._now, poses)
+
+    def _pursue(self, runner: GoalRunner, observation: Observation, estimate: SE2, new_sweep: bool) -> Twist:
+        now, odometry = observation.stamp_ns, observation.odometry
+        points = self.sensing.points_base(odometry.T_odom_base)
+        self._last, verdict = runner.step(now, estimate, odometry.twist, self._last, points, new_sweep)
+        self.state = runner.state
+        if verdict is not None:
+            self.sequence.close(verdict.status, verdict.reason, now)
+            self._runner = None
+            self.state = verdict.status
+        return self._last
 
     def _stop(self, state: str, *, finished: bool = False) -> Twist:
         """Brake to a standstill."""
         self.state, self.finished = state, finished
-        self._last = self.parts.controller.brake(self._last)
+        self._last = self.tools.controller.brake(self._last)
         return self._last

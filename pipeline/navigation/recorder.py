@@ -12,7 +12,8 @@ from datasets.runlog import RunLog, RunLogBuilder
 from datasets.se2 import SE2
 from datasets.types import Observation, Trajectory, Twist
 from pipeline.navigation.driver import Driver
-from pipeline.navigation.localiser import OdometryBuffer, Publisher
+from pipeline.navigation.localiser import Publisher
+from pipeline.navigation.sensing import OdometryBuffer
 from sim.simulator import Simulator
 
 

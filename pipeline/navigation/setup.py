@@ -17,12 +17,16 @@ from pipeline.localisation.amcl import Amcl
 from pipeline.navigation.avoid import AvoidDriver
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.driver import Driver
+from pipeline.navigation.goal_runner import Tools
 from pipeline.navigation.localiser import Localiser
-from pipeline.navigation.navigator import NavigationDriver, Parts
+from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.recorder import Bag
+from pipeline.navigation.sensing import Sensing
+from planners.control.monitor import CollisionMonitor
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
 from planners.global_plan import fits
+from planners.live import LiveLayer
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from sim.robots import RobotSpec
@@ -127,23 +131,35 @@ def make_driver(
         duration = request.duration_s or DEFAULT_DURATION_S
         return AvoidDriver(config.avoid, duration, say), None, None
     robot = mission.robot
-    lidar = robot.lidar.spec(config.sim.lidar.turning)
-    rng = stream(request.seed, "amcl")
-    localiser = Localiser(Amcl(mission.grid, lidar, robot.T_base_lidar, config.amcl, rng), publisher)
+    sensing = Sensing(robot.T_base_lidar)
+    localiser = _make_localiser(mission, mission.grid, sensing, publisher)
     _tell_pose(localiser, request.initial_pose, first)
     sequence = GoalSequence(mission.waypoints, config.sequence)
-    parts = Parts(
-        model=robot.model,
-        costmap=mission.costmap,
-        localiser=localiser,
-        controller=Pursuit(robot.model, config.pursuit, 1.0 / CONTROL_HZ),
-        plan_config=config.plan,
-        checker_config=config.goal_checker,
-        publisher=publisher,
-        plan_seed=int(stream(request.seed, "plan").integers(2**31)),
-    )
     publisher.map(first.stamp_ns, mission.grid)
-    return NavigationDriver(parts, sequence), localiser, sequence
+    seed = int(stream(request.seed, "plan").integers(2**31))
+    tools = make_tools(robot, config, mission.costmap)
+    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed)
+    return driver, localiser, sequence
+
+
+def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap) -> Tools:
+    """Controller, monitor and live layer for a robot on a costmap."""
+    return Tools(
+        model=robot.model,
+        controller=Pursuit(robot.model, config.pursuit, 1.0 / CONTROL_HZ),
+        monitor=CollisionMonitor(robot.model, config.monitor),
+        live=LiveLayer(costmap, config.live),
+        plan=config.plan,
+        checker=config.goal_checker,
+        recovery=config.recovery,
+    )
+
+
+def _make_localiser(mission: Mission, grid: OccupancyGrid, sensing: Sensing, publisher: Bag) -> Localiser:
+    lidar = mission.robot.lidar.spec(mission.config.sim.lidar.turning)
+    rng = stream(mission.request.seed, "amcl")
+    amcl = Amcl(grid, lidar, mission.robot.T_base_lidar, mission.config.amcl, rng)
+    return Localiser(amcl, sensing.odometry, publisher)
 
 
 def _tell_pose(

@@ -42,6 +42,10 @@ class Controller(Protocol):
         """The next command, from the pose now, the command before, and what is in the way."""
         ...
 
+    def ramp(self, target: Twist, last: Twist) -> Twist:
+        """As near to a target as the acceleration limits allow in one period."""
+        ...
+
     def brake(self, last: Twist) -> Twist:
         """The next command on the way to a standstill."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -53,6 +54,7 @@ class Pursuit:
         self.limits = SpeedLimits.of(
             model, period, max_v=config.max_v, max_w=config.max_w, max_dv=config.max_dv
         )
+        self.hardest = replace(self.limits, max_dv=model.max_dv)
         self.samples = sample_footprint(model, 0.03)
         self.state = "idle"
         self._points = np.zeros((0, 2))
@@ -82,9 +84,13 @@ class Pursuit:
             target = self._onto_goal(x, y, yaw, last)
         return ramped(target, last, self.limits)
 
+    def ramp(self, target: Twist, last: Twist) -> Twist:
+        """As near to a target as the acceleration limits allow in one period."""
+        return ramped(target, last, self.limits)
+
     def brake(self, last: Twist) -> Twist:
-        """The next command on the way to a standstill."""
-        return ramped(Twist(), last, self.limits)
+        """The next command on the way to a standstill, as hard as the robot itself may brake."""
+        return ramped(Twist(), last, self.hardest)
 
     def remaining(self) -> float:
         """Length of the path still ahead [m]."""

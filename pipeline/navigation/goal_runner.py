@@ -1,0 +1,174 @@
+"""Pursuing one goal: plan, follow, watch out, recover, and say what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from datasets.se2 import SE2, Array
+from datasets.types import RobotModel, Twist
+from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from planners.control.interface import Controller
+from planners.control.monitor import CollisionMonitor
+from planners.costmap import Costmap
+from planners.footprint import path_clearance, sample_footprint
+from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
+from planners.live import LiveLayer
+from planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
+from planners.tasks.sequence import Status
+
+LOOK_AHEAD_M = 2.5
+TIGHT_M = 0.02
+"""A path along which the footprint comes this near to something counts as blocked."""
+REPLAN_EVERY_NS = 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """What a runner uses; the same for all goals of a run."""
+
+    model: RobotModel
+    controller: Controller
+    monitor: CollisionMonitor
+    live: LiveLayer
+    plan: PlanConfig
+    checker: GoalCheckerConfig
+    recovery: RecoveryConfig
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How the pursuit of a goal ended."""
+
+    status: Status
+    reason: str = ""
+
+
+class GoalRunner:
+    """One goal, in the frame of the live layer's costmap."""
+
+    def __init__(self, tools: Tools, goal: SE2, seed: int, publish_plan: Callable[[SE2], None]) -> None:
+        self.tools = tools
+        self.goal = goal
+        self.state = "plan"
+        self._seed = seed
+        self._plans = 0
+        self._publish_plan = publish_plan
+        self._checker = GoalChecker(tools.checker, goal)
+        self._ladder = Ladder(tools.recovery, tools.live.clear)
+        self._watch = ProgressWatch(tools.recovery)
+        self._manoeuvre: Manoeuvre | None = None
+        self._path: Plan | None = None
+        self._planned_ns = -REPLAN_EVERY_NS
+        self._held_ns = 0
+        self._driven = 0.0
+        self._at: SE2 | None = None
+        self._samples = sample_footprint(tools.model, 0.03)
+        self._trouble = ""
+
+    def step(
+        self, now_ns: int, pose: SE2, measured: Twist, last: Twist, points_base: Array, new_sweep: bool
+    ) -> tuple[Twist, Verdict | None]:
+        """The next command, and the verdict when the pursuit is over."""
+        self._note_progress(pose)
+        if self._checker.reached(now_ns, pose, measured):
+            return self.tools.controller.brake(last), Verdict("reached")
+        if self._manoeuvre is not None:
+            wanted = self._manoeuvre.command(now_ns, pose)
+            if wanted is not None:
+                self.state = self._manoeuvre.name
+                return self._guarded(wanted, last, pose, points_base), None
+            self._manoeuvre, self._path = None, None
+            self._watch.reset()
+        if self._path is None or (new_sweep and self._blocked(now_ns, pose)):
+            verdict = self._replan(now_ns, pose)
+            if verdict is not None or self._path is None:
+                return self.tools.controller.brake(last), verdict
+        wanted = self.tools.controller.command(pose, last, self.tools.live.costmap)
+        self.state = self.tools.controller.state
+        command = self._guarded(wanted, last, pose, points_base)
+        return command, self._held_up(now_ns, pose, wanted, command)
+
+    def _note_progress(self, pose: SE2) -> None:
+        if self._at is not None:
+            self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
+        self._at = pose
+        if self._driven > self.tools.recovery.progress and self._manoeuvre is None:
+            self._driven = 0.0
+            self._ladder.rest()
+
+    def _replan(self, now_ns: int, pose: SE2) -> Verdict | None:
+        """A new path; without one the way on is recovery, or giving up when there never was one."""
+        self._plans += 1
+        self._planned_ns = now_ns
+        try:
+            self._path = self._plan_on(self.tools.live.costmap, pose)
+        except NoPath as error:
+            self._path = None
+            self.state = "plan"
+            if not self.tools.live.marked:
+                return Verdict("unreachable", str(error))
+            return self._recover(now_ns, pose, f"blocked by something not on the map: {error}")
+        self.tools.controller.set_path(self._path.poses)
+        self._publish_plan(self._path.poses)
+        return None
+
+    def _plan_on(self, costmap: Costmap, pose: SE2) -> Plan:
+        t = self.tools
+        return plan_path(costmap, t.model, pose, self.goal, t.plan, self._seed + 1000 * self._plans)
+
+    def _blocked(self, now_ns: int, pose: SE2) -> bool:
+        """Whether live obstacles stand on the path ahead."""
+        live = self.tools.live
+        if not live.marked or self._path is None or now_ns - self._planned_ns < REPLAN_EVERY_NS:
+            return False
+        costmap = live.costmap
+        poses = np.ascontiguousarray((costmap.T_grid_map @ self._path.poses).xyt)
+        x, y, _ = (costmap.T_grid_map @ pose).xyt.tolist()
+        s = self._samples
+        clearance = path_clearance(
+            costmap.clearance,
+            costmap.resolution,
+            s.points,
+            s.inscribed,
+            s.circumscribed,
+            poses,
+            x,
+            y,
+            LOOK_AHEAD_M,
+        )
+        return bool(clearance < TIGHT_M)
+
+    def _guarded(self, wanted: Twist, last: Twist, pose: SE2, points_base: Array) -> Twist:
+        """The command that the collision monitor lets pass."""
+        monitor, costmap = self.tools.monitor, self.tools.live.static
+        factor = monitor.limit(wanted, points_base)
+        if factor > 0.0:
+            x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
+            factor = min(
+                factor,
+                monitor.limit_on_map(wanted, costmap.clearance, costmap.resolution, x, y, yaw),
+            )
+        if factor >= 1.0:
+            return wanted
+        self.state = "held" if factor == 0.0 else self.state
+        return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), last)
+
+    def _held_up(self, now_ns: int, pose: SE2, wanted: Twist, command: Twist) -> Verdict | None:
+        """Recovery when the monitor holds the robot, or when it does not get on."""
+        moving = abs(wanted.v) > 0.005 or abs(wanted.w) > 0.03
+        if moving and self._watch.stuck(now_ns, pose):
+            return self._recover(now_ns, pose, "stuck: the robot did not get on")
+        if not moving:
+            self._watch.reset()
+        return None
+
+    def _recover(self, now_ns: int, pose: SE2, trouble: str) -> Verdict | None:
+        self._watch.reset()
+        self._driven = 0.0
+        self._manoeuvre = self._ladder.climb(now_ns, pose)
+        if self._manoeuvre is None:
+            return Verdict("unreachable", f"{trouble}; given up after {self._ladder.used} recoveries")
+        return None

@@ -1,0 +1,89 @@
+"""What the lidar sees round the robot, in the odometry frame, with the motion during the sweep undone."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from datasets.se2 import SE2, Array
+from datasets.types import Observation, Scan
+
+
+class OdometryBuffer:
+    """The last odometry poses, to ask for one at a scan's stamp."""
+
+    def __init__(self, length: int = 32) -> None:
+        self._samples: deque[tuple[int, SE2]] = deque(maxlen=length)
+
+    def add(self, stamp_ns: int, T_odom_base: SE2) -> None:
+        """Append the newest pose."""
+        self._samples.append((stamp_ns, T_odom_base))
+
+    def at(self, stamp_ns: int) -> SE2:
+        """Odometry at a stamp, interpolated; held at the ends of what is remembered."""
+        newer = self._samples[-1]
+        for sample in reversed(self._samples):
+            if sample[0] <= stamp_ns:
+                if newer[0] <= stamp_ns:
+                    return newer[1]
+                fraction = (stamp_ns - sample[0]) / (newer[0] - sample[0])
+                return sample[1].interpolate(newer[1], fraction)
+            newer = sample
+        return newer[1]
+
+
+def sweep_end_ns(scan: Scan) -> int:
+    """Stamp of the end of a sweep [ns]."""
+    return scan.stamp_ns + round(scan.lidar.n_beams * scan.lidar.time_increment * 1e9)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One sweep in the odometry frame: points hit (n, 2), ends of beams that met nothing (m, 2).
+
+    Beams nearer than the lidar can measure (-inf) are hits at its least range.
+    """
+
+    stamp_ns: int
+    T_odom_lidar: SE2
+    hits_odom: Array
+    passes_odom: Array
+
+
+class Sensing:
+    """Keeps odometry and the newest sweep."""
+
+    def __init__(self, T_base_lidar: SE2) -> None:
+        self.odometry = OdometryBuffer()
+        self.sight: Sight | None = None
+        self._T_base_lidar = T_base_lidar
+
+    def observe(self, observation: Observation) -> Sight | None:
+        """Take in an observation; the new sweep when it brought one."""
+        odometry = observation.odometry
+        self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
+        if observation.scan is None:
+            return None
+        self.sight = self._look(observation.scan)
+        return self.sight
+
+    def points_base(self, T_odom_base: SE2) -> Array:
+        """The newest sweep's hits as seen from the base now, (n, 2)."""
+        if self.sight is None:
+            return np.zeros((0, 2))
+        return T_odom_base.inverse() @ self.sight.hits_odom
+
+    def _look(self, scan: Scan) -> Sight:
+        first, last = self.odometry.at(scan.stamp_ns), self.odometry.at(sweep_end_ns(scan))
+        ranges = scan.ranges.astype(np.float64)
+        near = np.isneginf(ranges) | (ranges < scan.lidar.range_min)
+        hit = scan.valid() | near
+        passed = np.isposinf(ranges)
+        distance = np.where(near, scan.lidar.range_min, np.where(passed, scan.lidar.range_max, ranges))
+        used = hit | passed
+        fraction = np.arange(len(ranges))[used] / len(ranges)
+        T_odom_lidar = first.interpolate(last, fraction) @ self._T_base_lidar
+        ends = T_odom_lidar @ (scan.lidar.directions[used] * distance[used, None])
+        return Sight(scan.stamp_ns, last @ self._T_base_lidar, ends[hit[used]], ends[passed[used]])

@@ -1,0 +1,148 @@
+"""The collision monitor: whatever the controller says, the robot stops short of what the lidar sees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import Array
+from datasets.types import RobotModel, Twist
+from planners.footprint import Field32, footprint_clearance, sample_footprint
+
+
+class MonitorConfig(BaseModel):
+    """Metres and seconds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    padding: float = Field(default=0.02, ge=0.0)
+    """The footprint is checked this much larger."""
+    reaction: float = Field(default=0.1, ge=0.0)
+    """Time at the commanded speed before braking is felt."""
+    braking: float = Field(default=0.8, gt=0.0)
+    """Deceleration counted on [m/s^2]."""
+    step: float = Field(default=0.01, gt=0.0)
+    """Spacing of the poses checked along the way [m]."""
+
+
+class CollisionMonitor:
+    """Limits commands to those that can still be stopped in time.
+
+    Two witnesses: the points of the last sweep, and (localised) a clearance field with the
+    keep-out areas that no lidar sees.
+    """
+
+    def __init__(self, model: RobotModel, config: MonitorConfig) -> None:
+        self.config = config
+        self._footprint = padded(model.footprint, config.padding)
+        self._reach = model.circumscribed_radius + config.padding
+        self._samples = sample_footprint(model, 0.03)
+
+    def limit(self, command: Twist, points_base: Array) -> float:
+        """Factor 0..1 for the command, from points (n, 2) in the base frame now.
+
+        A point already inside the padded footprint does not forbid motions that lead away from it.
+        """
+        v, w = command.v, command.w
+        if (v == 0.0 and w == 0.0) or len(points_base) == 0:
+            return 1.0
+        speed = max(abs(v), abs(w) * self._reach)
+        distance = speed * self.config.reaction + 0.5 * speed * speed / self.config.braking
+        horizon = distance / speed
+        free = free_time(
+            np.ascontiguousarray(points_base),
+            self._footprint,
+            self._reach,
+            v,
+            w,
+            horizon,
+            self.config.step / speed,
+        )
+        return 1.0 if free >= horizon else max(0.0, free / horizon - 0.25)
+
+    def limit_on_map(
+        self, command: Twist, field: Field32, resolution: float, x: float, y: float, yaw: float
+    ) -> float:
+        """The same against a clearance field, for a pose in its grid frame."""
+        v, w = command.v, command.w
+        speed = max(abs(v), abs(w) * self._reach)
+        if speed == 0.0:
+            return 1.0
+        horizon = (speed * self.config.reaction + 0.5 * speed * speed / self.config.braking) / speed
+        s = self._samples
+        here = footprint_clearance(field, resolution, s.points, s.inscribed, s.circumscribed, x, y, yaw)
+        for part in (0.5, 1.0):
+            t = part * horizon
+            nx, ny, nyaw = moved(x, y, yaw, v, w, t)
+            room = footprint_clearance(
+                field, resolution, s.points, s.inscribed, s.circumscribed, nx, ny, nyaw
+            )
+            if room <= 0.0 and room < here:
+                return 0.0
+        return 1.0
+
+
+def padded(polygon: Array, padding: float) -> Array:
+    """A convex polygon with its edges moved outwards; corners (n, 2), counter-clockwise."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1, keepdims=True)
+    before = np.roll(normal, 1, axis=0)
+    # Both edges at a corner move by the padding: solve n1.d = n2.d = padding.
+    scale = padding / (1.0 + np.sum(normal * before, axis=1, keepdims=True))
+    return np.asarray(polygon + scale * (normal + before), dtype=np.float64)
+
+
+@njit(cache=True)
+def moved(x: float, y: float, yaw: float, v: float, w: float, t: float) -> tuple[float, float, float]:
+    """The pose after driving an arc for a time."""
+    if abs(w) < 1e-6:
+        return x + v * t * math.cos(yaw), y + v * t * math.sin(yaw), yaw + w * t
+    r = v / w
+    end = yaw + w * t
+    return x + r * (math.sin(end) - math.sin(yaw)), y - r * (math.cos(end) - math.cos(yaw)), end
+
+
+@njit(cache=True)
+def depth_inside(polygon: Array, x: float, y: float) -> float:
+    """How deep a point lies inside a convex polygon (n, 2), counter-clockwise; negative outside."""
+    least = np.inf
+    n = polygon.shape[0]
+    for k in range(n):
+        ax, ay = polygon[k, 0], polygon[k, 1]
+        ex, ey = polygon[(k + 1) % n, 0] - ax, polygon[(k + 1) % n, 1] - ay
+        least = min(least, (ex * (y - ay) - ey * (x - ax)) / math.hypot(ex, ey))
+    return least
+
+
+@njit(cache=True)
+def free_time(
+    points: Array, polygon: Array, reach: float, v: float, w: float, horizon: float, dt: float
+) -> float:
+    """How long the polygon can follow the arc (v, w) before a point gets into it, at most `horizon` [s].
+
+    Points inside already count only once they get deeper than they were.
+    """
+    near = np.empty(points.shape[0], dtype=np.int64)
+    start = np.empty(points.shape[0])
+    count = 0
+    limit = reach + abs(v) * horizon
+    for k in range(points.shape[0]):
+        if math.hypot(points[k, 0], points[k, 1]) <= limit:
+            near[count] = k
+            start[count] = depth_inside(polygon, points[k, 0], points[k, 1])
+            count += 1
+    if count == 0:
+        return horizon
+    steps = max(1, math.ceil(horizon / dt))
+    for i in range(1, steps + 1):
+        t = horizon * i / steps
+        x, y, yaw = moved(0.0, 0.0, 0.0, v, w, t)
+        c, s = math.cos(yaw), math.sin(yaw)
+        for j in range(count):
+            px, py = points[near[j], 0] - x, points[near[j], 1] - y
+            depth = depth_inside(polygon, c * px + s * py, -s * px + c * py)
+            if depth > 0.0 and depth > start[j] + 1e-4:
+                return horizon * (i - 1) / steps
+    return horizon

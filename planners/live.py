@@ -1,0 +1,145 @@
+"""Obstacles that the scans show now: marked where beams end, cleared where they pass, forgotten in time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy import ndimage
+
+from datasets.se2 import SE2, Array
+from planners.costmap import Costmap, Mask
+
+NEVER = -1.0e9
+
+
+class LiveConfig(BaseModel):
+    """Names as in costmap_2d where the idea is the same; metres and seconds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    obstacle_range: float = Field(default=2.5, gt=0.0)
+    """Beams that end beyond this mark nothing."""
+    raytrace_range: float = Field(default=3.5, gt=0.0)
+    known: float = Field(default=0.14, ge=0.0)
+    """A beam that ends this near an obstacle of the map shows nothing new."""
+    decay: float = Field(default=8.0, gt=0.0)
+    """Seconds after which a mark that was not seen again is forgotten."""
+    reach: float = Field(default=1.2, gt=0.0)
+    """How far round live obstacles the clearance is computed anew."""
+    hits: int = Field(default=2, ge=1)
+    """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
+
+
+class LiveLayer:
+    """Live obstacles over a static costmap of the same grid."""
+
+    def __init__(self, static: Costmap, config: LiveConfig) -> None:
+        self.config = config
+        self.static = static
+        shape = static.lethal.shape
+        self._seen: NDArray[np.float64] = np.full(shape, NEVER)
+        self._hits: NDArray[np.int16] = np.zeros(shape, dtype=np.int16)
+        self.costmap = static
+        """The static map with the live obstacles of the last update."""
+        self.marked = 0
+        """Number of live cells."""
+
+    def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
+        """Take in a sweep: end points (n, 2) of beams that hit, and of those that met nothing, map frame.
+
+        `origin` is the lidar's pose in the map frame.
+        """
+        static, c = self.static, self.config
+        x, y = (static.T_grid_map @ origin.xy).tolist()
+        ends = static.T_grid_map @ np.concatenate([hits, passes])
+        is_hit = np.zeros(len(ends), dtype=np.bool_)
+        is_hit[: len(hits)] = True
+        _mark_and_clear(
+            self._seen,
+            self._hits,
+            static.clearance,
+            static.resolution,
+            x,
+            y,
+            ends,
+            is_hit,
+            now_s,
+            c.obstacle_range,
+            c.raytrace_range,
+            c.known,
+        )
+        live = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
+        self._hits[self._seen <= now_s - c.decay] = 0
+        self.marked = int(live.sum())
+        self.costmap = self._combined(live) if self.marked else static
+
+    def clear(self) -> None:
+        """Forget all live obstacles."""
+        self._seen[:] = NEVER
+        self._hits[:] = 0
+        self.marked = 0
+        self.costmap = self.static
+
+    def _combined(self, live: Mask) -> Costmap:
+        """The lesser of both clearances: exact within `reach` of the live cells, and so everywhere."""
+        static = self.static
+        rows, cols = np.flatnonzero(live.any(axis=1)), np.flatnonzero(live.any(axis=0))
+        pad = math.ceil(self.config.reach / static.resolution)
+        window = (
+            slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
+            slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
+        )
+        near = ndimage.distance_transform_edt(~live[window]) * static.resolution
+        clearance = static.clearance.copy()
+        # Beyond the reach the live obstacle's distance is cut short on purpose: nothing is that near.
+        np.minimum(clearance[window], near.astype(np.float32), out=clearance[window])
+        combined = Costmap(static.lethal | live, static.resolution, static.T_map_grid)
+        combined.__dict__["clearance"] = clearance
+        return combined
+
+
+@njit(cache=True)
+def _mark_and_clear(
+    seen: Array,
+    hits: NDArray[np.int16],
+    clearance: NDArray[np.float32],
+    resolution: float,
+    x: float,
+    y: float,
+    ends: Array,
+    is_hit: NDArray[np.bool_],
+    now_s: float,
+    obstacle_range: float,
+    raytrace_range: float,
+    known: float,
+) -> None:
+    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it."""
+    rows, cols = seen.shape
+    for k in range(ends.shape[0]):
+        dx, dy = ends[k, 0] - x, ends[k, 1] - y
+        length = math.hypot(dx, dy)
+        if length < 1e-6:
+            continue
+        ux, uy = dx / length, dy / length
+        stop = min(length - (1.5 * resolution if is_hit[k] else 0.0), raytrace_range)
+        t = 0.0
+        while t < stop:
+            col, row = int((x + t * ux) / resolution), int((y + t * uy) / resolution)
+            if 0 <= row < rows and 0 <= col < cols and seen[row, col] < now_s:
+                seen[row, col] = NEVER
+                hits[row, col] = 0
+            t += 0.5 * resolution
+    for k in range(ends.shape[0]):
+        length = math.hypot(ends[k, 0] - x, ends[k, 1] - y)
+        if not is_hit[k] or length > obstacle_range:
+            continue
+        col, row = int(ends[k, 0] / resolution), int(ends[k, 1] / resolution)
+        if ends[k, 0] < 0.0 or ends[k, 1] < 0.0 or row >= rows or col >= cols:
+            continue
+        if clearance[row, col] > known:
+            if seen[row, col] < now_s:
+                hits[row, col] = min(hits[row, col] + 1, 1000)
+            seen[row, col] = now_s

@@ -1,0 +1,148 @@
+"""What a robot does when it cannot go on: a bounded ladder of small manoeuvres, then it gives up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2, wrap
+from datasets.types import Twist
+
+Kind = Literal["wait", "clear", "back_up", "rotate"]
+
+
+class Rung(BaseModel):
+    """One manoeuvre: seconds to wait, metres to back up, radians to turn; nothing for `clear`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    kind: Kind
+    amount: float = 0.0
+
+
+class RecoveryConfig(BaseModel):
+    """The ladder and when it is climbed; seconds and metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    ladder: tuple[Rung, ...] = (
+        Rung(kind="wait", amount=2.0),
+        Rung(kind="clear"),
+        Rung(kind="back_up", amount=0.15),
+        Rung(kind="wait", amount=4.0),
+        Rung(kind="rotate", amount=1.6),
+        Rung(kind="back_up", amount=0.3),
+        Rung(kind="wait", amount=8.0),
+    )
+    total: int = Field(default=20, ge=0)
+    """Manoeuvres for one goal altogether; then it is given up."""
+    stuck_time: float = Field(default=5.0, gt=0.0)
+    """Without moving for so long the robot counts as stuck."""
+    stuck_distance: float = Field(default=0.06, gt=0.0)
+    stuck_angle: float = Field(default=0.25, gt=0.0)
+    progress: float = Field(default=0.5, gt=0.0)
+    """Driven so far on, the ladder starts from its foot again."""
+    back_up_v: float = Field(default=0.08, gt=0.0)
+    rotate_w: float = Field(default=0.6, gt=0.0)
+
+
+class Manoeuvre(Protocol):
+    """A manoeuvre under way."""
+
+    name: str
+
+    def command(self, now_ns: int, pose: SE2) -> Twist | None:
+        """The command now; None when it is over."""
+        ...
+
+
+@dataclass
+class Wait:
+    """Stand still until a time."""
+
+    until_ns: int
+    name: str = "recover_wait"
+
+    def command(self, now_ns: int, pose: SE2) -> Twist | None:
+        """Nothing, for a while."""
+        return Twist() if now_ns < self.until_ns else None
+
+
+@dataclass
+class Move:
+    """Back up a distance or turn an angle, or as much of it as goes before a time."""
+
+    start: SE2
+    twist: Twist
+    amount: float
+    until_ns: int
+    name: str
+
+    def command(self, now_ns: int, pose: SE2) -> Twist | None:
+        """The constant twist until the amount is done."""
+        if self.twist.v != 0.0:
+            done = float(np.linalg.norm(pose.xy - self.start.xy))
+        else:
+            done = abs(float(wrap(pose.yaw - self.start.yaw)))
+        return self.twist if done < self.amount and now_ns < self.until_ns else None
+
+
+class Ladder:
+    """Which manoeuvre comes next, and when to give up."""
+
+    def __init__(self, config: RecoveryConfig, clear: Callable[[], None]) -> None:
+        self.config = config
+        self._clear = clear
+        self._rung = 0
+        self.used = 0
+
+    def rest(self) -> None:
+        """Things go well again: start from the foot at the next trouble."""
+        self._rung = 0
+
+    def climb(self, now_ns: int, pose: SE2) -> Manoeuvre | None:
+        """The next manoeuvre; None when there is none left."""
+        if self._rung >= len(self.config.ladder) or self.used >= self.config.total:
+            return None
+        rung = self.config.ladder[self._rung]
+        self._rung += 1
+        self.used += 1
+        if rung.kind == "wait":
+            return Wait(now_ns + round(rung.amount * 1e9))
+        if rung.kind == "clear":
+            self._clear()
+            return Wait(now_ns + 300_000_000, "recover_clear")
+        if rung.kind == "back_up":
+            twist = Twist(-self.config.back_up_v, 0.0)
+            limit = now_ns + round((rung.amount / self.config.back_up_v + 1.0) * 1e9)
+            return Move(pose, twist, rung.amount, limit, "recover_back_up")
+        sign = 1.0 if self.used % 2 else -1.0
+        amount = min(rung.amount, math.pi - 0.1)
+        limit = now_ns + round((amount / self.config.rotate_w + 1.0) * 1e9)
+        return Move(pose, Twist(0.0, sign * self.config.rotate_w), amount, limit, "recover_rotate")
+
+
+class ProgressWatch:
+    """Notices that the robot does not get anywhere."""
+
+    def __init__(self, config: RecoveryConfig) -> None:
+        self.config = config
+        self._pose: SE2 | None = None
+        self._since_ns = 0
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._pose = None
+
+    def stuck(self, now_ns: int, pose: SE2) -> bool:
+        """Whether neither position nor heading changed enough for too long."""
+        if self._pose is not None:
+            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > self.config.stuck_distance
+            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > self.config.stuck_angle
+            if not (moved or turned):
+                return now_ns - self._since_ns > self.config.stuck_time * 1e9
+        self._pose, self._since_ns = pose, now_ns
+        return False
