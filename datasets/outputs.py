@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import shutil
+import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,30 +34,57 @@ PACKAGES = (
 )
 
 
+_growing: set[Path] = set()
+
+
 @contextmanager
-def staged_output(out: Path, *, force: bool = False, suffix: str = ".partial") -> Iterator[Path]:
+def staged_output(out: Path, *, force: bool = False) -> Iterator[Path]:
     """Folder `OUT.partial` to write into; renamed to `out` on success, removed on any error.
 
     Raises InputError at once when `out` exists and `force` is not given, or cannot be written.
     """
     check_free(out, force=force)
-    partial = out.with_name(out.name + suffix)
+    partial = out.with_name(out.name + ".partial")
     try:
         if partial.exists():
             shutil.rmtree(partial)
         partial.mkdir(parents=True)
     except OSError as error:
         raise InputError(f"{partial}: cannot be created ({error.strerror})") from None
+    _growing.add(partial)
     try:
         yield partial
-        if out.exists():
-            _remove(out)
-        partial.rename(out)
+        _put_in_place(partial, out)
     except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
         if isinstance(error, OSError) and error.errno is not None:
             raise InputError(f"{error.filename or out}: {error.strerror}") from None
         raise
+    finally:
+        _growing.discard(partial)
+
+
+def discard_unfinished() -> None:
+    """Remove every output that is still growing: for a process that is about to end."""
+    for partial in list(_growing):
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(partial: Path, out: Path) -> None:
+    """Swap the finished folder in; what stood there before goes last, and no signal comes between."""
+    old = out.with_name(out.name + ".old")
+    stops = {signal.SIGINT, signal.SIGTERM}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stops)
+    try:
+        if old.exists():
+            _remove(old)
+        if out.exists():
+            out.rename(old)
+        partial.rename(out)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    if old.exists():
+        _remove(old)
 
 
 def check_free(out: Path, *, force: bool) -> None:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import re
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import NoReturn
 
 from datasets.errors import InputError
+from datasets.outputs import discard_unfinished
 from pipeline.console import set_verbosity
 
 # verb -> (module in pipeline.commands, what `turtlebag --help` says). A module has `EXAMPLE`,
@@ -28,7 +34,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "doctor": ("doctor", "check the installation"),
 }
 
-EXIT_OK, EXIT_TASK_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_OK, EXIT_INPUT = 0, 2
 
 
 class _Parser(argparse.ArgumentParser):
@@ -72,21 +78,53 @@ def _joined(argv: Sequence[str]) -> list[str]:
     return words
 
 
+def _stop(number: int, frame: FrameType | None) -> NoReturn:
+    """End at once on Ctrl-C or a termination, and leave no half output.
+
+    Nothing is raised: an exception would surface inside whatever compiled code is running, which
+    reports it as an error of its own or crashes.
+    """
+    discard_unfinished()
+    if sys.stderr.isatty():
+        sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
+    print("turtlebag: interrupted", file=sys.stderr, flush=True)
+    os._exit(128 + number)
+
+
+@contextmanager
+def _stopping_cleanly() -> Iterator[None]:
+    """Handle Ctrl-C and termination by `_stop`, unless somebody else handles them already."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    mine = [
+        number
+        for number, handler in before.items()
+        if handler in (signal.default_int_handler, signal.SIG_DFL)
+    ]
+    for number in mine:
+        signal.signal(number, _stop)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, before[number])
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     verb = next((word for word in argv if not word.startswith("-")), None)
     try:
-        args = build_parser(verb).parse_args(_joined(argv))
-        args.command_line = ["turtlebag", *argv]
-        set_verbosity(args.verbosity)
-        return int(args.run(args))
+        with _stopping_cleanly():
+            args = build_parser(verb).parse_args(_joined(argv))
+            args.command_line = ["turtlebag", *argv]
+            set_verbosity(args.verbosity)
+            return int(args.run(args))
     except InputError as error:
         print(f"turtlebag: {error}", file=sys.stderr)
         return EXIT_INPUT
-    except KeyboardInterrupt:
-        print("turtlebag: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_OK
