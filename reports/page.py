@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from reports.compare import Comparison
 from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
 from reports.figures import style
+from reports.figures.album import Picture
 from reports.numbers import Number, lookup, shown
 from reports.provenance import packages, recipe
 from reports.stages import Group
@@ -35,26 +37,48 @@ class Tile:
 
 
 def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
-    """The page as HTML text."""
-    folder = files("reports") / "templates"
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["themed"] = themed
-    environment.filters["short"] = lambda digest: digest[:12]
-    template = environment.from_string((folder / "report.html.j2").read_text())
+    """The report's page as HTML text."""
     mood, headline = overall(chapters)
-    return template.render(
+    return fill(
+        "report.html.j2",
         chapters=chapters,
         mood=mood,
         headline=headline,
         tiles=tiles(chapters),
         steps=recipe(groups),
         packages=packages(groups),
-        style=Markup((folder / "report.css").read_text()),
-        script=Markup((folder / "report.js").read_text()),
         chapter_numbers=chapter_numbers,
     )
+
+
+def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Sequence[Picture]) -> str:
+    """The page of a comparison as HTML text."""
+    moods = [row.mood for row in found.rows]
+    return fill(
+        "compare.html.j2",
+        name_a=name_a,
+        name_b=name_b,
+        found=found,
+        pictures=pictures,
+        better=moods.count(GOOD),
+        worse=moods.count(BAD),
+    )
+
+
+def fill(template: str, **values: object) -> str:
+    """A template of this package with the style and script all pages share."""
+    folder = files("reports") / "templates"
+    environment = Environment(
+        loader=FunctionLoader(lambda name: (folder / name).read_text()),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["themed"] = themed
+    environment.filters["short"] = lambda digest: digest[:12]
+    style_text, script = (Markup((folder / name).read_text()) for name in ("report.css", "report.js"))
+    return environment.get_template(template).render(style=style_text, script=script, **values)
 
 
 def themed(svg: str) -> Markup:

@@ -102,12 +102,12 @@ def fake_record(folder: Path, *, world: str = "room") -> Path:
     return folder
 
 
-def fake_map(folder: Path, record: Path) -> Path:
+def fake_map(folder: Path, record: Path, *, sigma_m: float = 0.005) -> Path:
     folder.mkdir(parents=True)
     stamps = np.arange(TICKS, dtype=np.int64)[::6] * TICK_NS
-    save_tum(noisy(Trajectory(stamps, ellipse()[::6]), 0.005), folder / "trajectory.tum")
+    save_tum(noisy(Trajectory(stamps, ellipse()[::6]), sigma_m), folder / "trajectory.tum")
     save_map(mapped_room(), folder)
-    (folder / "config.yaml").write_text("voxel: 0.2\n")
+    (folder / "config.yaml").write_text(f"voxel: 0.2\nfront: {{sigma: {sigma_m}}}\n")
     truth = load_tum(record / "truth/trajectory.tum")
     estimate = load_tum(folder / "trajectory.tum")
     metrics = {
@@ -125,7 +125,7 @@ def fake_map(folder: Path, record: Path) -> Path:
     )
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "map", str(record), "--out", str(folder)]
-    inputs = {"input": record / "bag"}
+    inputs = {"source": record / "bag"}
     write_manifest(folder, stage="map", command=command, inputs=inputs, seed=None, wall_s=1.0)
     return folder
 

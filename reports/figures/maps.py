@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
@@ -83,10 +84,11 @@ def draw_grid(axes: Axes, grid: OccupancyGrid, *, faint: bool = False) -> None:
     image[:] = to_rgb(PAPER)
     image[grid.cells == UNKNOWN] = to_rgb(GROUND)
     image[occupied(grid)] = to_rgb("#9aa3ad" if faint else INK)
-    _show(axes, image, grid)
+    show_image(axes, image, grid)
 
 
-def _show(axes: Axes, image: NDArray[np.float64], grid: OccupancyGrid) -> None:
+def show_image(axes: Axes, image: NDArray[np.float64], grid: OccupancyGrid) -> None:
+    """An image with one pixel a cell, row 0 lowest, where the grid lies."""
     artist = axes.imshow(np.clip(image, 0.0, 1.0), origin="lower", extent=grid.extent(), zorder=0.5)
     T = grid.T_map_grid
     if float(T.yaw) != 0.0:
@@ -105,13 +107,13 @@ def map_over_truth(grid: OccupancyGrid, true_grid: OccupancyGrid) -> Figure:
     figure, axes = map_figure(view_box(grid), bar=True)
     solid = np.full((*true_grid.shape, 3), to_rgb(PAPER))
     solid[occupied(true_grid)] = to_rgb("#ccd3db")
-    _show(axes, solid, true_grid)
+    show_image(axes, solid, true_grid)
     error = map_error(grid, true_grid)
     norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
     image = np.zeros((*grid.shape, 4))
     cells = grid.cell_of(error.xy_mapped)
     image[cells[:, 0], cells[:, 1]] = FINE_TO_BAD(norm(100.0 * np.minimum(error.error_m, ERROR_SCALE_M)))
-    _show(axes, image, grid)
+    show_image(axes, image, grid)
     bar = figure.colorbar(
         matplotlib.cm.ScalarMappable(norm, FINE_TO_BAD),
         ax=axes,
@@ -131,7 +133,7 @@ def plain_map(grid: OccupancyGrid, paths: Mapping[str, Trajectory | None]) -> Fi
     draw_grid(axes, grid)
     for kind, trajectory in paths.items():
         draw_path(axes, trajectory, kind)
-    _legend_above(axes)
+    legend_above(axes)
     return figure
 
 
@@ -145,11 +147,12 @@ def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | No
         draw_path(axes, trajectory, kind)
     start = next(iter(shown.values())).poses[0]
     draw_pose(axes, start, INK)
-    _legend_above(axes)
+    legend_above(axes)
     return figure
 
 
-def _legend_above(axes: Axes, handles: list[Line2D] | None = None) -> None:
+def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
+    """A legend in one line above the axes."""
     options: dict[str, Any] = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),
@@ -159,7 +162,7 @@ def _legend_above(axes: Axes, handles: list[Line2D] | None = None) -> None:
     if handles is None:
         axes.legend(**options)
     else:
-        axes.legend(handles=handles, **options)
+        axes.legend(handles=list(handles), **options)
 
 
 def draw_pose(axes: Axes, T_map_base: SE2, colour: str, length_m: float = 0.3) -> None:
@@ -194,7 +197,7 @@ def patrol(
     if len(contacts_xy):
         marks = axes.plot(*contacts_xy.T, "*", color=BAD, markersize=9, label="contact", zorder=6)
         handles += marks
-    _legend_above(axes, handles)
+    legend_above(axes, handles)
     return figure
 
 

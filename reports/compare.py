@@ -1,0 +1,167 @@
+"""Two outputs of one stage side by side: settings, numbers, maps, paths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.types import Trajectory
+from reports.content import stage_metrics
+from reports.figures import comparison
+from reports.figures.album import Album
+from reports.figures.style import styled
+from reports.metrics.map import occupied
+from reports.metrics.trajectory import associate
+from reports.numbers import SPECS, leaves, lookup, shown
+from reports.stages import Stage
+
+MORE_IS_BETTER = ("iou", "iou_one_cell", "coverage", "within_one_cell", "goals_reached", "min_clearance_m")
+LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of both; `mood` says whether B is better, worse or neither."""
+
+    path: str
+    label: str
+    a: str
+    b: str
+    difference: str
+    relative: str
+    mood: str
+    values: tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two outputs of one kind."""
+
+    kind: str
+    rows: list[Row]
+    settings: list[tuple[str, str, str]]
+    same_bytes: list[str]
+    changed: list[str]
+
+
+def compare(a: Stage, b: Stage) -> Comparison:
+    """Numbers, settings and files of both; InputError when they are not of one kind."""
+    if a.kind != b.kind:
+        raise InputError(
+            f"{a.folder} is a {a.kind} output and {b.folder} a {b.kind} output: nothing to compare"
+        )
+    metrics_a, metrics_b = stage_metrics(a), stage_metrics(b)
+    rows = []
+    for spec in SPECS[a.kind]:
+        one, other = lookup(metrics_a, spec.path), lookup(metrics_b, spec.path)
+        if one is not None or other is not None:
+            rows.append(_row(spec.path, spec.label, spec.unit, _number(one), _number(other)))
+    files = sorted(set(a.outputs) & set(b.outputs))
+    same = [path for path in files if a.outputs[path] == b.outputs[path]]
+    return Comparison(
+        a.kind, rows, changed_settings(a.config, b.config), same, sorted(set(files) - set(same))
+    )
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
+
+
+def _row(path: str, label: str, unit: str, a: float | None, b: float | None) -> Row:
+    difference, relative, mood = "", "", "neutral"
+    if a is not None and b is not None:
+        change = b - a
+        difference = "=" if change == 0.0 else shown(change, unit)
+        if change != 0.0 and not any(digit in difference for digit in "123456789"):
+            difference = "\u2248"
+        elif change != 0.0:
+            difference = f"+{difference}" if change > 0 else difference
+            relative = f"{100.0 * change / abs(a):+.0f} %".replace("-", "\u2212") if a != 0.0 else ""
+            mood = _mood(path, change)
+    return Row(path, label, shown(a, unit), shown(b, unit), difference, relative, mood, (a, b))
+
+
+def _mood(path: str, change: float) -> str:
+    last = path.rpartition(".")[2]
+    if last not in MORE_IS_BETTER + LESS_IS_BETTER:
+        return "neutral"
+    return "good" if (change > 0) == (last in MORE_IS_BETTER) else "bad"
+
+
+def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(key, value in A, value in B) of every setting that is not the same."""
+    one, other = dict(leaves(a)), dict(leaves(b))
+    keys = [*one, *(key for key in other if key not in one)]
+    return [
+        (key, str(one.get(key, "not set")), str(other.get(key, "not set")))
+        for key in keys
+        if one.get(key) != other.get(key) or (key in one) != (key in other)
+    ]
+
+
+def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
+    """Maps over each other, paths over each other, errors over time of both."""
+    with styled():
+        if a.map is not None and b.map is not None:
+            both, only_a, only_b = map_overlap(a.map, b.map)
+            caption = f"Occupied cells: {both} in both (grey), {only_a} only in A, {only_b} only in B."
+            album.add("maps", "Maps", caption, comparison.maps(a.map, b.map))
+        path_a, path_b = driven(a), driven(b)
+        if path_a is not None and path_b is not None:
+            ground = a.map if a.map is not None else a.true_map
+            figure = comparison.paths(ground, path_a, path_b)
+            caption = "A below, B above it." if a.kind == "map" else "True paths: A below, B above it."
+            album.add("paths", "Paths", caption, figure)
+        errors = [_errors(stage) for stage in (a, b)]
+        if errors[0] is not None and errors[1] is not None:
+            caption = "Distance from the truth in each run's own time."
+            album.add("errors", "Position error", caption, comparison.errors(errors[0], errors[1]))
+        elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
+            _draw_apart(path_a, path_b, album)
+
+
+def same_input(a: Stage, b: Stage) -> bool:
+    """Whether both were made from the same source files."""
+    read = [stage.manifest.get("inputs", {}).get("source", {}).get("sha256") for stage in (a, b)]
+    return read[0] is not None and read[0] == read[1]
+
+
+def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
+    pairs = associate(path_b, path_a)
+    time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
+    caption = "Distance between A's and B's estimate of the same instant."
+    figure = comparison.apart(time_s, pairs.position_errors())
+    album.add("apart", "How far apart", caption, figure)
+
+
+def driven(stage: Stage) -> Trajectory | None:
+    """What a stage's picture shows as its path: the estimate of a map, the true path of a drive."""
+    if stage.kind == "map":
+        return stage.trajectory
+    return stage.truth
+
+
+def _errors(stage: Stage) -> tuple[np.ndarray, np.ndarray] | None:
+    """(seconds, metres) of a run's localisation error."""
+    if stage.kind != "navigate" or stage.trajectory is None or stage.truth is None:
+        return None
+    if not stage.metrics.get("localisation_error_m"):
+        return None
+    pairs = associate(stage.trajectory, stage.truth)
+    time_s = (pairs.stamps_ns - pairs.stamps_ns[0]).astype(np.float64) * 1e-9
+    return time_s, pairs.position_errors()
+
+
+def map_overlap(a: OccupancyGrid, b: OccupancyGrid) -> tuple[int, int, int]:
+    """Occupied cells of A that are occupied in B too, those that are not, and those of B not in A."""
+    cells_a = a.center_of(np.argwhere(occupied(a)))
+    cells_b = b.center_of(np.argwhere(occupied(b)))
+    in_b = b.value_at(cells_a) >= 65
+    in_a = a.value_at(cells_b) >= 65
+    return int(in_b.sum()), int((~in_b).sum()), int((~in_a).sum())
