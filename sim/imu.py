@@ -52,7 +52,8 @@ class ImuSensor:
         # Sample j is taken at j / RATE_HZ; the step ends at step / hz.
         until = step * RATE_HZ // self._hz
         n = until - self._count
-        at: Array = np.arange(self._count + 1, until + 1) * (self._hz / RATE_HZ) - (step - 1)
+        ticks = np.arange(self._count + 1, until + 1, dtype=np.float64)
+        at: Array = np.asarray(ticks * (self._hz / RATE_HZ) - (step - 1), dtype=np.float64)
         self._count = until
         last, self._last = self._last, twist
         draws = self._rng.standard_normal((2, n, 6))
