@@ -31,7 +31,7 @@ sources = $(shell find $(1) -name '*.py' -o -name '*.yaml' -o -name '*.j2')
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-world record map navigate report lint test clean
+.PHONY: help setup demo demo-world record map navigate report lint test browser clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -85,6 +85,9 @@ lint: $(READY) ## ruff and mypy
 
 test: lint ## lint, then pytest
 	$(PY) -m pytest -n 2
+
+browser: ## find Chromium for the browser test, or install it (Debian)
+	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }
 
 clean: ## remove everything made here, the virtual environment too
 	rm -rf data .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

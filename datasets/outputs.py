@@ -38,13 +38,13 @@ _growing: set[Path] = set()
 
 
 @contextmanager
-def staged_output(out: Path, *, force: bool = False) -> Iterator[Path]:
+def staged_output(out: Path, *, force: bool = False, suffix: str = ".partial") -> Iterator[Path]:
     """Folder `OUT.partial` to write into; renamed to `out` on success, removed on any error.
 
     Raises InputError at once when `out` exists and `force` is not given, or cannot be written.
     """
     check_free(out, force=force)
-    partial = out.with_name(out.name + ".partial")
+    partial = out.with_name(out.name + suffix)
     try:
         if partial.exists():
             shutil.rmtree(partial)
