@@ -33,6 +33,8 @@ class Cursor:
     """Reads CDR fields in order; alignment counts from after the encapsulation header."""
 
     origin = 4
+    stamp_at = 4
+    """Where the stamp of a message that begins with a header lies."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < 4 or data[0] != 0 or data[1] > 1:
@@ -106,6 +108,7 @@ class Ros1Cursor(Cursor):
     """Reads ROS 1 fields: no padding, headers with a sequence number, strings without a final zero."""
 
     origin = 0
+    stamp_at = 4
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at, self.order = data, 0, "<"

@@ -1,0 +1,96 @@
+"""The messages of a bag that mapping may use, gathered in one pass. Truth is left where it lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from datasets.bags import decode
+from datasets.bags.columns import OdometryColumns, imu, odometry
+from datasets.bags.frames import FrameTree
+from datasets.bags.source import TRUTH_PREFIX, Bag, Topic
+from datasets.types import ImuLog
+
+SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_WANTED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
+
+
+@dataclass(slots=True)
+class Raw:
+    """Undecoded messages of one topic with their log times."""
+
+    data: list[bytes] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)
+
+    def add(self, log_time_ns: int, data: bytes) -> None:
+        """Append a message."""
+        self.data.append(data)
+        self.times.append(log_time_ns)
+
+
+class Streams:
+    """Scans decoded, the rest kept as bytes until it is known what is needed."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.bag = bag
+        self.scans: dict[str, list[decode.RawScan]] = {}
+        self.scan_times: dict[str, list[int]] = {}
+        self.odometry: dict[str, Raw] = {}
+        self.imu: dict[str, Raw] = {}
+        self.frames = FrameTree()
+        self.seen: set[str] = set()
+        self.bad = 0
+        self._moving = Raw()
+        for topic, log_time, data in bag.messages(self._wanted):
+            if topic.msgtype == SCAN:
+                self._scan(topic.name, log_time, data)
+            elif topic.msgtype == ODOMETRY:
+                self.odometry.setdefault(topic.name, Raw()).add(log_time, data)
+            elif topic.msgtype == IMU:
+                self.imu.setdefault(topic.name, Raw()).add(log_time, data)
+            elif topic.name.endswith("tf_static"):
+                self._transforms(data, static=True)
+            else:
+                self._moving.add(log_time, data)
+
+    def _wanted(self, topic: Topic) -> bool:
+        self.seen.add(topic.name)
+        return topic.msgtype in _WANTED and not topic.name.startswith(TRUTH_PREFIX)
+
+    def _scan(self, name: str, log_time: int, data: bytes) -> None:
+        try:
+            scan = decode.laser_scan(self.bag.cursor(data))
+        except decode.BadMessage:
+            self.bad += 1
+            return
+        self.scans.setdefault(name, []).append(scan)
+        self.scan_times.setdefault(name, []).append(log_time)
+
+    def _transforms(self, data: bytes, *, static: bool) -> None:
+        try:
+            for transform in decode.transforms(self.bag.cursor(data)):
+                self.frames.add(transform, static=static)
+        except decode.BadMessage:
+            self.bad += 1
+
+    def follow_tf(self) -> None:
+        """Decode /tf as well; needed only where topics and /tf_static do not say enough."""
+        for data in self._moving.data:
+            self._transforms(data, static=False)
+        self._moving = Raw()
+
+    def read_odometry(self, name: str) -> OdometryColumns:
+        """Decoded poses of an odometry topic."""
+        raw = self.odometry[name]
+        columns = odometry(raw.data, self.bag.cursor)
+        self.bad += len(raw.data) - len(columns.kept)
+        return columns
+
+    def read_imu(self) -> ImuLog | None:
+        """Samples of /imu or of the only IMU."""
+        name = "/imu" if "/imu" in self.imu else next(iter(self.imu), None)
+        if name is None or (name != "/imu" and len(self.imu) > 1):
+            return None
+        samples = imu(self.imu[name].data, self.bag.cursor)
+        self.bad += len(self.imu[name].data) - len(samples.stamps_ns)
+        return samples
