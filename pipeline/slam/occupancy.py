@@ -1,8 +1,9 @@
 """Occupancy grid from posed scans: hits and misses along every beam, also those without return.
 
-Log-odds after Moravec and Elfes (1985). The cell of a return gains, the cells before it lose; a beam
-without return (+inf) clears up to the lidar's range. Cells are rastered exactly (Amanatides and Woo
-1987), so no cell a beam crosses is missed and none is touched twice.
+The reflectance model of Haehnel (2004), in the line of Moravec and Elfes (1985): a cell is occupied when
+enough of the beams that met it were returned by it. Unlike summed log-odds this keeps a wall that many
+beams graze. Beams without return (+inf) clear in a second pass, up to the first surface. Cells are
+rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed or counted twice.
 """
 
 from __future__ import annotations
@@ -28,11 +29,15 @@ class OccupancyConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     resolution_m: float = Field(default=0.05, gt=0.0, le=1.0)
-    hit: float = Field(default=0.9, gt=0.0, description="log-odds of a return")
-    miss: float = Field(default=0.35, gt=0.0, description="log-odds of a beam passing through")
-    limit: float = Field(default=6.0, gt=0.0, description="log-odds are clamped to this")
+    occupied_share: float = Field(
+        default=0.25, gt=0.0, lt=1.0, description="of the beams that met a cell, returned by it: occupied"
+    )
+    min_hits: int = Field(default=2, ge=1, description="returns that make a cell occupied")
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
     clear_without_return: bool = True
+    no_return_m: float = Field(
+        default=8.0, gt=0.0, description="a beam without return clears at most this far"
+    )
 
 
 def make_grid(
@@ -42,92 +47,92 @@ def make_grid(
     usable_range: float,
     motion: SE2 | None = None,
 ) -> OccupancyGrid:
-    """Grid of all scans at poses (n,); rows of cells are aligned to multiples of the resolution."""
+    """Grid of all scans at poses (n,); cell borders lie on multiples of the resolution."""
     lidar, resolution = recording.lidar, config.resolution_m
-    limit = min(lidar.range_max, usable_range)
+    usable, no_return = min(lidar.range_max, usable_range), 0.0
     ranges = np.asarray(recording.ranges)
-    finite = np.where((ranges >= lidar.range_min) & (ranges <= limit), ranges, 0.0)
-    reach = finite.max(axis=1)
     if config.clear_without_return:
-        reach = np.maximum(reach, np.where(np.isposinf(ranges).any(axis=1), lidar.range_max, 0.0))
+        no_return = min(lidar.range_max, usable_range, config.no_return_m)
+    length, returned = beam_lengths(ranges, lidar.range_min, lidar.range_max, usable, no_return)
     T_map_lidar = T_map_base @ recording.T_base_lidar
-    low = (T_map_lidar.xy - reach[:, None]).min(axis=0) - config.margin_m
-    high = (T_map_lidar.xy + reach[:, None]).max(axis=0) + config.margin_m
+    seen = length.max(axis=1)[:, None]
+    low = (T_map_lidar.xy - seen).min(axis=0) - config.margin_m
+    high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
     corner = np.floor(low / resolution)
     cols, rows = (np.ceil(high / resolution) - corner).astype(int)
     if rows * cols > MAX_CELLS:
         raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
-    odds = np.zeros((rows, cols), dtype=np.float32)
+    hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     if motion is None and lidar.time_increment > 0.0:
         motion = sweep_motion(recording)
-    _cast(
-        odds,
-        corner * resolution,
-        resolution,
-        ranges,
-        lidar.angles,
-        T_map_base.xyt,
-        recording.T_base_lidar.xyt,
-        np.zeros((0, 3)) if motion is None else motion.xyt,
-        lidar.range_min,
-        lidar.range_max,
-        limit,
-        config.hit,
-        config.miss,
-        config.limit,
-        config.clear_without_return,
-    )
-    return _trimmed(odds, corner, resolution, config)
+    sweep = np.zeros((0, 3)) if motion is None else motion.xyt
+    args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
+    _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
+    _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, False, config.occupied_share)
+    return _trimmed(classify(hits, misses, config), corner, config)
 
 
-def _trimmed(
-    odds: NDArray[np.float32], corner: Array, resolution: float, config: OccupancyConfig
-) -> OccupancyGrid:
-    cells = np.full(odds.shape, UNKNOWN, dtype=np.int8)
-    cells[odds < 0.0] = FREE
-    cells[odds > 0.0] = OCCUPIED
-    known_rows, known_cols = np.flatnonzero((odds != 0).any(axis=1)), np.flatnonzero((odds != 0).any(axis=0))
+def beam_lengths(
+    ranges: NDArray[np.float32], range_min: float, range_max: float, usable: float, no_return: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """How far each beam says "free" [m], and whether it ends on a surface, (n, beams) each.
+
+    A lone beam without return between two returns is a dropout, not open space: it says nothing.
+    """
+    returned = (ranges >= range_min) & (ranges <= usable)
+    far = (ranges > usable) & (ranges <= range_max)
+    nothing = np.isposinf(ranges)
+    padded = np.pad(nothing | far, ((0, 0), (1, 1)), mode="edge")
+    open_space = nothing & (padded[:, :-2] | padded[:, 2:])
+    length = np.where(returned, ranges, np.where(far, usable, np.where(open_space, no_return, 0.0)))
+    return length.astype(np.float32), returned
+
+
+def classify(
+    hits: NDArray[np.uint16], misses: NDArray[np.uint16], config: OccupancyConfig
+) -> NDArray[np.int8]:
+    """Occupied, free or unknown from the counts of returns and of beams passing through."""
+    seen = hits.astype(np.int32) + misses
+    cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
+    cells[misses > 0] = FREE
+    cells[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
+    return cells
+
+
+def _trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
+    known_rows = np.flatnonzero((cells != UNKNOWN).any(axis=1))
+    known_cols = np.flatnonzero((cells != UNKNOWN).any(axis=0))
     if len(known_rows) == 0:
         known_rows = known_cols = np.array([0])
-    border = math.ceil(config.margin_m / resolution)
+    border = math.ceil(config.margin_m / config.resolution_m)
     r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
     c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
-    origin = (corner + np.array([c0, r0])) * resolution
-    return OccupancyGrid(cells[r0:r1, c0:c1].copy(), resolution, SE2.from_xyt(origin[0], origin[1], 0.0))
+    x, y = (corner + np.array([c0, r0])) * config.resolution_m
+    return OccupancyGrid(cells[r0:r1, c0:c1].copy(), config.resolution_m, SE2.from_xyt(x, y, 0.0))
 
 
 @njit(cache=True)
 def _cast(
-    odds: NDArray,
+    hits: NDArray,
+    misses: NDArray,
     corner: Array,
     resolution: float,
-    ranges: NDArray,
+    length: NDArray,
+    returned: NDArray,
     angles: Array,
     poses: Array,
     T_base_lidar: Array,
     motion: Array,
-    range_min: float,
-    range_max: float,
-    usable: float,
-    hit: float,
-    miss: float,
-    limit: float,
-    clear: bool,
+    with_return: bool,
+    share: float,
 ) -> None:
-    n_scans, n_beams = ranges.shape
+    """Trace the beams that returned (first), or those that did not (second: surfaces stop them)."""
+    n_scans, n_beams = length.shape
     for scan in range(n_scans):
         for beam in range(n_beams):
-            r = float(ranges[scan, beam])
-            returned = r >= range_min and r <= usable
-            if not returned:
-                if r > usable and r <= range_max:
-                    length = usable
-                elif clear and r == np.inf:
-                    length = range_max
-                else:
-                    continue
-            else:
-                length = r
+            reach = float(length[scan, beam])
+            if reach <= 0.0 or returned[scan, beam] != with_return:
+                continue
             x, y, yaw = poses[scan, 0], poses[scan, 1], poses[scan, 2]
             if len(motion) > 0 and n_beams > 1:
                 f = beam / (n_beams - 1)
@@ -140,34 +145,36 @@ def _cast(
             oy = y + s * T_base_lidar[0] + c * T_base_lidar[1]
             direction = yaw + T_base_lidar[2] + angles[beam]
             trace(
-                odds,
+                hits,
+                misses,
                 (ox - corner[0]) / resolution,
                 (oy - corner[1]) / resolution,
                 math.cos(direction),
                 math.sin(direction),
-                length / resolution,
-                returned,
-                hit,
-                miss,
-                limit,
+                reach / resolution,
+                with_return,
+                share,
             )
 
 
 @njit(cache=True)
 def trace(
-    odds: NDArray,
+    hits: NDArray,
+    misses: NDArray,
     x: float,
     y: float,
     dx: float,
     dy: float,
     length: float,
     returned: bool,
-    hit: float,
-    miss: float,
-    limit: float,
+    share: float,
 ) -> None:
-    """One beam from (x, y) along the unit vector (dx, dy), all in cells."""
-    rows, cols = odds.shape
+    """Count one beam from (x, y) along the unit vector (dx, dy), all in cells.
+
+    The cell before the return is spared: range noise and the wall's own thickness put returns there.
+    A beam without return ends at the first cell that others saw occupied.
+    """
+    rows, cols = hits.shape
     col, row = math.floor(x), math.floor(y)
     end_col, end_row = math.floor(x + dx * length), math.floor(y + dy * length)
     step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
@@ -176,23 +183,23 @@ def trace(
     next_r = ((row + (step_r > 0)) - y) / dy if dy != 0.0 else big
     delta_c = abs(1.0 / dx) if dx != 0.0 else big
     delta_r = abs(1.0 / dy) if dy != 0.0 else big
-    while True:
-        if col == end_col and row == end_row:
-            break
+    spared = length - 1.0 if returned else length
+    while not (col == end_col and row == end_row):
+        leave = min(next_c, next_r)
         if 0 <= row < rows and 0 <= col < cols:
-            odds[row, col] = max(odds[row, col] - miss, -limit)
-        if next_c < next_r:
-            if next_c > length:
+            if leave > spared and misses[row, col] > 0:
                 break
+            if not returned and hits[row, col] > share * (hits[row, col] + misses[row, col]):
+                return
+            if misses[row, col] < 65535:
+                misses[row, col] += 1
+        if leave > length:
+            break
+        if next_c < next_r:
             col += step_c
             next_c += delta_c
         else:
-            if next_r > length:
-                break
             row += step_r
             next_r += delta_r
-    if 0 <= end_row < rows and 0 <= end_col < cols:
-        if returned:
-            odds[end_row, end_col] = min(odds[end_row, end_col] + hit, limit)
-        else:
-            odds[end_row, end_col] = max(odds[end_row, end_col] - miss, -limit)
+    if returned and 0 <= end_row < rows and 0 <= end_col < cols and hits[end_row, end_col] < 65535:
+        hits[end_row, end_col] += 1

@@ -20,6 +20,8 @@ from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.refine import RefineConfig, refine
 from pipeline.slam.tracking import Track, TrackingConfig, track_log
 
+# The points of one scan share their errors: a match is worth far less than the sum of its points.
+STEP_INFLATION = 5.0
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 
 
@@ -80,7 +82,7 @@ def _optimised(
 ) -> tuple[SE2, list[Constraint], list[Loop]]:
     """Key poses after loop closure and joint refinement, the final constraints, and the loop record."""
     keys, T_map_keys = track.keys, track.T_track_base[track.keys]
-    steps = step_constraints(track)
+    steps = step_constraints(track, config.tracking)
     constraints = list(steps)
     loops: list[Loop] = []
     if config.loops.enabled and len(keys) > 2:
@@ -92,12 +94,22 @@ def _optimised(
     return T_map_keys, constraints, loops
 
 
-def step_constraints(track: Track) -> list[Constraint]:
-    """The front end's motion between successive key scans, 1 cm and 0.3 degrees sure of itself."""
+def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
+    """Between successive key scans: what the scans saw, and what the calibrated odometry says.
+
+    In a direction the scans are blind in only the odometry holds; where both see, the scans do.
+    """
     T = track.T_track_base[track.keys]
-    relative = (T[:-1].inverse() @ T[1:]).xyt
-    information = np.diag([0.01**-2, 0.01**-2, 0.005**-2])
-    return [Constraint(k, k + 1, relative[k], information, "step") for k in range(len(relative))]
+    matched = (T[:-1].inverse() @ T[1:]).xyt
+    constraints = []
+    for k, step in enumerate(matched):
+        seen = track.information[track.keys[k + 1]] / STEP_INFLATION
+        constraints.append(Constraint(k, k + 1, step, seen, "step"))
+        if track.odometry_steps is not None:
+            odometry = track.odometry_steps[k]
+            information = config.odometry.information(odometry)
+            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
+    return constraints
 
 
 def pose_all_scans(track: Track, T_map_keys: SE2) -> SE2:

@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, wrap
 from datasets.types import Recording
-from pipeline.slam.align import Alignment, align
+from pipeline.slam.align import Alignment, align, observable
+from pipeline.slam.calibration import Calibration, calibrate
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_pose, make_field
 from pipeline.slam.odometry import KissConfig, LidarOdometry
@@ -68,8 +69,9 @@ class TrackingConfig(BaseModel):
 class Track:
     """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
 
-    `information` (n, 3, 3) belongs to the step from the previous scan's reference; `source` names the
-    hypothesis that won per scan (index into HYPOTHESES).
+    `information` (n, 3, 3) is what the scan saw (blind directions taken out); `source` names the
+    hypothesis that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the
+    calibrated odometry's motions between successive key scans, None without odometry.
     """
 
     T_track_base: SE2
@@ -78,8 +80,11 @@ class Track:
     rmse: Array
     information: Array
     source: NDArray[np.int8]
+    odometry_steps: Array | None
+    calibration: Calibration
 
 
+CALIBRATE_EVERY = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 
 
@@ -93,6 +98,9 @@ class Tracker:
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
         self.velocity = np.zeros(3)
+        self.calibration = Calibration()
+        self.fully_seen: list[bool] = []
+        self._seen = True
         self._usual_cost = 0.3
 
     def start(self, scan: int, T_map_base: Array) -> None:
@@ -127,6 +135,7 @@ class Tracker:
         else:
             result, source = best[0], best[1]
             self._usual_cost += 0.02 * (best[2] - self._usual_cost)
+        self._seen = self._seen and source < 3 and sees_everything(result.information)
         new = result.T_map_base.xyt
         self.velocity = between(self.pose, new)
         self.pose = new
@@ -139,7 +148,21 @@ class Tracker:
     def _odometry_step(self, scan: int) -> Array | None:
         if self.odometry is None:
             return None
-        return between(self.odometry[scan - 1], self.odometry[scan])
+        return self.calibration.corrected(between(self.odometry[scan - 1], self.odometry[scan]))
+
+    def key_odometry(self) -> Array:
+        """Raw odometry steps between successive key scans, (keys - 1, 3)."""
+        assert self.odometry is not None
+        T = SE2(self.odometry[self.keys])
+        return (T[:-1].inverse() @ T[1:]).xyt
+
+    def calibrated(self) -> Calibration:
+        """The odometry's systematic errors as far as the track shows them."""
+        if self.odometry is None or len(self.keys) < 2:
+            return Calibration()
+        T = SE2(np.array(self.key_poses))
+        matched = (T[:-1].inverse() @ T[1:]).xyt
+        return calibrate(self.key_odometry(), matched, np.array(self.fully_seen[1:]))
 
     def _best(
         self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
@@ -202,6 +225,10 @@ class Tracker:
     def _add_key(self, scan: int) -> None:
         self.keys.append(scan)
         self.key_poses.append(self.pose)
+        self.fully_seen.append(self._seen)
+        self._seen = True
+        if len(self.keys) % CALIBRATE_EVERY == 0:
+            self.calibration = self.calibrated()
         n, config = self.config.field_keys, self.config
         self.field = make_field(
             self.clouds,
@@ -227,8 +254,18 @@ def track_log(
     for scan in scans:
         result, source[scan] = tracker.step(scan)
         poses[scan] = result.T_map_base.xyt
-        overlap[scan], rmse[scan], information[scan] = result.overlap, result.rmse, result.information
-    return Track(SE2(poses), np.array(tracker.keys), overlap, rmse, information, source)
+        overlap[scan], rmse[scan] = result.overlap, result.rmse
+        information[scan] = observable(result.information)
+    calibration = tracker.calibrated()
+    steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
+    keys = np.array(tracker.keys)
+    return Track(SE2(poses), keys, overlap, rmse, information, source, steps, calibration)
+
+
+def sees_everything(information: Array) -> bool:
+    """Whether the scan fixed the pose in all directions: the least exceeds the noise of normals well."""
+    seen = np.linalg.eigvalsh(observable(information)[:2, :2])
+    return bool(seen[0] > 0.05 * seen[1] > 0.0)
 
 
 def compose(a: Array, b: Array) -> Array:
