@@ -63,7 +63,7 @@ def box(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:
 
 
 def l_shaped_room() -> Room:
-    """5 x 4 m, no wall at its cells' centre, but no side favoured; with a slanted corner, a cupboard and a pillar: no symmetry."""
+    """5 x 4 m with a slanted corner, a cupboard and a pillar; walls off cell centres to either side."""
     outline = [(0.013, 0.027), (5.041, 0.027), (5.041, 2.6), (3.9, 4.018), (0.013, 4.018)]
     walls = [[*a, *b] for a, b in zip(outline, outline[1:] + outline[:1], strict=True)]
     return Room(np.array(walls + box(0.013, 3.04, 1.135, 4.018) + box(3.21, 0.915, 3.49, 1.19)), (2.0, 2.0))

@@ -53,12 +53,14 @@ class AmclConfig(BaseModel):
     recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)
     recovery_alpha_fast: float = Field(default=0.1, ge=0.0, le=1.0)
 
-    # The estimate finer than the cloud (see fine_pose): residual at which a beam counts a quarter, standard
-    # deviation of a beam against the map, and how many beams' worth one wall may say in one scan.
+    # The estimate finer than the cloud (fine_pose, wall_filter): residual at which a beam counts a quarter,
+    # standard deviation of a beam, how many beams' worth one wall may say in a scan, and how far from
+    # where its cells are a wall may stand (standard deviation).
     refine: bool = True
     match_scale: float = Field(default=0.03, gt=0.0)
-    match_std: float = Field(default=0.03, gt=0.0)
-    match_patch_beams: float = Field(default=2.0, gt=0.0)
+    match_std: float = Field(default=0.012, gt=0.0)
+    match_patch_beams: float = Field(default=4.0, gt=0.0)
+    match_offset_cells: float = Field(default=0.14, gt=0.0)
 
     # The cloud counts as converged when its standard deviations are below these.
     convergence_xy: float = Field(default=0.15, gt=0.0)

@@ -88,7 +88,7 @@ def _towards_free(free: NDArray[np.bool_]) -> Array:
 def fit_cells(
     cells: NDArray[np.int64], index: Indices, towards_free: Array, window: float
 ) -> tuple[Array, Array, Array]:
-    """Per occupied cell, in cells: shift of its centre to the surface and normal (n, 2), rms of the fit (n,)."""
+    """Per occupied cell, in cells: shift of its centre to the surface, normal (n, 2), rms of the fit (n,)."""
     n = len(cells)
     shift, normals, rough = np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, np.inf)
     reach = int(window)
@@ -132,7 +132,7 @@ def fit_cells(
 
 @njit(cache=True)
 def _parabola(near: Array, nx: float, ny: float) -> tuple[float, float, float]:
-    """(height, slope, rms) at 0 of the parabola through points (n, 3: x, y, weight), height along (nx, ny)."""
+    """(height, slope, rms) at 0 of the parabola through points (n, 3: x, y, weight), v along (nx, ny)."""
     normal, right, weight, squares = np.eye(3) * 1e-6, np.zeros(3), 0.0, 0.0
     basis = np.empty(3)
     for k in range(len(near)):
