@@ -28,10 +28,12 @@ PY := .venv/bin/python
 TURTLEBAG := .venv/bin/turtlebag
 READY := .venv/.ready
 sources = $(shell find $(1) -name '*.py' -o -name '*.yaml' -o -name '*.j2')
+DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/turtlebot3_world-burger-tour-$(SEED)-patrol \
+  $(addsuffix /turtlebot3_house-waffle_pi-tour-$(SEED),records maps) $(addprefix runs/turtlebot3_house-waffle_pi-tour-$(SEED)-,goal avoid)
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-world record map navigate report lint test browser clean
+.PHONY: help setup demo demo-world demo-house record map navigate report lint test browser clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -48,13 +50,16 @@ $(READY): requirements.lock pyproject.toml
 	$(TURTLEBAG) doctor --trial
 	@touch $@
 
-demo: $(READY) ## from nothing to a navigation report: record, map, patrol, report
-	$(MAKE) --no-print-directory demo-world
-	$(TURTLEBAG) report --force --out data/reports/demo \
-	  $(foreach stage,records/turtlebot3_world-burger-tour-1 maps/turtlebot3_world-burger-tour-1 runs/turtlebot3_world-burger-tour-1-patrol,data/$(stage))
+demo: $(READY) ## from nothing to a navigation report: record, map, navigate in the arena and the house, report
+	$(MAKE) --no-print-directory --jobs=2 demo-world demo-house
+	$(TURTLEBAG) report --force --out data/reports/demo $(addprefix data/,$(DEMO))
 
 demo-world:
-	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_world TASK=patrol
+	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_world TASK=patrol
+
+demo-house:
+	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_house TASK=goal GOAL=5.5,-4.5,-1.5708
+	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid
 
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
 map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
