@@ -20,7 +20,8 @@ from datasets.bags.copying import (
     to_ros2,
 )
 from datasets.bags.folder import BagFolder
-from datasets.bags.source import Bag, Message, Topic, open_bag
+from datasets.bags.source import Bag, open_bag
+from datasets.bags.storage import Message, Topic
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.types import Odometry, Recording, Twist

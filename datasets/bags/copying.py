@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from datasets.bags.folder import BagFolder
-from datasets.bags.source import Message, Topic
+from datasets.bags.storage import Message, Topic
 from datasets.bags.topics import definition, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}

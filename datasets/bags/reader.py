@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from datasets.bags import decode
-from datasets.bags.source import Topic, open_bag
+from datasets.bags.source import open_bag
+from datasets.bags.storage import Topic
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.types import Stamps, Trajectory

@@ -3,58 +3,22 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple, Protocol
 
 import yaml
-from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2.metadata import dump_qos_v9
 
 from datasets.bags.decode import Cursor, Ros1Cursor
 from datasets.bags.mcap import MAGIC
-from datasets.bags.mcap_scan import McapChannel, McapScan
-from datasets.bags.topics import METADATA_FILE, TOPICS, metadata_text
+from datasets.bags.ros1_scan import ROS1_MAGIC
+from datasets.bags.storage import READERS, Message, Wanted
+from datasets.bags.topics import METADATA_FILE
 from datasets.errors import InputError
 from datasets.files import read_unpacked
 
-MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", b"#ROSBAG V2.0": "ros1"}
+MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 TRUTH_PREFIX = "/ground_truth"
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A recorded topic: ROS 2 type name and, where the file has them, definition and quality of service."""
-
-    name: str
-    msgtype: str
-    definition: str = ""
-    definition_format: str = ""
-    qos: str = ""
-    type_hash: str = ""
-    encoding: str = "cdr"
-
-
-class Message(NamedTuple):
-    """One message: its topic, log time [ns] and serialised bytes."""
-
-    topic: Topic
-    log_time_ns: int
-    data: bytes
-
-
-Wanted = Callable[[Topic], bool]
-
-
-class BagFile(Protocol):
-    """One storage file."""
-
-    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
-        """Messages of the wanted topics in file order; problems are appended to `notes`."""
 
 
 class Bag:
@@ -70,84 +34,12 @@ class Bag:
         At damage reading ends, or with `step_over` goes on where the file is whole again.
         """
         for file in self.files:
-            source: BagFile = _McapFile(file) if self.kind == "mcap" else _RosbagsFile(file, self.kind)
+            source = READERS[self.kind](file)
             yield from source.messages(wanted, self.notes, step_over=step_over)
 
     def cursor(self, data: bytes) -> Cursor:
         """A field reader for a message's bytes."""
         return Ros1Cursor(data) if self.kind == "ros1" else Cursor(data)
-
-
-class _McapFile:
-    def __init__(self, path: Path) -> None:
-        self.scan = McapScan(path)
-
-    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
-        topics: dict[int, Topic] = {}
-
-        def topic_of(channel: McapChannel) -> Topic:
-            known = topics.get(id(channel))
-            if known is None:
-                schema, metadata = channel.schema, channel.metadata
-                known = topics[id(channel)] = Topic(
-                    channel.topic,
-                    full_type(schema.name),
-                    schema.text,
-                    schema.encoding,
-                    metadata.get("offered_qos_profiles", ""),
-                    metadata.get("topic_type_hash", ""),
-                    channel.encoding,
-                )
-            return known
-
-        chosen = None if wanted is None else lambda channel: wanted(topic_of(channel))
-        for channel, time, data in self.scan.messages(chosen, step_over=step_over):
-            yield Message(topic_of(channel), time, data)
-        name = self.scan.path.name
-        notes.extend(f"{name}: {problem}" for problem in self.scan.state.problems)
-        if self.scan.state.stopped and not step_over:
-            notes.append(f"{name}: read up to there; `turtlebag bag recover` saves what comes after, too")
-
-
-class _RosbagsFile:
-    def __init__(self, path: Path, kind: str) -> None:
-        self.path, self.kind = path, kind
-
-    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
-        try:
-            with Reader1(self.path) if self.kind == "ros1" else Reader2(self.path) as reader:
-                topics = {connection.id: self._topic(connection) for connection in reader.connections}
-                chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
-                if chosen:
-                    for connection, time, data in reader.messages(chosen):
-                        yield Message(topics[connection.id], time, bytes(data))
-        except (InputError, GeneratorExit):
-            raise
-        except Exception as error:
-            # rosbags raises whatever its parsers stumble over: struct, key and type errors too.
-            what = _one_line(error)
-            raise InputError(f"{self.path}: damaged bag ({what}); fetch or record it again") from None
-
-    def _topic(self, connection: Connection) -> Topic:
-        if isinstance(connection.ext, ConnectionExtRosbag2):
-            qos = metadata_text(dump_qos_v9(connection.ext.offered_qos_profiles))
-        else:
-            qos = metadata_text(TOPICS["/map"].qos()) if connection.ext.latching else ""
-        return Topic(
-            connection.topic,
-            full_type(connection.msgtype),
-            connection.msgdef.data,
-            "ros1msg" if self.kind == "ros1" else "ros2" + connection.msgdef.format.name.lower(),
-            qos if qos.strip() != "[]" else "",
-            connection.digest if self.kind != "ros1" else "",
-            "ros1" if self.kind == "ros1" else "cdr",
-        )
-
-
-def full_type(msgtype: str) -> str:
-    """Type name with the middle part that ROS 1 leaves out."""
-    parts = msgtype.split("/")
-    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else msgtype
 
 
 def _one_line(error: Exception) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from datasets.bags import decode
 from datasets.bags.columns import OdometryColumns, imu, odometry
 from datasets.bags.frames import FrameTree
-from datasets.bags.source import TRUTH_PREFIX, Bag, Topic
+from datasets.bags.source import TRUTH_PREFIX, Bag
+from datasets.bags.storage import Topic
 from datasets.types import ImuLog
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"

@@ -11,7 +11,8 @@ import numpy as np
 
 from datasets.bags import decode
 from datasets.bags.frames import FrameTree
-from datasets.bags.source import Bag, Topic, open_bag
+from datasets.bags.source import Bag, open_bag
+from datasets.bags.storage import Topic
 
 
 @dataclass(slots=True)

@@ -1,0 +1,213 @@
+"""Reading ROS 1 bags front to back: unindexed and cut ones (.bag.active) as far as they go.
+
+Layout: http://wiki.ros.org/Bags/Format/2.0. It has no checksums, so a flipped byte inside a message is not
+seen; one in the structure ends the reading or is stepped over.
+"""
+
+from __future__ import annotations
+
+import bz2
+import mmap
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import lz4.frame
+
+from datasets.errors import InputError
+
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
+_MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_OPERATIONS = range(2, 8)
+_CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
+_LONGEST_HEADER = 1 << 24
+
+
+class Damage(Exception):
+    """A record that cannot be what was written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ros1Connection:
+    """A topic of the file."""
+
+    topic: str
+    msgtype: str
+    definition: str
+    latching: bool
+
+
+@dataclass(slots=True)
+class Ros1State:
+    """What is known of a file after reading it, and what was wrong."""
+
+    connections: dict[int, Ros1Connection] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    stopped: bool = False
+    indexed: bool = False
+    chunks: int = 0
+    claimed_chunks: int = 0
+
+
+Wanted = Callable[[Ros1Connection], bool]
+
+
+class Ros1Scan:
+    """One file, read sequentially; `state` fills while messages are drawn."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.state = Ros1State()
+        try:
+            with path.open("rb") as file:
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: cannot be read ({error})") from None
+        if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
+            raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
+
+    def messages(
+        self, wanted: Wanted | None = None, *, step_over: bool = False
+    ) -> Iterator[tuple[Ros1Connection, int, bytes]]:
+        """(connection, log time [ns], data) in file order; damage stops it or is stepped over."""
+        self.state = state = Ros1State()
+        at, end = len(ROS1_MAGIC), len(self._data)
+        while at < end:
+            try:
+                header, start, size = _record(self._data, at, end)
+                if start + size > end and header.get("op") != bytes([_CHUNK]):
+                    raise Damage("the file ends inside a record")
+                yield from self._record_messages(header, self._data[start : start + size], size, wanted)
+                at = start + size
+            except Damage as damage:
+                state.problems.append(f"damaged at byte {at} of {end}: {damage}")
+                state.stopped = not step_over
+                if not step_over:
+                    return
+                at = self._next_chunk(at + 1)
+        if not state.indexed:
+            state.problems.append("the file has no index: recording was cut off (.bag.active)")
+        elif state.chunks < state.claimed_chunks:
+            state.problems.append(f"{state.claimed_chunks} chunks were written, {state.chunks} could be read")
+
+    def _record_messages(
+        self, header: dict[str, bytes], body: bytes, size: int, wanted: Wanted | None
+    ) -> Iterator[tuple[Ros1Connection, int, bytes]]:
+        operation = header["op"][0]
+        if operation == _CHUNK:
+            self.state.chunks += 1
+            yield from self._chunk(_unpacked(header, body, size), wanted)
+            if len(body) < size:
+                raise Damage("the file ends inside a chunk")
+        elif operation == _CONNECTION:
+            self._connection(header, body)
+        elif operation == _HEADER:
+            self.state.indexed = any(header.get("index_pos", b""))
+            self.state.claimed_chunks = _number(header, "chunk_count")
+
+    def _chunk(self, records: bytes, wanted: Wanted | None) -> Iterator[tuple[Ros1Connection, int, bytes]]:
+        at, end = 0, len(records)
+        connections = self.state.connections
+        while at < end:
+            header, start, size = _record(records, at, end)
+            at = start + size
+            if at > end:
+                raise Damage("a chunk ends inside a record")
+            operation = header["op"][0]
+            if operation == _CONNECTION:
+                self._connection(header, records[start:at])
+            elif operation == _MESSAGE:
+                connection = connections.get(_number(header, "conn"))
+                if connection is None:
+                    raise Damage("a message of an unknown topic")
+                if wanted is None or wanted(connection):
+                    time = _number(header, "time", "<Q")
+                    seconds, nanoseconds = time & 0xFFFFFFFF, time >> 32
+                    yield connection, seconds * 1_000_000_000 + nanoseconds, records[start:at]
+
+    def _connection(self, header: dict[str, bytes], body: bytes) -> None:
+        number = _number(header, "conn")
+        if number in self.state.connections:
+            return
+        details = _fields(body)
+        self.state.connections[number] = Ros1Connection(
+            _text(header, "topic"),
+            _text(details, "type"),
+            _text(details, "message_definition"),
+            details.get("latching", b"0") == b"1",
+        )
+
+    def _next_chunk(self, at: int) -> int:
+        """Where the next plausible chunk begins; the end of the file if none does."""
+        end = len(self._data)
+        while (mark := self._data.find(_CHUNK_MARK, at)) >= 0:
+            for start in range(max(at, mark - 48), mark):
+                try:
+                    header, _, size = _record(self._data, start, end)
+                except Damage:
+                    continue
+                if header.get("op") == bytes([_CHUNK]) and "compression" in header and size:
+                    return start
+            at = mark + 1
+        return end
+
+
+def _record(data: bytes | mmap.mmap, at: int, end: int) -> tuple[dict[str, bytes], int, int]:
+    """Header fields, start and size of the data of a record."""
+    if at + 4 > end:
+        raise Damage("the file ends inside a record")
+    (length,) = struct.unpack_from("<I", data, at)
+    start = at + 4 + length
+    if length > _LONGEST_HEADER or start + 4 > end:
+        raise Damage("the file ends inside a record, or its length is wrong")
+    header = _fields(data[at + 4 : start])
+    if len(header.get("op", b"")) != 1 or header["op"][0] not in _OPERATIONS:
+        raise Damage("unknown kind of record")
+    return header, start + 4, struct.unpack_from("<I", data, start)[0]
+
+
+def _fields(data: bytes) -> dict[str, bytes]:
+    fields, at, end = {}, 0, len(data)
+    while at < end:
+        if at + 4 > end:
+            raise Damage("a header is cut")
+        (size,) = struct.unpack_from("<I", data, at)
+        name, mark, value = data[at + 4 : at + 4 + size].partition(b"=")
+        if not mark or at + 4 + size > end:
+            raise Damage("a header field without a value")
+        fields[name.decode("ascii", "replace")] = value
+        at += 4 + size
+    return fields
+
+
+def _number(header: dict[str, bytes], name: str, code: str = "<I") -> int:
+    value = header.get(name, b"")
+    if len(value) != struct.calcsize(code):
+        raise Damage(f"no {name} in a header")
+    return int(struct.unpack(code, value)[0])
+
+
+def _text(header: dict[str, bytes], name: str) -> str:
+    if name not in header:
+        raise Damage(f"no {name} in a header")
+    return header[name].decode("utf-8", "replace")
+
+
+def _unpacked(header: dict[str, bytes], body: bytes, size: int) -> bytes:
+    """Records of a chunk; of a cut, uncompressed one what is there."""
+    compression = _text(header, "compression")
+    try:
+        if compression == "none":
+            return body
+        if len(body) < size:
+            raise Damage("the file ends inside a compressed chunk")
+        if compression not in ("bz2", "lz4"):
+            raise Damage(f"unknown compression {compression[:20]!r}")
+        records = bz2.decompress(body) if compression == "bz2" else bytes(lz4.frame.decompress(body))
+    except (OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
+        reason = " ".join(str(error).split())[:80]
+        raise Damage(f"a chunk cannot be unpacked ({reason})") from None
+    if len(records) != _number(header, "size"):
+        raise Damage("a chunk of the wrong size")
+    return records

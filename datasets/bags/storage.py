@@ -1,0 +1,153 @@
+"""The storage files of bags: mcap, ROS 1 and sqlite3, each giving its messages one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.rosbag2.metadata import dump_qos_v9
+
+from datasets.bags.mcap_scan import McapChannel, McapScan
+from datasets.bags.ros1_scan import Ros1Connection, Ros1Scan
+from datasets.bags.topics import TOPICS, metadata_text
+from datasets.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A recorded topic: ROS 2 type name and, where the file has them, definition and quality of service."""
+
+    name: str
+    msgtype: str
+    definition: str = ""
+    definition_format: str = ""
+    qos: str = ""
+    type_hash: str = ""
+    encoding: str = "cdr"
+
+
+class Message(NamedTuple):
+    """One message: its topic, log time [ns] and serialised bytes."""
+
+    topic: Topic
+    log_time_ns: int
+    data: bytes
+
+
+Wanted = Callable[[Topic], bool]
+
+
+class BagFile(Protocol):
+    """One storage file."""
+
+    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
+        """Messages of the wanted topics in file order; problems are appended to `notes`."""
+
+
+class _McapFile:
+    def __init__(self, path: Path) -> None:
+        self.scan = McapScan(path)
+
+    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
+        topics: dict[int, Topic] = {}
+
+        def topic_of(channel: McapChannel) -> Topic:
+            known = topics.get(id(channel))
+            if known is None:
+                schema, metadata = channel.schema, channel.metadata
+                known = topics[id(channel)] = Topic(
+                    channel.topic,
+                    full_type(schema.name),
+                    schema.text,
+                    schema.encoding,
+                    metadata.get("offered_qos_profiles", ""),
+                    metadata.get("topic_type_hash", ""),
+                    channel.encoding,
+                )
+            return known
+
+        chosen = None if wanted is None else lambda channel: wanted(topic_of(channel))
+        for channel, time, data in self.scan.messages(chosen, step_over=step_over):
+            yield Message(topic_of(channel), time, data)
+        state = self.scan.state
+        _note_problems(self.scan.path, state.problems, state.stopped and not step_over, notes)
+
+
+class _Ros1File:
+    def __init__(self, path: Path) -> None:
+        self.scan = Ros1Scan(path)
+
+    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
+        topics: dict[int, Topic] = {}
+
+        def topic_of(connection: Ros1Connection) -> Topic:
+            known = topics.get(id(connection))
+            if known is None:
+                qos = metadata_text(TOPICS["/map"].qos()) if connection.latching else ""
+                msgtype, text = full_type(connection.msgtype), connection.definition
+                known = Topic(connection.topic, msgtype, text, "ros1msg", qos, "", "ros1")
+                topics[id(connection)] = known
+            return known
+
+        chosen = None if wanted is None else lambda connection: wanted(topic_of(connection))
+        for connection, time, data in self.scan.messages(chosen, step_over=step_over):
+            yield Message(topic_of(connection), time, data)
+        _note_problems(self.scan.path, self.scan.state.problems, self.scan.state.stopped, notes)
+
+
+class _Rosbag2File:
+    """sqlite3 storage and compressed folders, read by rosbags."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
+        count = 0
+        try:
+            with Reader2(self.path) as reader:
+                topics = {connection.id: self._topic(connection) for connection in reader.connections}
+                chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
+                for connection, time, data in reader.messages(chosen) if chosen else ():
+                    yield Message(topics[connection.id], time, bytes(data))
+                    count += 1
+        except (InputError, GeneratorExit):
+            raise
+        except Exception as error:
+            # rosbags raises whatever its parsers stumble over: struct, key and type errors too.
+            what = " ".join(str(error).split())[:120] or type(error).__name__
+            if not count:
+                raise InputError(f"{self.path}: damaged bag ({what}); fetch or record it again") from None
+            _note_problems(self.path, [f"damaged after {count} messages ({what})"], True, notes)
+
+    def _topic(self, connection: Connection) -> Topic:
+        qos = ""
+        if isinstance(connection.ext, ConnectionExtRosbag2) and connection.ext.offered_qos_profiles:
+            qos = metadata_text(dump_qos_v9(connection.ext.offered_qos_profiles))
+        form, text = connection.msgdef.format.name.lower(), connection.msgdef.data
+        return Topic(
+            connection.topic, full_type(connection.msgtype), text, "ros2" + form, qos, connection.digest
+        )
+
+
+def _note_problems(path: Path, problems: list[str], stopped: bool, notes: list[str]) -> None:
+    notes.extend(f"{path.name}: {problem}" for problem in problems)
+    if stopped:
+        notes.append(f"{path.name}: read up to there; `turtlebag bag recover` saves what comes after, too")
+
+
+READERS: dict[str, Callable[[Path], BagFile]] = {
+    "mcap": _McapFile,
+    "ros1": _Ros1File,
+    "sqlite3": _Rosbag2File,
+    "compressed": _Rosbag2File,
+}
+
+
+def full_type(msgtype: str) -> str:
+    """Type name with the middle part that ROS 1 leaves out."""
+    parts = msgtype.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else msgtype
