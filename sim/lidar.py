@@ -41,11 +41,14 @@ class Lidar:
     ) -> None:
         self.spec: LidarSpec = robot.lidar.spec(config.turning)
         self._config, self._rng = config, rng
-        self._outlines = sections([solid for solid in solids if solid.crosses(robot.lidar_height)])
+        self._outlines = sections(
+            [solid for solid in solids if solid.crosses(robot.lidar_height)], robot.lidar_height
+        )
         returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
         self._returns = returns if config.reflectivity and returns.min() < 1.0 else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         n = self.spec.n_beams
+        self._movers: list[tuple[Array, Array]] = []
         self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
 
     def true_ranges(self, poses: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -56,7 +59,28 @@ class Lidar:
         """
         when: Array = self._sweep * float(len(poses) - 1)
         origins, directions = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
-        return cast(origins, directions, self._outlines.segments, self._outlines.circles, self.spec.range_max)
+        ranges, hits = cast(
+            origins, directions, self._outlines.segments, self._outlines.circles, self.spec.range_max
+        )
+        if self._movers:
+            self._see_movers(origins, directions, when, ranges, hits)
+        return ranges, hits
+
+    def note_movers(self, outline: tuple[Array, Array], first: bool) -> None:
+        """Where the movers stand in the control step just taken; `first`: the first step of a sweep."""
+        self._movers = [outline] if first else [*self._movers, outline]
+
+    def _see_movers(
+        self, origins: Array, directions: Array, when: Array, ranges: Array, hits: NDArray[np.int64]
+    ) -> None:
+        """Shorten ranges where a mover stands in the way, each beam by where it stood in that step."""
+        step = np.minimum(when.astype(np.int64), len(self._movers) - 1)
+        for number, (segments, circles) in enumerate(self._movers):
+            beams = np.nonzero(step == number)[0]
+            near, _ = cast(origins[beams], directions[beams], segments, circles, self.spec.range_max)
+            closer = near < ranges[beams]
+            ranges[beams[closer]] = near[closer]
+            hits[beams[closer]] = -1
 
     def measure(self, poses: Array) -> NDArray[np.float32]:
         """Ranges (n_beams,) as the driver would publish them (REP-117)."""

@@ -12,10 +12,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2
+from datasets.se2 import SE2, Array
 from sim.bullet import bullet
 from sim.robots import RobotSpec
-from sim.shapes import Solid, as_rectangle
+from sim.shapes import Ball, Mesh, Solid, as_rectangle
 from sim.urdf import composite, urdf
 
 CONTACT_GAP_M = 5e-4
@@ -89,6 +89,7 @@ class Physics:
             for number, solid in enumerate(self._solids)
             if solid.z_min < self._robot.height and solid.z_max > 0.0
         }
+        self._body_of = {number: body for body, number in self._solid_of.items()}
         self._load_robot(T_world_base)
         for _ in range(round(0.5 / self._dt)):
             self.step(0.0, 0.0)
@@ -129,6 +130,21 @@ class Physics:
             physicsClientId=self._client,
         )
         bullet.stepSimulation(physicsClientId=self._client)
+
+    def place(self, number: int, xy: Array, velocity: Array) -> None:
+        """Put a moving solid somewhere; its velocity is what it pushes with. Never the robot."""
+        body = self._body_of.get(number)
+        if body is None:
+            return
+        solid = self._solids[number]
+        bullet.resetBasePositionAndOrientation(
+            body,
+            [float(xy[0]), float(xy[1]), 0.5 * (solid.z_min + solid.z_max)],
+            [0.0, 0.0, 0.0, 1.0],
+            physicsClientId=self._client,
+        )
+        speed = [float(velocity[0]), float(velocity[1]), 0.0]
+        bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self._client)
 
     def pose(self) -> tuple[float, float, float]:
         """x, y, yaw of base_footprint."""
@@ -174,8 +190,18 @@ def _create(solid: Solid, client: int) -> int:
     """A static body for a solid; returns its id."""
     height, middle = solid.z_max - solid.z_min, 0.5 * (solid.z_max + solid.z_min)
     position, yaw = [*solid.center, middle], 0.0
-    rectangle = None if solid.is_cylinder else as_rectangle(solid.polygon)
-    if solid.is_cylinder:
+    rectangle = as_rectangle(solid.polygon)
+    if isinstance(solid, Mesh):
+        position = [0.0, 0.0, 0.0]
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_MESH,
+            vertices=solid.triangles.reshape(-1, 3).tolist(),
+            indices=list(range(3 * len(solid.triangles))),
+            physicsClientId=client,
+        )
+    elif isinstance(solid, Ball):
+        shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=solid.radius, physicsClientId=client)
+    elif solid.is_cylinder:
         shape = bullet.createCollisionShape(
             bullet.GEOM_CYLINDER, radius=solid.radius, height=height, physicsClientId=client
         )

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
-from sim.shapes import Solid, contains
+from sim.shapes import Mesh, Solid, contains
 
 INSET_M = 1e-3
 """Surfaces are sampled this far inside the solid, so that one on a cell border falls in the solid's cell."""
@@ -23,11 +23,15 @@ INSET_M = 1e-3
 
 def true_map(
     solids: Sequence[Solid],
+    z: float,
     bounds: tuple[float, float, float, float],
     start_xy: Array,
     resolution: float,
 ) -> OccupancyGrid:
-    """True map of the given sections over `bounds` (x_min, x_max, y_min, y_max), seen from start_xy."""
+    """True map at height z over `bounds` (x_min, x_max, y_min, y_max), seen from start_xy.
+
+    `solids` are those that cross that height.
+    """
     # Whole cells, aligned to multiples of the resolution.
     x0, y0 = np.floor(bounds[0] / resolution + 1e-9), np.floor(bounds[2] / resolution + 1e-9)
     cols = int(np.ceil(bounds[1] / resolution - 1e-9) - x0)
@@ -35,10 +39,10 @@ def true_map(
     cells = np.full((rows, cols), UNKNOWN, dtype=np.int8)
     grid = OccupancyGrid(cells, resolution, SE2.from_xyt(x0 * resolution, y0 * resolution, 0.0))
 
-    surface = _surface_cells(grid, solids)
+    surface = _surface_cells(grid, solids, z)
     rr, cc = np.indices((rows, cols))
     centers = grid.center_of(np.stack([rr, cc], axis=-1)).reshape(-1, 2)
-    open_floor = ~surface & ~contains(solids, centers).reshape(rows, cols)
+    open_floor = ~surface & ~contains(solids, z, centers).reshape(rows, cols)
     regions, _ = ndimage.label(open_floor)
     start = grid.cell_of(np.asarray(start_xy))
     region = regions[tuple(start)] if grid.contains(start) else 0
@@ -50,15 +54,15 @@ def true_map(
     return grid
 
 
-def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid]) -> np.ndarray:
+def _surface_cells(grid: OccupancyGrid, solids: Sequence[Solid], z: float) -> np.ndarray:
     """Cells through which an uncovered surface passes, (rows, cols) bool."""
     step = grid.resolution / 25.0
     samples = [np.zeros((0, 2))]
     for solid in solids:
-        points, outward = _outline(solid, step)
+        points, outward = _outline(solid, z, step)
         # A stretch that is sunk in another solid is no surface.
         others = [other for other in solids if other is not solid and _near(other, solid)]
-        exposed = ~contains(others, points + 2.0 * INSET_M * outward)
+        exposed = ~contains(others, z, points + 2.0 * INSET_M * outward)
         samples.append((points - INSET_M * outward)[exposed])
     hit = grid.cell_of(np.vstack(samples))
     hit = hit[grid.contains(hit)]
@@ -74,16 +78,17 @@ def _near(a: Solid, b: Solid) -> bool:
     return ax0 - pad < bx1 and bx0 - pad < ax1 and ay0 - pad < by1 and by0 - pad < ay1
 
 
-def _outline(solid: Solid, step: float) -> tuple[Array, Array]:
+def _outline(solid: Solid, z: float, step: float) -> tuple[Array, Array]:
     """Points along a solid's outline at most `step` apart, and the outward normal at each, (n, 2) both."""
-    if solid.is_cylinder:
-        n = max(16, int(np.ceil(2.0 * np.pi * solid.radius / step)))
+    segments, circles = solid.outline(z, z)
+    points: list[Array] = [np.zeros((0, 2))]
+    normals: list[Array] = [np.zeros((0, 2))]
+    for x, y, r in circles:
+        n = max(16, int(np.ceil(2.0 * np.pi * r / step)))
         angles = np.arange(n) * (2.0 * np.pi / n)
-        around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return np.array(solid.center) + solid.radius * around, around
-    points: list[Array] = []
-    normals: list[Array] = []
-    for a, b in zip(solid.polygon, np.roll(solid.polygon, -1, axis=0), strict=True):
+        normals.append(np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+        points.append(np.array([x, y]) + r * normals[-1])
+    for a, b in zip(segments[:, :2], segments[:, 2:], strict=True):
         length = float(np.linalg.norm(b - a))
         if length < 1e-9:
             continue
@@ -92,5 +97,7 @@ def _outline(solid: Solid, step: float) -> tuple[Array, Array]:
         fractions = np.linspace(end, 1.0 - end, max(2, int(np.ceil(length / step)) + 1))
         points.append(a + fractions[:, None] * (b - a))
         normal = np.array([b[1] - a[1], a[0] - b[0]]) / length
+        if isinstance(solid, Mesh) and solid.inside(z, (0.5 * (a + b) + INSET_M * normal)[None])[0]:
+            normal = -normal
         normals.append(np.broadcast_to(normal, points[-1].shape))
     return np.vstack(points), np.vstack(normals)

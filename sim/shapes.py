@@ -1,13 +1,19 @@
-"""Solids of a world: upright convex prisms and cylinders, and their sections as arrays."""
+"""Solids of a world: upright convex prisms and cylinders, balls and meshes, and their outlines as arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.se2 import Array
+
+Bools = NDArray[np.bool_]
+NO_SEGMENTS, NO_CIRCLES = np.zeros((0, 4)), np.zeros((0, 3))
+SLICES = 6
+"""How many heights stand for a mesh where its outline over a range of heights is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +49,80 @@ class Solid:
             return x - r, x + r, y - r, y + r
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+    def outline(self, low: float, high: float) -> tuple[Array, Array]:
+        """Segments (n, 4) and circles (m, 3) that bound it between two heights (equal: in that plane)."""
+        if self.is_cylinder:
+            return NO_SEGMENTS, np.array([[*self.center, self.radius]])
+        return np.hstack([self.polygon, np.roll(self.polygon, -1, axis=0)]), NO_CIRCLES
+
+    def inside(self, z: float, points: Array) -> Bools:
+        """Which points (n, 2) lie strictly inside it at height z, (n,)."""
+        if self.is_cylinder:
+            return np.asarray(np.hypot(*(points - np.array(self.center)).T) < self.radius)
+        edges = np.roll(self.polygon, -1, axis=0) - self.polygon
+        offset = points[:, None] - self.polygon
+        return np.all(edges[:, 0] * offset[..., 1] - edges[:, 1] * offset[..., 0] > 0.0, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Ball(Solid):
+    """A ball whose centre is midway between z_min and z_max; `radius` is its own."""
+
+    def _radius_at(self, z: float) -> float:
+        up = z - 0.5 * (self.z_min + self.z_max)
+        return float(np.sqrt(max(self.radius**2 - up**2, 0.0)))
+
+    def outline(self, low: float, high: float) -> tuple[Array, Array]:
+        """Its widest circle between two heights."""
+        middle = min(max(0.5 * (self.z_min + self.z_max), low), high)
+        return NO_SEGMENTS, np.array([[*self.center, self._radius_at(middle)]])
+
+    def inside(self, z: float, points: Array) -> Bools:
+        """Which points (n, 2) lie strictly inside it at height z, (n,)."""
+        return np.asarray(np.hypot(*(points - np.array(self.center)).T) < self._radius_at(z))
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh(Solid):
+    """A closed surface of triangles, (n, 3, 3) in the world frame; `polygon` bounds it from above."""
+
+    triangles: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+
+    def outline(self, low: float, high: float) -> tuple[Array, Array]:
+        """Its slices at one height, or at several between two."""
+        low, high = max(low, self.z_min), min(high, self.z_max)
+        heights = [low] if high <= low else np.linspace(low, high, SLICES + 2)[1:-1].tolist()
+        return np.vstack([NO_SEGMENTS, *(slice_triangles(self.triangles, z) for z in heights)]), NO_CIRCLES
+
+    def inside(self, z: float, points: Array) -> Bools:
+        """Which points (n, 2) lie inside its slice at height z, by counting crossings, (n,)."""
+        segments = slice_triangles(self.triangles, z)
+        x0, y0, x1, y1 = segments.T
+        px, py = points[:, :1], points[:, 1:]
+        spans = (y0 > py) != (y1 > py)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = x0 + (py - y0) / (y1 - y0) * (x1 - x0)
+        return np.asarray(np.sum(spans & (px < at), axis=1) % 2 == 1)
+
+
+def slice_triangles(triangles: Array, z: float) -> Array:
+    """Segments (n, 4) in which triangles (m, 3, 3) meet the horizontal plane at height z."""
+    # A plane through corners would give points and doubled edges: lift it off them.
+    z += 1e-7
+    above = triangles[..., 2] > z
+    crossing = triangles[above.any(axis=1) & ~above.all(axis=1)]
+    segments = np.zeros((len(crossing), 4))
+    filled = np.zeros(len(crossing), dtype=np.int64)
+    for i in range(3):
+        a, b = crossing[:, i], crossing[:, (i + 1) % 3]
+        cut = np.nonzero((a[:, 2] > z) != (b[:, 2] > z))[0]
+        share = ((z - a[cut, 2]) / (b[cut, 2] - a[cut, 2]))[:, None]
+        points = a[cut, :2] + share * (b[cut, :2] - a[cut, :2])
+        for axis in (0, 1):
+            segments[cut, 2 * filled[cut] + axis] = points[:, axis]
+        filled[cut] += 1
+    return segments
 
 
 def prism(name: str, polygon: Array, z: tuple[float, float], reflectivity: float = 1.0) -> Solid:
@@ -83,6 +163,22 @@ def cylinder(
     return Solid(name, z[0], z[1], center, np.zeros((0, 2)), radius, reflectivity)
 
 
+def ball(name: str, center: tuple[float, float, float], radius: float, reflectivity: float = 1.0) -> Ball:
+    """Ball about a point."""
+    x, y, z = center
+    return Ball(name, z - radius, z + radius, (x, y), np.zeros((0, 2)), radius, reflectivity)
+
+
+def mesh(name: str, triangles: Array, reflectivity: float = 1.0) -> Mesh:
+    """Solid bounded by triangles (n, 3, 3) in the world frame; ValueError when there are none."""
+    if len(triangles) == 0 or not np.all(np.isfinite(triangles)):
+        raise ValueError(f"{name}: its mesh has no finite triangles")
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    outline = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+    center = (float((low[0] + high[0]) / 2.0), float((low[1] + high[1]) / 2.0))
+    return Mesh(name, float(low[2]), float(high[2]), center, outline, 0.0, reflectivity, triangles)
+
+
 def as_rectangle(polygon: Array) -> tuple[float, float, float, float, float] | None:
     """(x, y, length, width, yaw) of a polygon that is a rectangle, else None."""
     if len(polygon) != 4:
@@ -114,33 +210,33 @@ class Sections:
     segment_return: Array
     circle_return: Array
 
+    def __add__(self, other: Sections) -> Sections:
+        return Sections(
+            np.vstack([self.segments, other.segments]),
+            np.vstack([self.circles, other.circles]),
+            np.concatenate([self.segment_return, other.segment_return]),
+            np.concatenate([self.circle_return, other.circle_return]),
+        )
 
-def sections(solids: Sequence[Solid]) -> Sections:
-    """Outlines of the given solids (whatever their height)."""
-    segments: list[Array] = [np.zeros((0, 4))]
-    returns: list[Array] = [np.zeros(0)]
-    prisms = [solid for solid in solids if not solid.is_cylinder]
-    for solid in prisms:
-        segments.append(np.hstack([solid.polygon, np.roll(solid.polygon, -1, axis=0)]))
-        returns.append(np.full(len(solid.polygon), solid.reflectivity))
-    round_ones = [solid for solid in solids if solid.is_cylinder]
-    circles = np.array([[*solid.center, solid.radius] for solid in round_ones], dtype=np.float64)
+
+def sections(solids: Sequence[Solid], low: float, high: float | None = None) -> Sections:
+    """Outlines of the given solids in the plane at height `low`, or of all they are up to `high`."""
+    outlines = [solid.outline(low, low if high is None else high) for solid in solids]
+    segments, circles = [part[0] for part in outlines], [part[1] for part in outlines]
+    returns = np.array([solid.reflectivity for solid in solids], dtype=np.float64)
+    n_segments = np.array([len(part) for part in segments], dtype=np.int64)
+    n_circles = np.array([len(part) for part in circles], dtype=np.int64)
     return Sections(
-        np.ascontiguousarray(np.vstack(segments)),
-        circles.reshape(-1, 3),
-        np.concatenate(returns),
-        np.array([solid.reflectivity for solid in round_ones], dtype=np.float64),
+        np.ascontiguousarray(np.vstack([NO_SEGMENTS, *segments])),
+        np.ascontiguousarray(np.vstack([NO_CIRCLES, *circles])),
+        np.repeat(returns, n_segments),
+        np.repeat(returns, n_circles),
     )
 
 
-def contains(solids: Sequence[Solid], points: Array) -> np.ndarray:
-    """Which points (n, 2) lie strictly inside a solid, (n,) bool."""
+def contains(solids: Sequence[Solid], z: float, points: Array) -> Bools:
+    """Which points (n, 2) lie strictly inside a solid at height z, (n,)."""
     inside = np.zeros(len(points), dtype=bool)
     for solid in solids:
-        if solid.is_cylinder:
-            inside |= np.hypot(*(points - np.array(solid.center)).T) < solid.radius
-            continue
-        edges = np.roll(solid.polygon, -1, axis=0) - solid.polygon
-        offset = points[:, None] - solid.polygon
-        inside |= np.all(edges[:, 0] * offset[..., 1] - edges[:, 1] * offset[..., 0] > 0.0, axis=1)
+        inside |= solid.inside(z, points)
     return inside

@@ -14,10 +14,11 @@ from datasets.seeds import stream
 from datasets.types import Joints, Observation, Odometry, Scan, Twist
 from sim.imu import ImuConfig, ImuSensor
 from sim.lidar import Lidar, LidarConfig
+from sim.movers import MovingSolid, outlines
 from sim.physics import Physics, PhysicsConfig
 from sim.raycast import distance_to_outlines, distance_to_point
 from sim.robots import RobotSpec
-from sim.shapes import contains, sections
+from sim.shapes import Sections, contains
 from sim.wheels import Calibration, Motors, OdometryConfig, WheelOdometry
 from sim.worlds import World
 
@@ -67,12 +68,13 @@ class Simulator:
     ) -> None:
         self.world, self.robot, self.config, self.seed = world, robot, config or SimConfig(), seed
         self._solids = world.shapes
-        self._reachable = sections(world.below(robot.height))
-        self._visible = [solid.crosses(robot.lidar_height) for solid in self._solids]
+        self._standing = self._touchable = world.touchable(robot.height)
+        everything = [*self._solids, *(mover.solid for mover in world.movers)]
+        self._visible = [solid.crosses(robot.lidar_height) for solid in everything]
         self._footprint = robot.model.footprint
         self._radius = robot.model.circumscribed_radius
         self._steps_per_scan = round(CONTROL_HZ / robot.lidar.rate_hz)
-        self._physics = Physics(self._solids, robot, self.config.physics, 1.0 / CONTROL_HZ)
+        self._physics = Physics(everything, robot, self.config.physics, 1.0 / CONTROL_HZ)
         self._step = -1
 
     def __enter__(self) -> Simulator:
@@ -100,7 +102,12 @@ class Simulator:
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
+        self._moving = [
+            MovingSolid(mover, self._standing, self._radius, stream(self.seed, f"mover {number}"))
+            for number, mover in enumerate(self.world.movers)
+        ]
         self._physics.reset(start)
+        self._place_movers(first=True)
         self._step = 0
         self._sweep = np.zeros((self._steps_per_scan + 1, 3))
         self._scan_truth = start
@@ -110,6 +117,10 @@ class Simulator:
         """Drive for one control period."""
         if self._step < 0:
             raise RuntimeError("reset the simulator before the first step")
+        if self._moving:
+            for one in self._moving:
+                one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
+            self._place_movers(first=self._step % self._steps_per_scan == 0)
         self._physics.step(*self._motors.step(command))
         self._step += 1
         return self._observe()
@@ -127,7 +138,17 @@ class Simulator:
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
         footprint = self._truth.T_world_base @ self._footprint
-        return float(distance_to_outlines(footprint, self._reachable.segments, self._reachable.circles))
+        return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
+
+    def _place_movers(self, first: bool) -> None:
+        """Tell physics, lidar and clearance where the movers stand now."""
+        if not self._moving:
+            return
+        for number, one in enumerate(self._moving, start=len(self._solids)):
+            self._physics.place(number, one.position, one.velocity)
+        self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
+        seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
+        self._lidar.note_movers(outlines(seen), first or not self.config.lidar.turning)
 
     def _observe(self) -> Observation:
         stamp = stamp_of(self._step)
@@ -163,22 +184,28 @@ class Simulator:
         return Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
 
     def _contacts(self, x: float, y: float) -> tuple[bool, bool]:
-        outlines = self._reachable
-        if distance_to_point(x, y, outlines.segments, outlines.circles) > self._radius + CONTACT_REACH_M:
+        near = self._touchable
+        if distance_to_point(x, y, near.segments, near.circles) > self._radius + CONTACT_REACH_M:
             return False, False
         touched = [self._visible[number] for number in self._physics.touched()]
         return any(touched), not all(touched)
 
     def _check_free(self, start: SE2) -> None:
         footprint = start @ self._footprint
-        outlines = self._reachable
+        standing = self._standing
         solids = self.world.below(self.robot.height)
         if (
             not np.all(np.isfinite(start.xyt))
-            or distance_to_outlines(footprint, outlines.segments, outlines.circles) == 0.0
-            or contains(solids, start.xy[None])[0]
+            or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0
+            or contains(solids, self.robot.lidar_height, start.xy[None])[0]
         ):
             x, y = float(start.x), float(start.y)
             raise InputError(
                 f"start pose {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
             )
+
+
+def _sections_of(moving: list[MovingSolid], height: float) -> Sections:
+    """Outlines of the movers that a robot of that height can touch."""
+    segments, circles = outlines([one for one in moving if one.mover.solid.z_min < height])
+    return Sections(segments, circles, np.ones(len(segments)), np.ones(len(circles)))

@@ -13,8 +13,9 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
+from sim.movers import Mover
 from sim.rasterize import true_map
-from sim.shapes import Solid, box, cylinder, prism
+from sim.shapes import Sections, Solid, box, cylinder, prism, sections
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
@@ -76,6 +77,34 @@ class PrismSpec(_ShapeSpec):
 ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec, Field(discriminator="kind")]
 
 
+class MoverSpec(_Spec):
+    """A box or a cylinder that moves: its section, and a path or an area to wander in."""
+
+    name: str = ""
+    z: tuple[Finite, Finite] = (0.0, 1.0)
+    size: tuple[Positive, Positive] | None = None
+    radius: Positive | None = None
+    path: list[Point] = Field(min_length=1)
+    speed: Positive
+    loop: bool = False
+    wander: tuple[Finite, Finite, Finite, Finite] | None = None
+    yields: bool = False
+
+    def mover(self) -> Mover:
+        """The mover it describes; ValueError when its section is not given once."""
+        if (self.size is None) == (self.radius is None):
+            raise ValueError(f"mover {self.name}: give either size or radius")
+        origin = (0.0, 0.0)
+        if self.radius is not None:
+            solid = cylinder(self.name, origin, self.radius, self.z)
+        else:
+            solid = box(self.name, origin, self.size or (1.0, 1.0), 0.0, self.z)
+        path = np.array(self.path, dtype=np.float64)
+        everywhere = (-np.inf, np.inf, -np.inf, np.inf)
+        area = self.wander or everywhere
+        return Mover(solid, path, self.speed, self.loop, self.wander is not None, area, self.yields)
+
+
 class WorldSpec(_Spec):
     """A world file."""
 
@@ -86,6 +115,7 @@ class WorldSpec(_Spec):
     """Choices, the default first, made as in `name:key=value`."""
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
     shapes: list[ShapeSpec]
+    movers: list[MoverSpec] = []
     keepout: list[list[Point]] = []
     routes: dict[str, list[Point]] = {}
 
@@ -105,6 +135,7 @@ class World:
     bounds: tuple[float, float, float, float]
     keepout: tuple[Array, ...]
     routes: dict[str, Array]
+    movers: tuple[Mover, ...] = ()
 
     def crossing(self, z: float) -> list[Solid]:
         """Solids that a horizontal plane at z cuts: what a lidar at that height can see."""
@@ -114,9 +145,13 @@ class World:
         """Solids that reach into the space over the floor and below z: what a robot that high can touch."""
         return [solid for solid in self.shapes if solid.z_min < z and solid.z_max > 0.0]
 
+    def touchable(self, height: float) -> Sections:
+        """Outlines of everything that a robot of that height can touch."""
+        return sections(self.below(height), 0.0, height)
+
     def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
         """The true map at height z, as a perfect lidar there would draw it (see sim.rasterize)."""
-        return true_map(self.crossing(z), self.bounds, self.spawn.xy, resolution)
+        return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)
 
 
 def load_world(name_or_path: str) -> World:
@@ -131,6 +166,7 @@ def load_world(name_or_path: str) -> World:
     shapes = [shape for shape in spec.shapes if all(options.get(k) == v for k, v in shape.when.items())]
     try:
         solids = tuple(shape.solid() for shape in shapes)
+        movers = tuple(mover.mover() for mover in spec.movers)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     return World(
@@ -141,6 +177,7 @@ def load_world(name_or_path: str) -> World:
         bounds=spec.bounds or bounds_of(solids, MARGIN_M),
         keepout=tuple(np.array(outline, dtype=np.float64) for outline in spec.keepout),
         routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
+        movers=movers,
     )
 
 

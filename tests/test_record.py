@@ -21,7 +21,6 @@ from pipeline.cli import main
 from pipeline.record import record
 from sim.raycast import distance_to_point
 from sim.robots import load_robot
-from sim.shapes import sections
 from sim.simulator import SimConfig, Simulator
 from sim.teleop import commands, load_script
 from sim.worlds import load_world, world_names
@@ -188,7 +187,7 @@ def test_tour_is_slow_turns_on_the_spot_and_touches_nothing():
 def test_every_route_keeps_clear_of_everything_the_robot_could_touch(name):
     world = load_world(name)
     robot = load_robot(world.robot)
-    outlines = sections(world.below(robot.height))
+    outlines = world.touchable(robot.height)
     for route in world.routes.values():
         points = np.vstack([world.spawn.xy, route])
         for a, b in itertools.pairwise(points):

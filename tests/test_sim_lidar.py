@@ -52,11 +52,11 @@ def test_the_ray_caster_agrees_with_bullets_rays(arena, x, y, yaw):
     ranges, _ = sensor.true_ranges(pose)
     when = np.zeros(len(ranges))
     origins, directions = beam_rays(pose, when, BURGER.T_base_lidar.xyt, sensor.spec.angles)
-    outlines = sections(WORLD.crossing(BURGER.lidar_height))
+    outlines = sections(WORLD.crossing(BURGER.lidar_height), BURGER.lidar_height)
     near = distance_to_point(*origins[0], outlines.segments, outlines.circles)
     # From inside a solid, or its 1 mm of padding, Bullet reports nothing sensible; the housing's own
     # radius keeps a lidar 5.5 cm from everything.
-    assume(near > 0.055 and not contains(WORLD.shapes, origins[:1])[0])
+    assume(near > 0.055 and not contains(WORLD.shapes, 0.182, origins[:1])[0])
     z = np.full((len(origins), 1), BURGER.lidar_height)
     start = np.hstack([origins, z])
     end = np.hstack([origins + 3.5 * directions, z])
@@ -123,7 +123,7 @@ def test_footprint_distance_matches_dense_sampling():
         cylinder("c", (-0.6, 0.9), 0.3, (0.0, 1.0)),
         prism("p", np.array([[-1.0, -1.0], [0.2, -1.2], [-0.3, -0.6]]), (0.0, 1.0)),
     ]
-    outlines = sections(solids)
+    outlines = sections(solids, 0.1)
     footprint = BURGER.model.footprint
     edge = along(footprint, 100)
     surface = np.vstack([along(circle(s) if s.is_cylinder else s.polygon, 100) for s in solids])
@@ -132,7 +132,7 @@ def test_footprint_distance_matches_dense_sampling():
         got = distance_to_outlines(pose @ footprint, outlines.segments, outlines.circles)
         sampled = np.linalg.norm((pose @ edge)[:, None] - surface[None], axis=-1).min()
         if got == 0.0:
-            assert sampled < 0.12 or contains(solids, pose.xy[None])[0]
+            assert sampled < 0.12 or contains(solids, 0.1, pose.xy[None])[0]
         else:
             assert got == pytest.approx(sampled, abs=1e-2)
 
