@@ -64,3 +64,12 @@ def test_convert_writes_what_map_reads(drive, tmp_path, monkeypatch, options):
     assert sorted(path.name for path in tmp_path.iterdir()) == [options[1]]
     assert main(["bag", "convert", str(drive), *options]) == 2
     assert main(["bag", "convert", str(drive), *options, "--force"]) == 0
+
+
+def test_info_of_a_carmen_log(tmp_path, capsys):
+    line = "FLASER 180 " + "1.00 " * 180 + "0 0 0 0 0 0 {}.5 nohost 0\n"
+    (tmp_path / "a.log").write_text("".join(line.format(k) for k in range(4)))
+    assert main(["bag", "info", str(tmp_path / "a.log")]) == 0
+    out = capsys.readouterr().out
+    assert "4 scans, 3.00 s, one every 1.000 s" in out
+    assert "180 beams from -90.0 to 89.0 degrees" in out

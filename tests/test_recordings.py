@@ -6,9 +6,10 @@ import shutil
 import numpy as np
 import pytest
 from bag_samples import LIDAR, LINKS, observation, pose, stamp, write_drive
-from foreign_bags import ODOMETRY, SCAN, TF, header, laser_scan, odometry, tf, transform, write_foreign
+from foreign_bags import ODOMETRY, SCAN, STORE, TF, header, laser_scan, odometry, tf, transform, write_foreign
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
@@ -218,6 +219,37 @@ def test_ros1_bag(drive, tmp_path):
                 raw = store1.serialize_ros1(scan, SCAN)
                 writer.write(scan_connection, sample.stamp_ns, bytes(raw))
     same(load_recording(path, T_base_lidar=recording.T_base_lidar), recording)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_compressed_rosbag2_folders(tmp_path, storage, mode):
+    rng = np.random.default_rng(0)
+    scans = [laser_scan(k * 10**8, rng.uniform(1, 3, 360)) for k in range(20)]
+    writer = Writer2(tmp_path / "bag", version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/scan", SCAN, typestore=STORE)
+        for k, scan in enumerate(scans):
+            writer.write(connection, k * 10**8, bytes(STORE.serialize_cdr(scan, SCAN)))
+    recording = load_recording(tmp_path / "bag")
+    np.testing.assert_array_equal(recording.ranges, [scan.ranges for scan in scans])
+
+
+def test_a_split_bag_is_read_in_order(drive, tmp_path):
+    folder = tmp_path / "bag"
+    write_drive(folder, seconds=3)
+    (folder / "bag_0.mcap").rename(folder / "bag_10.mcap")
+    shutil.copy(drive / "bag_0.mcap", folder / "bag_9.mcap")
+    text = (folder / "metadata.yaml").read_text()
+    text = text.replace(
+        "relative_file_paths:\n  - bag_0.mcap", "relative_file_paths:\n  - bag_9.mcap\n  - bag_10.mcap"
+    )
+    (folder / "metadata.yaml").write_text(text)
+    expected = [*load_recording(drive).stamps_ns, *load_recording(folder / "bag_10.mcap").stamps_ns]
+    assert load_recording(folder).stamps_ns.tolist() == expected
+    (folder / "metadata.yaml").unlink()
+    assert load_recording(folder).stamps_ns.tolist() == expected
 
 
 def test_what_is_not_a_recording_is_one_clear_line(tmp_path):

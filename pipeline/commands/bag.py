@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from datasets.bags.source import is_bag
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, check_free, staged_output, write_manifest
 from datasets.recordings import load_recording
+from datasets.types import Recording
 from pipeline.commands.arguments import add_output
 from pipeline.console import log
 from pipeline.play import Player, play
@@ -83,8 +85,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
-    _print_info(bag_info(args.bag))
+    if _is_log(args.bag):
+        _print_log(load_recording(args.bag))
+    else:
+        _print_info(bag_info(args.bag))
     return 0
+
+
+def _print_log(log_read: Recording) -> None:
+    lidar, (x, y, yaw) = log_read.lidar, log_read.T_base_lidar.xyt.tolist()
+    first, last = math.degrees(lidar.angles[0]), math.degrees(lidar.angles[-1])
+    print(f"{log_read.source}  (CARMEN log)")
+    print(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
+    print(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
+    print(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
+    _print_notes(log_read.notes)
 
 
 def _print_info(info: BagInfo) -> None:
