@@ -19,9 +19,10 @@ def make_report(
     out: Path,
     *,
     force: bool = False,
+    animate: bool = True,
     command: Sequence[str] = ("turtlebag", "report"),
 ) -> Path:
-    """Write `index.html`, `figures/*.png`, `metrics.json` and the manifest; returns the page's path.
+    """Write `index.html`, `figures/*`, `metrics.json` and the manifest; returns the page's path.
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
     share a world or data files by hash are shown together. InputError for anything else.
@@ -29,7 +30,7 @@ def make_report(
     watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
     with staged_output(out, force=force) as partial:
-        album = Album(partial / "figures")
+        album = Album(partial / "figures", animate=animate)
         chapters = [build_chapter(group, album) for group in track(groups, "draw")]
         (partial / "index.html").write_text(render(chapters, groups))
         numbers = {

@@ -14,8 +14,8 @@ from datasets.maps import load_map
 from datasets.recordings import load_recording
 from datasets.runlog import RunLog
 from datasets.se2 import SE2
-from datasets.types import Trajectory
-from reports.figures import maps, series
+from datasets.types import Recording, Trajectory
+from reports.figures import animation, maps, series
 from reports.figures.album import Album, Picture
 from reports.figures.graph import loops, pose_graph
 from reports.figures.style import styled
@@ -70,7 +70,27 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
                 )
         if stage.has("graph.g2o"):
             pictures.append(_graph_picture(album, prefix, read_g2o(stage.folder / "graph.g2o"), grid))
-    return pictures
+    return pictures + _mapping_animation(stage, record, odometry, album, prefix)
+
+
+def _mapping_animation(
+    stage: Stage, record: Stage | None, odometry: Trajectory | None, album: Album, prefix: str
+) -> list[Picture]:
+    recording = read_again(record.folder) if record is not None and album.animate else None
+    slam = stage.trajectory
+    if recording is None or slam is None or stage.map is None or len(slam) != len(recording):
+        return []
+    data = animation.gif(animation.mapping(recording, slam, odometry, stage.map))
+    caption = "Scans where SLAM puts them; its path blue, the odometry's orange."
+    return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, data)]
+
+
+def read_again(folder: Path) -> Recording | None:
+    """A stage's own recording, None when it holds no scans."""
+    try:
+        return load_recording(folder)
+    except InputError:
+        return None
 
 
 def _graph_picture(album: Album, prefix: str, graph: PoseGraph, grid: OccupancyGrid | None) -> Picture:
@@ -141,7 +161,21 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
         figure = maps.clearance_on_map(world, truth, log.clearance_m)
         caption = "Where it was tight."
         pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, figure))
-        return pictures + _particle_pictures(stage, world, truth, album, prefix)
+        pictures += _particle_pictures(stage, world, truth, album, prefix)
+    if not album.animate:
+        return pictures
+    data = animation.gif(
+        animation.run(
+            world,
+            truth,
+            log.goal_index,
+            goals,
+            read_again(stage.folder),
+            estimate if estimate is not None else stage.truth,
+        )
+    )
+    caption = "The true path, the goal pursued (orange), and the scan where the robot believes it is."
+    return [*pictures, album.add_animation(f"{prefix}-animation", "The run, moving", caption, data)]
 
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:

@@ -21,7 +21,7 @@ def original(tmp_path_factory):
     base = tmp_path_factory.mktemp("verify")
     record = fake_record(base / "record")
     stages = [record, fake_map(base / "map", record), fake_run(base / "run", base / "map", missed=True)]
-    make_report(stages, base / "report")
+    make_report(stages, base / "report", animate=False)
     return base
 
 
@@ -80,7 +80,7 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
     for stage, _, change in LIES:
         edit_metrics(tree / stage, change)
     shutil.rmtree(tree / "report")
-    make_report([tree / "record", tree / "map", tree / "run"], tree / "report")
+    make_report([tree / "record", tree / "map", tree / "run"], tree / "report", animate=False)
     problems = verify(tree / "report").problems
     for _, key, _ in LIES:
         assert any(problem.startswith(f"{key}: reported") for problem in problems), key

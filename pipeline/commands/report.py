@@ -16,11 +16,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "folders", nargs="+", type=Path, metavar="DIR", help="outputs of record, map and navigate"
     )
+    parser.add_argument("--no-animation", action="store_true", help="leave out the moving pictures: smaller")
     add_output(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
-    page = make_report(args.folders, args.out, force=args.force, command=args.command_line)
+    page = make_report(
+        args.folders,
+        args.out,
+        force=args.force,
+        animate=not args.no_animation,
+        command=args.command_line,
+    )
     print(page)
     return 0

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from reports.figures.animation import last_frame
 from reports.figures.style import save_png, styled, svg_text
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on the page: `name` is its file's stem, `svg` the element to put in."""
+    """A figure on the page: `name` is its file's stem; an `svg` element, or a `gif` with its last
+    frame as a `still`, both as data addresses.
+    """
 
     name: str
     title: str
     caption: str
-    svg: str
+    svg: str = ""
+    gif: str = ""
+    still: str = ""
 
 
 @dataclass
@@ -25,6 +31,7 @@ class Album:
     """Collects the pictures of one report in `folder`."""
 
     folder: Path
+    animate: bool = True
     pictures: list[Picture] = field(default_factory=list)
 
     def add(self, name: str, title: str, caption: str, figure: Figure) -> Picture:
@@ -40,3 +47,17 @@ class Album:
             picture = Picture(name, title, caption, svg_text(figure, name))
         self.pictures.append(picture)
         return picture
+
+    def add_animation(self, name: str, title: str, caption: str, data: bytes) -> Picture:
+        """Save `name.gif` and carry it in the page."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / f"{name}.gif").write_bytes(data)
+        picture = Picture(
+            name, title, caption, gif=_address("gif", data), still=_address("png", last_frame(data))
+        )
+        self.pictures.append(picture)
+        return picture
+
+
+def _address(kind: str, data: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,258 @@
+"""Small animations, drawn straight into palette images: a map growing, a robot on its way."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from datasets.grid import UNKNOWN, OccupancyGrid
+from datasets.se2 import SE2, Array
+from datasets.types import LidarSpec, Recording, Trajectory
+from reports.figures.maps import view_box
+
+WIDTH_PX, HEIGHT_PX = 380, 380
+FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
+FAN_M = 30.0
+SUPER = 2
+"""Drawn this much larger, then averaged: smooth lines from plain ones."""
+
+UNSEEN, FREE, WALL, INK, BLUE, ORANGE, GREEN, RED, SKY, GREY = range(10)
+COLOURS = (
+    (238, 240, 243),
+    (254, 254, 254),
+    (60, 68, 77),
+    (28, 32, 36),
+    (0, 114, 178),
+    (217, 140, 0),
+    (0, 158, 115),
+    (213, 94, 0),
+    (86, 180, 233),
+    (150, 158, 168),
+)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """World metres to pixels of the enlarged frame."""
+
+    x0: float
+    y1: float
+    scale: float
+    size: tuple[int, int]
+
+    @staticmethod
+    def over(box: tuple[float, float, float, float]) -> Canvas:
+        """A canvas that holds the box (x0, x1, y0, y1) [m]."""
+        width, height = box[1] - box[0], box[3] - box[2]
+        scale = SUPER * min(WIDTH_PX / width, HEIGHT_PX / height)
+        even = [SUPER * max(1, round(extent * scale / SUPER)) for extent in (width, height)]
+        return Canvas(box[0], box[3], scale, (even[0], even[1]))
+
+    def pixels(self, xy: Array) -> list[tuple[float, float]]:
+        """Pixel positions of points (n, 2) [m]."""
+        places = np.stack([(xy[:, 0] - self.x0) * self.scale, (self.y1 - xy[:, 1]) * self.scale], axis=1)
+        return [(float(x), float(y)) for x, y in places]
+
+    def blank(self) -> Image.Image:
+        """An enlarged frame of unseen ground."""
+        return Image.new("P", self.size, UNSEEN)
+
+
+def palette() -> list[int]:
+    """The colours as Pillow wants them."""
+    return [part for colour in COLOURS for part in colour]
+
+
+def mapping(
+    recording: Recording, slam: Trajectory, odometry: Trajectory | None, grid: OccupancyGrid
+) -> Iterator[Image.Image]:
+    """Frames of a map that grows scan by scan; SLAM's path blue, the odometry's orange."""
+    canvas = Canvas.over(view_box(grid))
+    free, walls = canvas.blank(), canvas.blank()
+    steps = np.linspace(0, len(recording) - 1, FRAMES).astype(int)
+    done = 0
+    for last in steps:
+        for k in range(done, int(last) + 1, 2):
+            _sweep(canvas, free, walls, recording, k, beam_poses(recording.lidar, slam, k))
+        done = int(last) + 1
+        frame = free.copy()
+        frame.paste(WALL, mask=_mask(walls, WALL))
+        draw = ImageDraw.Draw(frame)
+        if odometry is not None:
+            stamp = int(slam.stamps_ns[last])
+            _path(draw, canvas, odometry.poses.xy[odometry.stamps_ns <= stamp][::6], ORANGE, 2)
+        _path(draw, canvas, slam.poses.xy[: last + 1], BLUE, 3)
+        _robot(draw, canvas, slam.poses[int(last)], INK)
+        yield frame
+
+
+def beam_poses(lidar: LidarSpec, path: Trajectory, k: int) -> SE2:
+    """Base pose at the instant of each beam of the scan at `path`'s pose k, (n_beams,).
+
+    A lidar that turns while the robot does sees a turned room; the pose moves on to that of scan k + 1.
+    """
+    increasing = k + 1 < len(path) and path.stamps_ns[k + 1] > path.stamps_ns[k]
+    if lidar.time_increment == 0.0 or not increasing:
+        return SE2(np.repeat(path.poses.xyt[k : k + 1], lidar.n_beams, axis=0))
+    step = float(path.stamps_ns[k + 1] - path.stamps_ns[k]) * 1e-9
+    return path.poses[k].interpolate(
+        path.poses[k + 1], np.arange(lidar.n_beams) * lidar.time_increment / step
+    )
+
+
+def _sweep(
+    canvas: Canvas, free: Image.Image, walls: Image.Image, recording: Recording, k: int, T_map_base: SE2
+) -> None:
+    """Add one scan: its fan to the free ground, its hits to the walls."""
+    lidar = recording.lidar
+    ranges = recording.ranges[k].astype(np.float64)
+    hit = (ranges >= lidar.range_min) & (ranges <= lidar.range_max)
+    reach = np.where(hit, ranges, np.where(ranges > lidar.range_max, lidar.range_max, 0.0))
+    reach = np.minimum(np.nan_to_num(reach, nan=0.0), FAN_M)
+    ends = canvas.pixels((T_map_base @ recording.T_base_lidar) @ (lidar.directions * reach[:, None]))
+    middle = canvas.pixels(T_map_base[:1].xy)[0]
+    ImageDraw.Draw(free).polygon([middle, *ends], fill=FREE)
+    draw = ImageDraw.Draw(walls)
+    for (x, y), is_hit in zip(ends, hit, strict=True):
+        if is_hit:
+            draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=WALL)
+
+
+def _mask(image: Image.Image, colour: int) -> Image.Image:
+    return Image.fromarray(np.where(np.asarray(image) == colour, 255, 0).astype(np.uint8))
+
+
+def run(
+    grid: OccupancyGrid | None,
+    truth: Trajectory,
+    goal_index: NDArray[np.int64],
+    goals: Sequence[Mapping[str, Any]],
+    recording: Recording | None,
+    scans_at: Trajectory | None,
+) -> Iterator[Image.Image]:
+    """Frames of a drive: the true path so far, the goal pursued, the scan where `scans_at` puts it."""
+    canvas = Canvas.over(view_box(grid, [truth]))
+    ground = _ground(canvas, grid)
+    for row in np.linspace(0, len(truth) - 1, FRAMES).astype(int):
+        frame = ground.copy()
+        draw = ImageDraw.Draw(frame)
+        _path(draw, canvas, truth.poses.xy[: row + 1][::5], SKY, 5)
+        if recording is not None and scans_at is not None:
+            _scan(draw, canvas, recording, scans_at, int(truth.stamps_ns[row]))
+        so_far = int(goal_index[: row + 1].max())
+        for number, goal in enumerate(goals):
+            if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float)):
+                colour = _goal_colour(number, int(goal_index[row]), so_far, goal.get("status"))
+                _disc(draw, canvas, np.array([[goal["x"], goal["y"]]]), 0.02 * canvas.size[0], colour)
+        _robot(draw, canvas, truth.poses[int(row)], INK)
+        yield frame
+
+
+def _goal_colour(number: int, pursued: int, so_far: int, status: object) -> int:
+    """Orange while it is pursued, then green or red; grey before."""
+    if number == pursued:
+        return ORANGE
+    if number > so_far:
+        return GREY
+    return GREEN if status == "reached" else RED
+
+
+def _ground(canvas: Canvas, grid: OccupancyGrid | None) -> Image.Image:
+    """The map in the canvas: each pixel takes the cell under it."""
+    if grid is None:
+        return Image.new("P", canvas.size, FREE)
+    columns, rows = canvas.size
+    x = canvas.x0 + (np.arange(columns) + 0.5) / canvas.scale
+    y = canvas.y1 - (np.arange(rows) + 0.5) / canvas.scale
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    values = grid.value_at(points)
+    shades = np.where(values == UNKNOWN, UNSEEN, FREE)
+    shades[values >= 65] = WALL
+    return Image.fromarray(shades.astype(np.uint8), mode="P")
+
+
+def _scan(
+    draw: ImageDraw.ImageDraw, canvas: Canvas, recording: Recording, scans_at: Trajectory, stamp_ns: int
+) -> None:
+    """Hits of the newest whole scan, placed by the poses in `scans_at` of the same stamps."""
+    k = int(np.searchsorted(recording.stamps_ns, stamp_ns, side="right")) - 2
+    pose = int(np.searchsorted(scans_at.stamps_ns, recording.stamps_ns[max(k, 0)]))
+    if k < 0 or pose >= len(scans_at) or scans_at.stamps_ns[pose] != recording.stamps_ns[k]:
+        return
+    scan = recording.scan(k)
+    T_map_lidar = beam_poses(recording.lidar, scans_at, pose) @ recording.T_base_lidar
+    points = T_map_lidar[scan.valid()] @ scan.points_lidar()
+    for x, y in canvas.pixels(points):
+        draw.rectangle((x - 1, y - 1, x + 2, y + 2), fill=GREEN)
+
+
+def _path(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, colour: int, width: int) -> None:
+    if len(xy) > 1:
+        draw.line(canvas.pixels(xy), fill=colour, width=width, joint="curve")
+
+
+def _disc(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, radius: float, colour: int) -> None:
+    for x, y in canvas.pixels(xy):
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+
+def _robot(draw: ImageDraw.ImageDraw, canvas: Canvas, T_map_base: SE2, colour: int) -> None:
+    """A triangle that points where the robot looks."""
+    length = 0.03 * canvas.size[0] / canvas.scale
+    shape = length * np.array([[1.0, 0.0], [-0.7, 0.6], [-0.4, 0.0], [-0.7, -0.6]])
+    draw.polygon(canvas.pixels(T_map_base @ shape), fill=colour)
+
+
+def gif(frames: Iterator[Image.Image]) -> bytes:
+    """The frames, reduced to their final size, as a looping GIF; the last one stays longer."""
+    reduced = [_reduce(frame) for frame in frames]
+    shared = _shared_palette()
+    flat = [frame.quantize(palette=shared, dither=Image.Dither.NONE) for frame in reduced]
+    durations = [FRAME_MS] * (len(flat) - 1) + [HOLD_MS]
+    buffer = io.BytesIO()
+    flat[0].save(
+        buffer,
+        format="GIF",
+        save_all=True,
+        append_images=flat[1:],
+        duration=durations,
+        loop=0,
+        optimize=False,
+        disposal=1,
+    )
+    return buffer.getvalue()
+
+
+def _reduce(frame: Image.Image) -> Image.Image:
+    frame.putpalette(palette())
+    return frame.convert("RGB").reduce(SUPER)
+
+
+def _shared_palette() -> Image.Image:
+    """The colours and their blends with the three grounds, the same for every animation."""
+    parts = np.array(COLOURS, dtype=np.float64)
+    blends = [
+        tuple(np.round(share * one + (1.0 - share) * parts[ground]).astype(int))
+        for one in parts
+        for ground in (UNSEEN, FREE, WALL)
+        for share in (0.75, 0.5, 0.25)
+    ]
+    colours = list(dict.fromkeys([*COLOURS, *blends]))
+    image = Image.new("P", (1, 1))
+    image.putpalette([int(part) for colour in colours for part in colour])
+    return image
+
+
+def last_frame(data: bytes) -> bytes:
+    """The last frame of a GIF as PNG, for print and for readers who want no motion."""
+    with Image.open(io.BytesIO(data)) as image:
+        image.seek(getattr(image, "n_frames", 1) - 1)
+        buffer = io.BytesIO()
+        image.convert("RGB").save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()
