@@ -52,6 +52,8 @@ def one_kill(out: Path, seed: int, kill_s: float, full_s: float) -> tuple[str, f
         finally:
             os._exit(0)
     while int.from_bytes(progress[:8], "little") * 1e-9 < kill_s:
+        if os.waitpid(child, os.WNOHANG)[0]:
+            return ("finished before the kill" if out.exists() else "BAD: recording failed"), 0.0
         time.sleep(0.0005)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
