@@ -10,8 +10,10 @@ from datasets.outputs import Stopwatch, staged_output, write_json, write_manifes
 from pipeline.console import track
 from reports.content import build_chapter
 from reports.figures.album import Album
-from reports.page import render
+from reports.index import index_lines
+from reports.page import render, render_index
 from reports.stages import group_stages, load_stage
+from reports.tables import write_tables
 
 
 def make_report(
@@ -20,19 +22,22 @@ def make_report(
     *,
     force: bool = False,
     animate: bool = True,
+    paper: bool = False,
     command: Sequence[str] = ("turtlebag", "report"),
 ) -> Path:
-    """Write `index.html`, `figures/*`, `metrics.json` and the manifest; returns the page's path.
+    """Write `index.html`, `figures/`, `tables/`, `metrics.json`, the manifest; returns the page's path.
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
-    share a world or data files by hash are shown together. InputError for anything else.
+    share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
+    InputError for anything that is not such an output.
     """
     watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
     with staged_output(out, force=force) as partial:
-        album = Album(partial / "figures", animate=animate)
+        album = Album(partial / "figures", animate=animate, paper=paper)
         chapters = [build_chapter(group, album) for group in track(groups, "draw")]
         (partial / "index.html").write_text(render(chapters, groups))
+        write_tables(chapters, partial / "tables")
         numbers = {
             chapter.name: {part.stage.label: part.metrics for part in chapter.parts} for chapter in chapters
         }
@@ -48,4 +53,16 @@ def make_report(
             # A report moved together with its inputs still finds them.
             extra={"folders": {name: os.path.relpath(folder, out) for name, folder in inputs.items()}},
         )
+    return out / "index.html"
+
+
+def make_index(
+    roots: Sequence[Path], out: Path, *, force: bool = False, command: Sequence[str] = ("turtlebag", "report")
+) -> Path:
+    """Write a page with a sortable table of every output below `roots`; returns its path."""
+    watch = Stopwatch()
+    lines = index_lines(roots)
+    with staged_output(out, force=force) as partial:
+        (partial / "index.html").write_text(render_index(lines))
+        write_manifest(partial, stage="index", command=command, inputs={}, seed=None, wall_s=watch.seconds())
     return out / "index.html"

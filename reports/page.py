@@ -13,6 +13,7 @@ from reports.compare import Comparison
 from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
 from reports.figures import style
 from reports.figures.album import Picture
+from reports.index import COLUMNS, Line
 from reports.numbers import Number, lookup, shown
 from reports.provenance import packages, recipe
 from reports.stages import Group
@@ -63,6 +64,12 @@ def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Seq
         better=moods.count(GOOD),
         worse=moods.count(BAD),
     )
+
+
+def render_index(lines: Sequence[Line]) -> str:
+    """The page of many outputs as HTML text."""
+    moods = [line.mood for line in lines]
+    return fill("index.html.j2", lines=lines, columns=COLUMNS, good=moods.count(GOOD), bad=moods.count(BAD))
 
 
 def fill(template: str, **values: object) -> str:

@@ -245,7 +245,10 @@ def unique_names(names: Sequence[str]) -> list[str]:
 
 def _source_name(stage: Stage) -> str:
     paths = list(stage.input_paths().values())
-    return paths[0].name.split(".")[0] if paths else stage.label
+    if not paths:
+        return stage.label
+    path = paths[0].parent if paths[0].name == "bag" else paths[0]
+    return path.name.split(".")[0] or stage.label
 
 
 def changed_files(stage: Stage) -> list[str]:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from pipeline.commands.arguments import add_output
-from pipeline.report import make_report
+from pipeline.report import make_index, make_report
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
@@ -16,17 +16,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "folders", nargs="+", type=Path, metavar="DIR", help="outputs of record, map and navigate"
     )
+    parser.add_argument("--paper", action="store_true", help="each figure as PDF and SVG too")
+    parser.add_argument(
+        "--index", action="store_true", help="a sortable table of all outputs below DIR instead of a report"
+    )
     parser.add_argument("--no-animation", action="store_true", help="leave out the moving pictures: smaller")
     add_output(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
+    if args.index:
+        print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
+        return 0
     page = make_report(
         args.folders,
         args.out,
         force=args.force,
         animate=not args.no_animation,
+        paper=args.paper,
         command=args.command_line,
     )
     print(page)

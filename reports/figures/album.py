@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from reports.figures.animation import last_frame
-from reports.figures.style import save_png, styled, svg_text
+from reports.figures.style import save_pdf, save_png, standalone, styled, svg_text
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,11 @@ class Picture:
 
 @dataclass
 class Album:
-    """Collects the pictures of one report in `folder`."""
+    """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG."""
 
     folder: Path
     animate: bool = True
+    paper: bool = False
     pictures: list[Picture] = field(default_factory=list)
 
     def add(self, name: str, title: str, caption: str, figure: Figure) -> Picture:
@@ -44,7 +45,11 @@ class Album:
             figure.draw_without_rendering()
             figure.set_layout_engine("none")
             save_png(figure, self.folder / f"{name}.png")
+            if self.paper:
+                save_pdf(figure, self.folder / f"{name}.pdf")
             picture = Picture(name, title, caption, svg_text(figure, name))
+            if self.paper:
+                (self.folder / f"{name}.svg").write_text(standalone(picture.svg))
         self.pictures.append(picture)
         return picture
 

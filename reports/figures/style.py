@@ -97,6 +97,18 @@ def save_png(figure: Figure, path: Path) -> None:
     figure.savefig(path, metadata={"Software": None})
 
 
+def save_pdf(figure: Figure, path: Path) -> None:
+    """PDF with text as text and without a date."""
+    with matplotlib.rc_context({"pdf.fonttype": 42}):
+        figure.savefig(path, metadata={"CreationDate": None, "Creator": None, "Producer": None})
+
+
+def standalone(svg: str) -> str:
+    """An SVG element as a file of its own."""
+    head = '<?xml version="1.0" encoding="utf-8"?>\n'
+    return head + svg.replace("<svg ", '<svg style="stroke-linejoin: round; stroke-linecap: butt" ', 1)
+
+
 def svg_text(figure: Figure, name: str) -> str:
     """The figure as an `<svg>` element without date, with ids made unique to the page by `name`."""
     buffer = io.StringIO()

@@ -1,0 +1,95 @@
+"""One line for each output below some folders: what a sortable table of many runs shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from reports.content import collision_count, verdict
+from reports.numbers import lookup, shown
+from reports.stages import KINDS, Stage, load_stage, read_json
+
+# (head, path in the metrics, unit)
+COLUMNS = (
+    ("ATE", "ate_m.rmse", "cm"),
+    ("wall cells within one cell", "map.occupied_error_m.within_one_cell", "percent"),
+    ("relations", "relations.trans_m.mean", "m3"),
+    ("localisation", "localisation_error_m.rmse", "cm"),
+    ("least clearance", "min_clearance_m", "cm"),
+    ("distance", "distance_m", "m"),
+    ("time", "time_s", "s"),
+)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One output: texts to show and what to sort by."""
+
+    name: str
+    stage: str
+    world: str
+    robot: str
+    seed: str
+    mood: str
+    result: str
+    values: list[tuple[str, str]]
+
+
+def find_outputs(roots: Sequence[Path]) -> Iterator[Path]:
+    """Folders below the roots (or themselves) that hold a manifest, in order of their paths."""
+    for root in roots:
+        if not root.is_dir():
+            raise InputError(f"{root}: no such folder")
+        for manifest in sorted(root.rglob("manifest.json")):
+            if not any(part.endswith(".partial") for part in manifest.parts):
+                yield manifest.parent
+
+
+def index_lines(roots: Sequence[Path]) -> list[Line]:
+    """A line for each finished record, map or run below the roots; everything else is passed over."""
+    lines = []
+    for root in roots:
+        for folder in find_outputs([root]):
+            if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run"):
+                lines.append(_line(load_stage(folder), _name(folder, root)))
+    return lines
+
+
+def _name(folder: Path, root: Path) -> str:
+    relative = folder.relative_to(root).as_posix()
+    return root.resolve().name if relative == "." else f"{root.resolve().name}/{relative}"
+
+
+def _line(stage: Stage, name: str) -> Line:
+    metrics = dict(stage.metrics)
+    mood, _ = verdict(stage, metrics) if stage.metrics else ("neutral", "")
+    return Line(
+        name,
+        stage.fact("task") or stage.kind,
+        stage.fact("world") or "",
+        stage.fact("robot") or "",
+        "" if stage.seed is None else str(stage.seed),
+        mood,
+        _result(stage, metrics),
+        [_cell(metrics, path, unit) for _, path, unit in COLUMNS],
+    )
+
+
+def _cell(metrics: dict[str, Any], path: str, unit: str) -> tuple[str, str]:
+    value = lookup(metrics, path)
+    return ("", "") if value is None else (shown(value, unit), repr(value))
+
+
+def _result(stage: Stage, metrics: dict[str, Any]) -> str:
+    if stage.kind != "navigate":
+        return f"{metrics['scans']} scans" if "scans" in metrics else ""
+    goals = metrics.get("goals") or []
+    reached = sum(goal.get("status") == "reached" for goal in goals)
+    hits = collision_count(metrics)
+    return ", ".join(
+        ([f"{reached} of {len(goals)} goals"] if goals else [])
+        + ([f"{hits} collision{'s' * (hits > 1)}"] if hits else [])
+    )

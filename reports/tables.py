@@ -1,0 +1,58 @@
+"""A report's numbers as files for papers and spreadsheets: CSV and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from reports.content import Chapter, slug
+
+LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
+SYMBOLS = {"\u202f": r"\,", "\u2212": r"$-$", "\u2013": "--", "°": r"$^\circ$", "\u2248": r"$\approx$"}
+
+
+def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
+    """`numbers.csv` with every number in SI units, and one `.tex` table for each stage and goal list."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "numbers.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["world", "stage", "number", "value", "shown", "meaning"])
+        for chapter in chapters:
+            for part in chapter.parts:
+                for number in part.numbers:
+                    row = [number.spec.path, number.value, number.text, number.spec.meaning]
+                    writer.writerow([chapter.name, part.stage.label, *row])
+    for chapter in chapters:
+        for part in chapter.parts:
+            name = f"{slug(chapter.name)}-{slug(part.stage.label)}"
+            rows = [(number.spec.label, number.text) for number in part.numbers]
+            if rows:
+                (folder / f"{name}.tex").write_text(latex_table(("number", "value"), rows, "lr"))
+            if part.goals:
+                head = ("\\#", "goal", "result", "time", "true error", "turn error")
+                goals = [
+                    (
+                        str(goal["number"]),
+                        goal["pose"],
+                        goal["status"],
+                        *(text for _, _, text in goal["numbers"]),
+                    )
+                    for goal in part.goals
+                ]
+                (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rllrrr"))
+
+
+def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:
+    """A booktabs tabular; cells are escaped, the head is taken as it is."""
+    body = [" & ".join(latex(cell) for cell in row) + r" \\" for row in rows]
+    lines = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
+    return "\n".join([*lines, *body, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+
+def latex(text: str) -> str:
+    """A text with LaTeX's special characters escaped."""
+    escaped = "".join(LATEX.get(character, character) for character in text.replace("\\", "/"))
+    for character, symbol in SYMBOLS.items():
+        escaped = escaped.replace(character, symbol)
+    return escaped
