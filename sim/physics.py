@@ -26,8 +26,8 @@ class PhysicsConfig(BaseModel):
     """Friction coefficients are of the pairing with floor and solids (whose own is 1)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    friction: Annotated[float, Field(gt=0.0)] = 0.5
-    """Wheels on the floor."""
+    friction: Annotated[float, Field(gt=0.0)] | None = None
+    """Wheels on the floor; none: as the robot's file says."""
     body_friction: Annotated[float, Field(ge=0.0)] = 0.1
     """Caster on the floor, body on walls."""
     substeps: Annotated[int, Field(ge=8)] = 8
@@ -108,7 +108,8 @@ class Physics:
                 physicsClientId=client,
             )
         self._joints = list(range(self._n_wheels))
-        for link, friction in [(-1, config.body_friction)] + [(j, config.friction) for j in self._joints]:
+        wheel_friction = config.friction or self._robot.wheels.friction
+        for link, friction in [(-1, config.body_friction)] + [(j, wheel_friction) for j in self._joints]:
             bullet.changeDynamics(
                 self.body,
                 link,

@@ -82,6 +82,8 @@ class Wheels(_Spec):
     inertia: tuple[Positive, Positive, Positive]
     torque: Positive
     encoder_ticks: int = Field(gt=0)
+    friction: Positive = 0.5
+    """On the floor; what a run's own `physics.friction` replaces."""
     pairs_x: tuple[Finite, ...] = (0.0,)
     """x of each axle: one for a differential drive, two for a skid-steered four-wheeler."""
 

@@ -15,7 +15,9 @@ from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.movers import Mover
 from sim.rasterize import true_map
-from sim.shapes import Sections, Solid, box, cylinder, prism, sections
+from sim.raycast import distance_to_point
+from sim.sdf import load_sdf
+from sim.shapes import Sections, Solid, box, contains, cylinder, prism, sections
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
@@ -160,6 +162,8 @@ def load_world(name_or_path: str) -> World:
     Options of a world follow its name: `turtlebot3_house:gate=open`.
     """
     name, _, settings = name_or_path.partition(":")
+    if name.endswith((".world", ".sdf")):
+        return _from_sdf(Path(name), settings)
     path = find_named(name, FOLDER, "world")
     spec = checked(WorldSpec, read_mapping(path), where=str(path))
     options = _chosen(spec, settings)
@@ -179,6 +183,37 @@ def load_world(name_or_path: str) -> World:
         routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
         movers=movers,
     )
+
+
+def _from_sdf(path: Path, settings: str) -> World:
+    """A Gazebo world; `path:spawn=x/y/yaw` says where to start (default: the roomiest place near 0, 0)."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such world file")
+    key, _, value = settings.partition("=")
+    if key not in ("", "spawn"):
+        raise InputError(f"{path}: an SDF world has no option '{key}' (it has: spawn)")
+    name, solids = load_sdf(path)
+    if not solids:
+        raise InputError(f"{path}: holds no static boxes, cylinders, spheres or meshes")
+    bounds = bounds_of(tuple(solids), 2.0)
+    try:
+        spawn = SE2.from_xyt(*(float(part) for part in value.split("/"))) if value else None
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: spawn={value}: expected x/y/yaw") from None
+    spawn = spawn if spawn is not None else _roomy_place(solids, bounds)
+    return World(path.stem if name == "default" else name, "burger", spawn, tuple(solids), bounds, (), {})
+
+
+def _roomy_place(solids: list[Solid], bounds: tuple[float, float, float, float]) -> SE2:
+    """The place nearest to the origin with half a metre of room, else the one with the most."""
+    outlines = sections(solids, 0.0, 0.5)
+    x, y = np.meshgrid(np.arange(bounds[0], bounds[1], 0.1), np.arange(bounds[2], bounds[3], 0.1))
+    points = np.vstack([np.zeros(2), np.stack([x.ravel(), y.ravel()], axis=-1)])
+    points = points[np.argsort(np.hypot(*points.T), kind="stable")]
+    points = points[~contains(solids, 0.2, points)]
+    rooms = np.array([distance_to_point(px, py, outlines.segments, outlines.circles) for px, py in points])
+    best = int(np.argmax(rooms > 0.5)) if np.any(rooms > 0.5) else int(np.argmax(rooms))
+    return SE2.from_xyt(points[best, 0], points[best, 1], 0.0)
 
 
 def _chosen(spec: WorldSpec, settings: str) -> dict[str, str]:

@@ -1,0 +1,215 @@
+"""Gazebo SDF: worlds and models with static boxes, cylinders, spheres, planes and meshes, as our solids."""
+
+from __future__ import annotations
+
+import math
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.se2 import Array
+from sim.meshes import load_mesh
+from sim.shapes import Solid, ball, cylinder, mesh, prism
+
+UPRIGHT = 1e-6
+"""A box or cylinder tilted by more than this sine is taken as a mesh."""
+ROUND = 48
+"""Corners of a tilted cylinder's rim."""
+
+BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+BOX_FACES = np.array([face for a, b, c, d in _QUADS for face in ((a, b, c), (a, c, d))])
+
+
+def load_sdf(path: Path) -> tuple[str, list[Solid]]:
+    """Name and solids of a .world or .sdf file; everything in it stands still.
+
+    Poses nest (model in model, link, collision); models' poses in a `<state>` override, as Gazebo
+    saves them. `<include>` is looked for beside the file and below the folders of GAZEBO_MODEL_PATH
+    and GAZEBO_RESOURCE_PATH. InputError names what cannot be read.
+    """
+    root = _parse(path)
+    world = root.find("world")
+    top = world if world is not None else root
+    solids: list[Solid] = []
+    reader = _Reader(path)
+    for number, (name, transform, collision) in enumerate(reader.collisions(top, _state_poses(world))):
+        solids += reader.solid(f"{name}_{number}", transform, collision)
+    return str(top.get("name") or path.stem), solids
+
+
+def _parse(path: Path) -> ET.Element:
+    try:
+        root = ET.parse(path).getroot()
+    except (ET.ParseError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not readable as SDF ({error})") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    if root.tag not in ("sdf", "gazebo", "world", "model"):
+        raise InputError(f"{path}: not an SDF file (its root is <{root.tag}>)")
+    return root
+
+
+def _state_poses(world: ET.Element | None) -> dict[str, Array]:
+    """Poses that a saved `<state>` gives to the world's models."""
+    if world is None:
+        return {}
+    return {
+        str(model.get("name")): pose_matrix(model.findtext("pose"))
+        for model in world.findall("state/model")
+        if model.find("pose") is not None
+    }
+
+
+def pose_matrix(text: str | None) -> Array:
+    """`x y z roll pitch yaw` as a (4, 4) matrix, nothing as the identity; ValueError when it is neither."""
+    matrix = np.eye(4)
+    if text is None or not text.strip():
+        return matrix
+    values = [float(value) for value in text.split()]
+    if len(values) != 6 or not all(math.isfinite(value) for value in values):
+        raise ValueError(f"pose '{' '.join(text.split())}' is not six finite numbers")
+    (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:]), np.sin(values[3:])
+    matrix[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    matrix[:3, 3] = values[:3]
+    return matrix
+
+
+class _Reader:
+    """Walks one file and what it includes."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        folders = os.environ.get("GAZEBO_MODEL_PATH", "") + ":" + os.environ.get("GAZEBO_RESOURCE_PATH", "")
+        self._folders = [path.parent, path.parent / "models", *map(Path, filter(None, folders.split(":")))]
+
+    def collisions(
+        self, parent: ET.Element, state: dict[str, Array], base: Array | None = None, depth: int = 0
+    ) -> Iterator[tuple[str, Array, ET.Element]]:
+        """(model name, pose in the world (4, 4), collision element) of all that stands in `parent`."""
+        base = np.eye(4) if base is None else base
+        if depth > 16:
+            raise InputError(f"{self._path}: models are nested or included too deep")
+        for model in parent.findall("model"):
+            name = str(model.get("name"))
+            pose = state[name] if name in state else self._pose(model)
+            yield from self._of_model(model, base @ pose, depth)
+        for include in parent.findall("include"):
+            model = self._included(include)
+            pose = self._pose(include) if include.find("pose") is not None else self._pose(model)
+            pose = state.get(include.findtext("name") or "", pose)
+            yield from self._of_model(model, base @ pose, depth)
+
+    def _of_model(
+        self, model: ET.Element, transform: Array, depth: int
+    ) -> Iterator[tuple[str, Array, ET.Element]]:
+        for link in model.findall("link"):
+            for collision in link.findall("collision"):
+                placed = transform @ self._pose(link) @ self._pose(collision)
+                yield str(model.get("name")), placed, collision
+        yield from self.collisions(model, {}, transform, depth + 1)
+
+    def _pose(self, element: ET.Element) -> Array:
+        try:
+            return pose_matrix(element.findtext("pose"))
+        except ValueError as error:
+            raise InputError(f"{self._path}: {element.tag} {element.get('name')}: {error}") from None
+
+    def _included(self, include: ET.Element) -> ET.Element:
+        uri = (include.findtext("uri") or "").strip()
+        folder = self._find(uri)
+        if folder is None:
+            raise InputError(f"{self._path}: include {uri}: not found; set GAZEBO_MODEL_PATH to its folder")
+        files = (
+            [folder] if folder.is_file() else sorted(folder.glob("model.sdf")) or sorted(folder.glob("*.sdf"))
+        )
+        if not files:
+            raise InputError(f"{self._path}: include {uri}: {folder} holds no .sdf file")
+        root = _parse(files[-1])
+        model = root if root.tag == "model" else root.find("model")
+        if model is None:
+            raise InputError(f"{files[-1]}: holds no model")
+        return model
+
+    def _find(self, uri: str) -> Path | None:
+        relative = uri.split("://", 1)[-1].lstrip("/")
+        # model://name/meshes/x.dae: the name may be the folder that the file itself lies in.
+        parts = Path(relative).parts
+        names = [Path(relative), Path(*parts[1:])] if len(parts) > 1 else [Path(relative)]
+        for folder in [*self._folders, *self._path.parents[:3]]:
+            for name in names:
+                if (folder / name).exists():
+                    return folder / name
+        return None
+
+    def solid(self, name: str, transform: Array, collision: ET.Element) -> list[Solid]:
+        """The solids of one collision; none for a plane or a shape that is out of the robot's world."""
+        geometry = collision.find("geometry")
+        shape = None if geometry is None else next(iter(geometry), None)
+        if shape is None or shape.tag in ("plane", "empty", "heightmap"):
+            return []
+        try:
+            return [self._shape(name, transform, shape)]
+        except (ValueError, TypeError) as error:
+            raise InputError(f"{self._path}: {name}: {shape.tag}: {error}") from None
+
+    def _shape(self, name: str, transform: Array, shape: ET.Element) -> Solid:
+        position, rotation = transform[:3, 3], transform[:3, :3]
+        upright = abs(abs(rotation[2, 2]) - 1.0) < UPRIGHT
+        if shape.tag == "sphere":
+            return ball(name, tuple(position), _number(shape, "radius"))
+        if shape.tag == "cylinder":
+            radius, length = _number(shape, "radius"), _number(shape, "length")
+            if upright:
+                z = (float(position[2]) - length / 2.0, float(position[2]) + length / 2.0)
+                return cylinder(name, (float(position[0]), float(position[1])), radius, z)
+            return mesh(name, _cylinder_triangles(radius, length) @ rotation.T + position)
+        if shape.tag == "box":
+            size = np.array([float(value) for value in (shape.findtext("size") or "").split()])
+            if size.shape != (3,) or not np.all(size > 0.0):
+                raise ValueError("its size is not three positive numbers")
+            if not upright:
+                return mesh(name, (BOX_CORNERS * size)[BOX_FACES] @ rotation.T + position)
+            flat = BOX_CORNERS[[0, 4, 6, 2]] * size
+            outline = (flat @ rotation.T + position)[:, :2]
+            return prism(name, outline, (float(position[2] - size[2] / 2), float(position[2] + size[2] / 2)))
+        if shape.tag == "mesh":
+            uri = (shape.findtext("uri") or "").strip()
+            file = self._find(uri)
+            if file is None or not file.is_file():
+                raise ValueError(f"{uri} not found; set GAZEBO_MODEL_PATH to the folder of its model")
+            scale = np.array([float(value) for value in (shape.findtext("scale") or "1 1 1").split()])
+            return mesh(name, (load_mesh(file) * scale) @ rotation.T + position)
+        raise ValueError("this shape is not known")
+
+
+def _number(shape: ET.Element, key: str) -> float:
+    value = float(shape.findtext(key) or "nan")
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"its {key} is not a positive number")
+    return value
+
+
+def _cylinder_triangles(radius: float, length: float) -> Array:
+    """Side and caps of a cylinder about z, (n, 3, 3)."""
+    angles = np.arange(ROUND) * (2.0 * math.pi / ROUND)
+    rim = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(ROUND, length / 2.0)], axis=-1)
+    low, top, bottom = rim * [1, 1, -1], np.array([0, 0, length / 2.0]), np.array([0, 0, -length / 2.0])
+    out = []
+    for i in range(ROUND):
+        j = (i + 1) % ROUND
+        out += [
+            [rim[i], low[i], low[j]],
+            [rim[i], low[j], rim[j]],
+            [top, rim[i], rim[j]],
+            [bottom, low[j], low[i]],
+        ]
+    return np.array(out, dtype=np.float64)
