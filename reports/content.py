@@ -150,7 +150,7 @@ def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
         )
         return (GOOD if near >= 0.99 else BAD), sentence
     if relations is not None:
-        return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm3')}."
+        return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
     return NEUTRAL, f"{scans} scans; no truth was given, so no error is known."
 
 

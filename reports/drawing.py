@@ -44,7 +44,8 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     record = group.first("record")
     truth = record.truth if record is not None else None
     true_map = record.true_map if record is not None else None
-    odometry = input_odometry(stage, record)
+    recording = source_recording(stage, record)
+    odometry = odometry_of(recording)
     pictures = []
     with styled():
         if grid is not None and true_map is not None:
@@ -70,17 +71,16 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
                 )
         if stage.has("graph.g2o"):
             pictures.append(_graph_picture(album, prefix, read_g2o(stage.folder / "graph.g2o"), grid))
-    return pictures + _mapping_animation(stage, record, odometry, album, prefix)
+    return pictures + _mapping_animation(stage, recording, odometry, album, prefix)
 
 
 def _mapping_animation(
-    stage: Stage, record: Stage | None, odometry: Trajectory | None, album: Album, prefix: str
+    stage: Stage, recording: Recording | None, odometry: Trajectory | None, album: Album, prefix: str
 ) -> list[Picture]:
-    recording = read_again(record.folder) if record is not None and album.animate else None
-    slam = stage.trajectory
-    if recording is None or slam is None or stage.map is None or len(slam) != len(recording):
+    slam, grid = stage.trajectory, stage.map
+    if recording is None or slam is None or grid is None or not album.animate or len(slam) != len(recording):
         return []
-    data = animation.gif(animation.mapping(recording, slam, odometry, stage.map))
+    data = animation.gif(animation.mapping(recording, slam, odometry, grid))
     caption = "Scans where SLAM puts them; its path blue, the odometry's orange."
     return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, data)]
 
@@ -118,18 +118,23 @@ def _error_picture(
     return album.add(f"{prefix}-time", "Error over time", caption, figure)
 
 
-def input_odometry(stage: Stage, record: Stage | None) -> Trajectory | None:
-    """Odometry of a map's input: from its record, or from the log itself while that can be read."""
-    if record is not None:
-        return read_poses(record.folder / "bag", "/odom")
-    for path in stage.input_paths().values():
-        try:
-            recording = load_recording(path)
-        except InputError:
-            continue
-        if recording.T_odom_base is not None:
-            return Trajectory(recording.stamps_ns, recording.T_odom_base)
+def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
+    """What a map was made from: its record, or the log itself while that is still there."""
+    for folder in [record.folder] if record is not None else stage.input_paths().values():
+        recording = read_again(folder)
+        if recording is not None:
+            return recording
     return None
+
+
+def odometry_of(recording: Recording | None) -> Trajectory | None:
+    """Odometry of a recording, at its full rate where there is one."""
+    if recording is None:
+        return None
+    if recording.odometry is not None:
+        return recording.odometry
+    poses = recording.T_odom_base
+    return None if poses is None else Trajectory(recording.stamps_ns, poses)
 
 
 def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:

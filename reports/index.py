@@ -16,7 +16,7 @@ from reports.stages import KINDS, Stage, load_stage, read_json
 COLUMNS = (
     ("ATE", "ate_m.rmse", "cm"),
     ("wall cells within one cell", "map.occupied_error_m.within_one_cell", "percent"),
-    ("relations", "relations.trans_m.mean", "m3"),
+    ("relations", "relations.trans_m.mean", "m4"),
     ("localisation", "localisation_error_m.rmse", "cm"),
     ("least clearance", "min_clearance_m", "cm"),
     ("distance", "distance_m", "m"),
@@ -89,7 +89,7 @@ def _result(stage: Stage, metrics: dict[str, Any]) -> str:
     goals = metrics.get("goals") or []
     reached = sum(goal.get("status") == "reached" for goal in goals)
     hits = collision_count(metrics)
-    return ", ".join(
-        ([f"{reached} of {len(goals)} goals"] if goals else [])
-        + ([f"{hits} collision{'s' * (hits > 1)}"] if hits else [])
-    )
+    parts = [f"{reached} of {len(goals)} goals"] if goals else []
+    if hits or not goals:
+        parts.append(f"{hits} collision{'s' * (hits > 1)}" if hits else "no collision")
+    return ", ".join(parts)

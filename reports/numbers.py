@@ -14,7 +14,7 @@ DASH = "\u2013"
 DISPLAY = {
     "cm": (100.0, "cm", 2),
     "m": (1.0, "m", 2),
-    "m3": (1.0, "m", 3),
+    "m4": (1.0, "m", 4),
     "cm/m": (100.0, "cm/m", 2),
     "deg": (180.0 / math.pi, "°", 2),
     "deg/m": (180.0 / math.pi, "°/m", 2),
@@ -150,15 +150,22 @@ MAP = (
     Spec(
         "relations.trans_m.mean",
         "relations error, mean",
-        "m3",
+        "m4",
         "Translation error by metricEvaluator's definition (Kümmerle et al. 2009).",
+        _TRAJECTORY,
+    ),
+    Spec(
+        "relations.trans_m.std",
+        "relations error, standard deviation",
+        "m4",
+        "How much that error varies from relation to relation.",
         _TRAJECTORY,
     ),
     Spec("relations.rot_deg.mean", "relations turn error, mean", "deg1", "Its absolute yaw.", _TRAJECTORY),
     Spec(
         "relations_cartographer.trans_m.mean",
         "relations error (Cartographer's), mean",
-        "m3",
+        "m4",
         "Norm of (p1^-1 p2) expected^-1.",
         _TRAJECTORY,
     ),

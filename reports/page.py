@@ -130,7 +130,7 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
     for path, label, unit, worst in (
         ("ate_m.rmse", "map trajectory error", "cm", max),
         ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min),
-        ("relations.trans_m.mean", "relations error", "m3", max),
+        ("relations.trans_m.mean", "relations error", "m4", max),
         ("localisation_error_m.rmse", "localisation error", "cm", max),
         ("min_clearance_m", "least clearance", "cm", min),
         ("scans", "scans", "count", max),

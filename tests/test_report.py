@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
@@ -12,10 +13,10 @@ from datasets.errors import InputError
 from datasets.outputs import sha256_tree
 from pipeline.cli import main
 from pipeline.report import make_report
-from reports.content import collision_count
+from reports.content import collision_count, verdict
 from reports.numbers import shown
 from reports.provenance import rename
-from reports.stages import changed_files, group_stages, load_stage
+from reports.stages import Stage, changed_files, group_stages, load_stage
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +180,9 @@ def test_collisions_count_both_kinds_and_plain_numbers():
     assert collision_count({"collisions": {"visible": 1, "low": 2}}) == 3
     assert collision_count({"collisions": 4}) == 4
     assert collision_count({}) == 0
+
+
+def test_a_log_without_truth_is_told_by_its_relations():
+    metrics = {"scans": 10, "relations": {"trans_m": {"mean": 0.01234}}}
+    stage = Stage(Path("x"), "map", "map", {})
+    assert verdict(stage, metrics) == ("neutral", "10 scans; mean relations error 0.0123\u202fm.")

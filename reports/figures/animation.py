@@ -18,6 +18,8 @@ from reports.figures.maps import view_box
 
 WIDTH_PX, HEIGHT_PX = 380, 380
 FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
+SCANS = 1000
+"""No more than about this many scans are drawn."""
 FAN_M = 30.0
 SUPER = 2
 """Drawn this much larger, then averaged: smooth lines from plain ones."""
@@ -76,17 +78,18 @@ def mapping(
     canvas = Canvas.over(view_box(grid))
     free, walls = canvas.blank(), canvas.blank()
     steps = np.linspace(0, len(recording) - 1, FRAMES).astype(int)
+    stride = max(2, len(recording) // SCANS)
     done = 0
     for last in steps:
-        for k in range(done, int(last) + 1, 2):
+        for k in range(done, int(last) + 1, stride):
             _sweep(canvas, free, walls, recording, k, beam_poses(recording.lidar, slam, k))
         done = int(last) + 1
         frame = free.copy()
         frame.paste(WALL, mask=_mask(walls, WALL))
         draw = ImageDraw.Draw(frame)
         if odometry is not None:
-            stamp = int(slam.stamps_ns[last])
-            _path(draw, canvas, odometry.poses.xy[odometry.stamps_ns <= stamp][::6], ORANGE, 2)
+            until = int(np.searchsorted(odometry.stamps_ns, slam.stamps_ns[last], side="right"))
+            _path(draw, canvas, odometry.poses.xy[:until][:: max(1, until // 2000)], ORANGE, 2)
         _path(draw, canvas, slam.poses.xy[: last + 1], BLUE, 3)
         _robot(draw, canvas, slam.poses[int(last)], INK)
         yield frame
