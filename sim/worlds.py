@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +14,7 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
+from sim.generators import GENERATORS, LIMITS
 from sim.movers import Mover
 from sim.rasterize import true_map
 from sim.raycast import distance_to_point
@@ -122,6 +124,14 @@ class WorldSpec(_Spec):
     routes: dict[str, list[Point]] = {}
 
 
+class GeneratorSpec(_Spec):
+    """A world file that asks for a generated world."""
+
+    generator: str
+    seed: Annotated[int, Field(ge=0)]
+    options: dict[str, float] = {}
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """Solids on an endless floor at z = 0, and where a robot starts.
@@ -159,13 +169,26 @@ class World:
 def load_world(name_or_path: str) -> World:
     """A built-in world by name or a YAML file by path; InputError for unknown names lists the known.
 
-    Options of a world follow its name: `turtlebot3_house:gate=open`.
+    Options of a world follow its name: `turtlebot3_house:gate=open`. Generated worlds are named by
+    generator and seed: `maze:7`, `office:3`, `forest:5,density=0.5`. A .world or .sdf file is imported.
     """
     name, _, settings = name_or_path.partition(":")
     if name.endswith((".world", ".sdf")):
         return _from_sdf(Path(name), settings)
+    if name in GENERATORS:
+        return _generated(name_or_path, name, settings)
+    if name not in world_names() and not name.endswith((".yaml", ".yml")) and "/" not in name:
+        raise InputError(
+            f"unknown world '{name_or_path}': known are {', '.join(world_names())}, "
+            f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, or a .yaml, .world or .sdf file"
+        )
     path = find_named(name, FOLDER, "world")
-    spec = checked(WorldSpec, read_mapping(path), where=str(path))
+    data = read_mapping(path)
+    if "generator" in data:
+        given = checked(GeneratorSpec, data, where=str(path))
+        settings = ",".join([str(given.seed), *(f"{key}={value}" for key, value in given.options.items())])
+        return _generated(str(path), given.generator, settings)
+    spec = checked(WorldSpec, data, where=str(path))
     options = _chosen(spec, settings)
     shapes = [shape for shape in spec.shapes if all(options.get(k) == v for k, v in shape.when.items())]
     try:
@@ -183,6 +206,33 @@ def load_world(name_or_path: str) -> World:
         routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
         movers=movers,
     )
+
+
+def _generated(where: str, name: str, settings: str) -> World:
+    """World of a generator: settings are `SEED` and then `key=number` for its own parameters."""
+    if name not in GENERATORS:
+        raise InputError(f"{where}: unknown generator '{name}': known are {', '.join(GENERATORS)}")
+    generator = GENERATORS[name]
+    known = [key for key in inspect.signature(generator).parameters if key != "seed"]
+    seed, *pairs = settings.split(",")
+    options: dict[str, float] = {}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        if key not in known:
+            raise InputError(f"{where}: {name} has no option '{key}' (it has: {', '.join(known)})")
+        try:
+            options[key] = int(float(value)) if key == "cells" else float(value)
+        except ValueError:
+            raise InputError(f"{where}: {key}={value}: not a number") from None
+        low, high = LIMITS[key]
+        if not low <= options[key] <= high:
+            raise InputError(f"{where}: {key}={value}: must be {low:g} to {high:g}")
+    if not seed.isdecimal():
+        raise InputError(f"{where}: a generated world needs a seed, as in {name}:7")
+    solids, spawn = generator(int(seed), **options)
+    bounds = bounds_of(tuple(solids), MARGIN_M)
+    label = f"{name}:{settings}"
+    return World(label, "burger", SE2.from_xyt(*spawn), tuple(solids), bounds, (), {})
 
 
 def _from_sdf(path: Path, settings: str) -> World:
