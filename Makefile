@@ -33,7 +33,8 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-world demo-house record map navigate report lint test browser clean
+.PHONY: help setup demo demo-world demo-house record map navigate report verify lint test browser clean \
+  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -82,6 +83,35 @@ $(RUN_DIR)/manifest.json: $(if $(NEEDS_MAP),$(or $(MAP),$(MAP_DIR)/manifest.json
 
 $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/report.py | $(READY)
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)
+
+# Everything the demo leaves, but for the manifests: those alone may tell one run from another.
+DEMO_HASHES = find records maps runs reports -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
+
+verify: $(READY) ## run the demo twice and compare every file; recompute every number of its report
+	rm -rf data/verify && mkdir -p data/verify
+	$(MAKE) --no-print-directory --always-make demo > data/verify/first.log
+	cd data && $(DEMO_HASHES) > verify/first.sha256
+	$(MAKE) --no-print-directory --always-make demo > data/verify/second.log
+	cd data && $(DEMO_HASHES) > verify/second.sha256
+	cmp data/verify/first.sha256 data/verify/second.sha256
+	@echo "the same bytes twice: $$(wc -l < data/verify/first.sha256) files"
+	$(TURTLEBAG) verify data/reports/demo
+
+bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
+bench-sim: $(READY) ## simulated seconds per second, by world and robot
+	$(PY) -m benchmarks.sim
+bench-slam: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), synthetic logs, simulated worlds
+	$(PY) -m benchmarks.slam
+	$(PY) -m benchmarks.slam_worlds
+bench-localise: $(READY) ## localisation: accuracy, speed, from nothing, kidnapped
+	$(PY) -m benchmarks.localise
+bench-plan: $(READY) ## planners: time, length, clearance, success
+	$(PY) -m benchmarks.plan
+bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
+	$(PY) -m benchmarks.navigate
+bench-bags: $(READY) ## bags cut, flipped and killed
+	$(PY) -m benchmarks.bags_damage
+	$(PY) -m benchmarks.bags_kill
 
 lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff check .
