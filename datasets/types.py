@@ -205,6 +205,34 @@ class Recording:
         return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Cloud:
+    """One 3D scan: points (n, 3) in the lidar frame [m]; their times after the stamp (n,) [s] if known."""
+
+    points: Array
+    times: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording3D:
+    """A 3D lidar log in memory: scans in file order, each with the odometry at its stamp.
+
+    `T_base_lidar` is (4, 4). As in `Recording`, truth is not in it.
+    """
+
+    source: str
+    stamps_ns: Stamps
+    clouds: tuple[Cloud, ...]
+    T_base_lidar: Array
+    T_odom_base: SE2 | None = None
+    odometry: Trajectory | None = None
+    imu: ImuLog | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """What a planner or controller may know of a robot.

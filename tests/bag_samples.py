@@ -7,7 +7,7 @@ import numpy as np
 from datasets.bags.writer import BagWriter
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
-from datasets.types import Imu, Joints, LidarSpec, Observation, Odometry, Scan, Twist
+from datasets.types import Cloud, Imu, Joints, LidarSpec, Observation, Odometry, Scan, Twist
 
 LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 3.5, time_increment=1 / 1800, scan_time=0.2)
 LINKS = [
@@ -66,4 +66,8 @@ def write_drive(
                 writer.particles(stamp(step), batch)
                 writer.plan(stamp(step), batch)
                 writer.goal(stamp(step), pose(step))
+                points = np.linspace(-1.0, 1.0, 30).reshape(10, 3)
+                writer.cloud(
+                    stamp(step), stamp(step - 6), Cloud(points, np.linspace(0.0, 0.1, 10)), "base_scan"
+                )
     return scans

@@ -180,3 +180,16 @@ def occupancy_grid(frame: str, stamp_ns: int, cells: np.ndarray, resolution: flo
     template.patch_pose(x, y, yaw)
     template.field("I", cells.size)
     return bytes(template.data) + np.ascontiguousarray(cells, dtype=np.int8).tobytes()
+
+
+def point_cloud(frame: str, stamp_ns: int, points: Array, times: Array | None = None) -> bytes:
+    """sensor_msgs/PointCloud2 of points (n, 3) and, where given, times after the stamp (n,) [s]."""
+    names = ("x", "y", "z") if times is None else ("x", "y", "z", "time")
+    table = points if times is None else np.column_stack([points, times])
+    template = Template().header(frame).field("I", 1, len(points), len(names))
+    template.patch_stamp(stamp_ns)
+    for index, name in enumerate(names):
+        template.string(name).field("I", 4 * index).field("B", 7).field("I", 1)
+    step = 4 * len(names)
+    template.field("B", 0).field("I", step, step * len(points), step * len(points))
+    return bytes(template.data) + np.ascontiguousarray(table, dtype="<f4").tobytes() + b"\x01"

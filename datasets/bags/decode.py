@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from datasets.se2 import Array
 
-_SIZES = {"i": 4, "I": 4, "f": 4, "d": 8}
+_SIZES = {"B": 1, "i": 4, "I": 4, "f": 4, "d": 8}
 _STRUCTS: dict[tuple[str, str, int], struct.Struct] = {}
 _HEADERS = {order: struct.Struct(order + "iII") for order in "<>"}
 _LENGTHS = {order: struct.Struct(order + "I") for order in "<>"}

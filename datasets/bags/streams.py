@@ -13,6 +13,7 @@ from datasets.types import ImuLog
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+CLOUD = "sensor_msgs/msg/PointCloud2"
 _WANTED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 
 
@@ -30,10 +31,12 @@ class Raw:
 
 
 class Streams:
-    """Scans decoded, the rest kept as bytes until it is known what is needed."""
+    """Scans decoded, the rest kept as bytes until it is known what is needed; point clouds on demand."""
 
-    def __init__(self, bag: Bag) -> None:
+    def __init__(self, bag: Bag, *, clouds: bool = False) -> None:
         self.bag = bag
+        self.clouds: dict[str, Raw] = {}
+        self._types = (*_WANTED, CLOUD) if clouds else _WANTED
         self.scans: dict[str, list[decode.RawScan]] = {}
         self.scan_times: dict[str, list[int]] = {}
         self.odometry: dict[str, Raw] = {}
@@ -49,6 +52,8 @@ class Streams:
                 self.odometry.setdefault(topic.name, Raw()).add(log_time, data)
             elif topic.msgtype == IMU:
                 self.imu.setdefault(topic.name, Raw()).add(log_time, data)
+            elif topic.msgtype == CLOUD:
+                self.clouds.setdefault(topic.name, Raw()).add(log_time, data)
             elif topic.name.endswith("tf_static"):
                 self._transforms(data, static=True)
             else:
@@ -56,7 +61,7 @@ class Streams:
 
     def _wanted(self, topic: Topic) -> bool:
         self.seen.add(topic.name)
-        return topic.msgtype in _WANTED and not topic.name.startswith(TRUTH_PREFIX)
+        return topic.msgtype in self._types and not topic.name.startswith(TRUTH_PREFIX)
 
     def _scan(self, name: str, log_time: int, data: bytes) -> None:
         try:

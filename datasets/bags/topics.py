@@ -58,6 +58,7 @@ TOPICS: dict[str, Topic] = {
     "/particlecloud": Topic("geometry_msgs/msg/PoseArray"),
     "/plan": Topic("nav_msgs/msg/Path"),
     "/goal_pose": Topic("geometry_msgs/msg/PoseStamped"),
+    "/points": Topic("sensor_msgs/msg/PointCloud2", reliability="best_effort", depth=5),
     "/ground_truth/odom": Topic("nav_msgs/msg/Odometry"),
 }
 

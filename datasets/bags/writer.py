@@ -11,7 +11,7 @@ from datasets.bags.folder import BagFolder
 from datasets.bags.topics import TOPICS, definition, metadata_text
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
-from datasets.types import Imu, LidarSpec, Observation, Odometry, Scan, Twist
+from datasets.types import Cloud, Imu, LidarSpec, Observation, Odometry, Scan, Twist
 
 _POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""
@@ -164,6 +164,10 @@ class BagWriter:
         start = template.places["ranges"]
         template.data[start : start + 4 * scan.lidar.n_beams] = scan.ranges.astype("<f4").tobytes()
         self._write("/scan", log_time_ns, bytes(template.data))
+
+    def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
+        """/points: a 3D scan in the given lidar frame, its stamp that of the first point."""
+        self._write("/points", log_time_ns, cdr.point_cloud(frame, stamp_ns, cloud.points, cloud.times))
 
     def _write(self, topic: str, log_time_ns: int, data: bytes) -> None:
         channel = self._channels.get(topic)

@@ -1,0 +1,108 @@
+"""Odometry of a bag at the stamps of its scans, and where a sensor sits on the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from datasets.bags import decode
+from datasets.bags.frames import FrameTree
+from datasets.bags.streams import Streams
+from datasets.se2 import SE2, Array
+from datasets.types import Stamps, Trajectory
+
+_BASES = ("base_footprint", "base_link")
+_CLOCK_NS = 1_000_000_000
+"""Scans this far outside the odometry's time are taken to carry another clock."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdometrySource:
+    """Where the odometry comes from: its poses by stamp, by log time, and the frame they move."""
+
+    base: str
+    poses: Trajectory | None = None
+    by_log_time: Trajectory | None = None
+
+
+def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> OdometrySource:
+    """Odometry from /odom, from the only odometry topic, or from /tf."""
+    names = list(streams.odometry)
+    chosen = "/odom" if "/odom" in names else (names[0] if len(names) == 1 else None)
+    if chosen:
+        columns = streams.read_odometry(chosen)
+        if len(columns.stamps_ns):
+            if streams.frames.lookup(columns.child, scan_frame) is None:
+                streams.follow_tf()
+            times = np.array(streams.odometry[chosen].times, dtype=np.int64)[columns.kept]
+            return OdometrySource(
+                columns.child or base_of(streams.frames),
+                _increasing(columns.stamps_ns, columns.xyt, chosen, notes),
+                _increasing(times, columns.xyt, chosen, []),
+            )
+    if len(names) > 1:
+        notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
+    streams.follow_tf()
+    for (parent, child), moving in streams.frames.moving.items():
+        if parent == "odom" and (child == scan_frame or streams.frames.lookup(child, scan_frame) is not None):
+            notes.append(f"odometry from /tf ({parent} -> {child})")
+            stamps = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
+            rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
+            return OdometrySource(child, _increasing(stamps, rows, "/tf", notes))
+    notes.append("no odometry: neither /odom nor odom -> base in /tf")
+    return OdometrySource(base_of(streams.frames))
+
+
+def base_of(frames: FrameTree) -> str:
+    """Name of the robot's base frame, where no odometry tells it."""
+    known = frames.frames()
+    return next((frame for frame in _BASES if frame in known), _BASES[0])
+
+
+def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Trajectory | None:
+    """Poses in order of their stamps, each stamp once, finite."""
+    finite = np.isfinite(xyt).all(axis=1)
+    if not finite.all():
+        notes.append(f"{name}: {np.count_nonzero(~finite)} poses are not finite and left out")
+        stamps, xyt = stamps[finite], xyt[finite]
+    if not len(stamps):
+        return None
+    backwards = int(np.count_nonzero(np.diff(stamps) < 0))
+    if backwards:
+        notes.append(f"{name}: stamps go back {backwards} times; sorted")
+    stamps, first = np.unique(stamps, return_index=True)
+    return Trajectory(stamps, SE2.from_array(xyt[first]))
+
+
+def sensor_matrix(frames: FrameTree, base: str, sensor: str, notes: list[str]) -> Array:
+    """`T_base_sensor` (4, 4); identity, with a note, when no fixed links connect them."""
+    if sensor == base:
+        return np.eye(4)
+    for start in (base, *_BASES):
+        T = frames.lookup(start, sensor)
+        if T is not None:
+            return T
+    notes.append(f"no transform {base} -> {sensor}: the laser is taken to sit at the robot's centre")
+    return np.eye(4)
+
+
+def odometry_at(odometry: OdometrySource, stamps: Stamps, log_times: Stamps, notes: list[str]) -> SE2 | None:
+    """Odometry at the stamp of each scan."""
+    poses = odometry.poses
+    if poses is None:
+        return None
+    first, last = int(poses.stamps_ns[0]), int(poses.stamps_ns[-1])
+    if stamps.min() > last + _CLOCK_NS or stamps.max() < first - _CLOCK_NS:
+        if odometry.by_log_time is None:
+            notes.append("scans and odometry carry different clocks; odometry not used")
+            return None
+        notes.append("scans and odometry carry different clocks; joined by the time they were recorded")
+        return odometry.by_log_time.at(log_times)
+    outside = int(np.count_nonzero((stamps < first - 10**8) | (stamps > last + 10**8)))
+    if outside:
+        notes.append(f"{outside} scans lie outside the odometry's time; its end poses are held")
+    gap = int(np.diff(poses.stamps_ns).max(initial=0))
+    if gap > 10**9:
+        notes.append(f"odometry has a gap of {gap * 1e-9:.1f} s, interpolated")
+    return poses.at(stamps)
