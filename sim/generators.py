@@ -80,8 +80,9 @@ def office(seed: int, *, width: float = 16.0, door: float = 0.95) -> Generated:
         walls += [_wall(x, low, x, high) for x in (cuts[1:-1] if x_max == width else cuts)]
         for left, right in itertools.pairwise(cuts):
             with_door = doors[int(rng.integers(len(doors)))]
-            side = min(0.7, (right - left - door) / 2.0)
-            at = float(rng.uniform(left + side, right - side - door))
+            spare = right - left - door
+            side = min(0.7, 0.4 * spare)
+            at = left + side + (spare - 2.0 * side) * float(rng.random())
             for y in {low, high} - {0.0, rows[-1]}:
                 if y == with_door:
                     walls += [_wall(left, y, at, y), _wall(at + door, y, right, y)]
