@@ -202,8 +202,9 @@ class Amcl:
             if c.selective_resampling and sampling.effective_size(self._weights) > 0.5 * len(self._poses):
                 return
         pool = sampling.low_variance(self._weights, c.max_particles, self._rng.random())
-        keys = sampling.bin_keys(self._poses[self._rng.permutation(pool)], c.kld_bin_xy, c.kld_bin_yaw)
-        count = sampling.kld_count(keys, c.kld_err, c.kld_z, c.min_particles)
+        drawn = self._poses[self._rng.permutation(pool)]
+        bins = sampling.bin_numbers(drawn, c.kld_bin_xy, c.kld_bin_yaw)
+        count = sampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
         strangers = int(share * count)
         kept = self._poses[sampling.low_variance(self._weights, count - strangers, self._rng.random())]
         if strangers:
@@ -213,7 +214,9 @@ class Amcl:
         self._weights = np.full(len(kept), 1.0 / len(kept))
 
     def _estimate_pose(self, beams: Beams, T_odom_base: SE2) -> None:
-        self._estimate = main_cluster(self._poses, self._weights, self.config)
+        self._estimate = main_cluster(
+            self._poses, self._weights, self.config.kld_bin_xy, self.config.kld_bin_yaw
+        )
         T_map_base = self._estimate.T_map_base
         if self._fine is not None:
             T_map_base = self._fine.correct(self._estimate, beams.points)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
@@ -42,13 +43,14 @@ def prepare(
     """
     ranges = scan.ranges.astype(np.float64)
     low, high = range_limits or (scan.lidar.range_min, scan.lidar.range_max)
-    hit = scan.valid() & (ranges >= low) & (ranges <= high)
-    silent = np.isposinf(ranges)
-    T_start_lidar = _lidar_poses(scan, T_base_lidar, T_start_end)
-    directions = _rotate(T_start_lidar, scan.lidar.directions)
-    origins = np.broadcast_to(T_start_lidar.xy, directions.shape)
-    points = origins[hit] + directions[hit] * ranges[hit, None]
-    return Beams(points, origins[hit].copy(), ranges[hit], directions[silent], origins[silent].copy())
+    hit = np.flatnonzero(scan.valid() & (ranges >= low) & (ranges <= high))
+    silent = np.flatnonzero(np.isposinf(ranges))
+    sweep = np.zeros(3) if T_start_end is None or scan.lidar.time_increment <= 0.0 else T_start_end.xyt
+    lidar = T_base_lidar.xyt
+    origins, directions = deskewed(scan.lidar.angles, lidar, sweep, hit)
+    silent_origins, silent_directions = deskewed(scan.lidar.angles, lidar, sweep, silent)
+    points = origins + directions * ranges[hit, None]
+    return Beams(points, origins, ranges[hit], silent_directions, silent_origins)
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
@@ -58,29 +60,25 @@ def spread(count: int, most: int) -> NDArray[np.int64]:
     return (np.arange(most) * count) // most
 
 
-def arc(T_start_end: SE2, fractions: Array) -> SE2:
-    """Poses at fractions of a motion of constant twist, (n,): the exponential of SE(2)."""
-    x, y, yaw = (float(value) for value in T_start_end.xyt)
-    half = 0.5 * yaw
-    # Translation of the twist: V(yaw)^-1 t, in closed form; half / tan(half) -> 1 for small turns.
+@njit(cache=True)
+def deskewed(angles: Array, lidar: Array, sweep: Array, chosen: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Origins and unit directions of the chosen beams in the base frame at the scan's stamp, (n, 2) each.
+
+    `lidar` is T_base_lidar, `sweep` the base's motion (x, y, yaw) over all beams. In between it moves
+    on an arc of constant twist: the exponential of SE(2) and its inverse in closed form.
+    """
+    yaw, half, n = sweep[2], 0.5 * sweep[2], len(angles)
+    # Translation part of the twist: V(yaw)^-1 t; half / tan(half) -> 1 for small turns.
     shrink = 1.0 if abs(half) < 1e-9 else half / np.tan(half)
-    ux, uy = shrink * x + half * y, -half * x + shrink * y
-    angles = fractions * yaw
-    sinc, cosc = fractions * np.sinc(angles / np.pi), fractions * _one_minus_cos_over(angles)
-    return SE2.from_xyt(sinc * ux - cosc * uy, cosc * ux + sinc * uy, angles)
-
-
-def _one_minus_cos_over(angle: Array) -> Array:
-    return np.sin(0.5 * angle) * np.sinc(0.5 * angle / np.pi)
-
-
-def _lidar_poses(scan: Scan, T_base_lidar: SE2, T_start_end: SE2 | None) -> SE2:
-    lidar = scan.lidar
-    if T_start_end is None or lidar.time_increment <= 0.0:
-        return SE2(T_base_lidar.xyt[None])
-    T_start_base = arc(T_start_end, np.arange(lidar.n_beams) / lidar.n_beams)
-    return T_start_base @ SE2(T_base_lidar.xyt[None])
-
-
-def _rotate(T_a_b: SE2, vectors_b: Array) -> Array:
-    return SE2.from_xyt(np.zeros_like(T_a_b.x), np.zeros_like(T_a_b.x), T_a_b.yaw) @ vectors_b
+    ux, uy = shrink * sweep[0] + half * sweep[1], shrink * sweep[1] - half * sweep[0]
+    origins, directions = np.empty((len(chosen), 2)), np.empty((len(chosen), 2))
+    for k in range(len(chosen)):
+        f = chosen[k] / n
+        turn = f * yaw
+        a, b = (f, 0.5 * f * turn) if abs(turn) < 1e-9 else (np.sin(turn) / yaw, (1.0 - np.cos(turn)) / yaw)
+        c, s = np.cos(turn), np.sin(turn)
+        origins[k, 0] = a * ux - b * uy + c * lidar[0] - s * lidar[1]
+        origins[k, 1] = b * ux + a * uy + s * lidar[0] + c * lidar[1]
+        angle = turn + lidar[2] + angles[chosen[k]]
+        directions[k, 0], directions[k, 1] = np.cos(angle), np.sin(angle)
+    return origins, directions

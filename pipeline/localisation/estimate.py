@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from datasets.se2 import SE2, Array, wrap
-from pipeline.localisation.parameters import AmclConfig
-from pipeline.localisation.sampling import bin_keys
+from datasets.se2 import SE2, Array
+from pipeline.localisation.sampling import bin_numbers
 
 # Reach of a cluster about its mean: several bins, so that one cloud is never cut in two.
 REACH_XY, REACH_YAW = 0.5, 0.6
+MOST_SHIFTS = 10
 # A variance no cloud's is taken below: 1 mm and 0.05 deg.
 LEAST_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 
@@ -26,35 +27,38 @@ class Estimate:
     weight: float  # of the main cluster
 
 
-def main_cluster(poses: Array, weights: Array, config: AmclConfig) -> Estimate:
+def main_cluster(poses: Array, weights: Array, bin_xy: float, bin_yaw: float) -> Estimate:
     """Start at the heaviest histogram bin and move to the mean of what is within reach until it rests."""
-    keys = bin_keys(poses, config.kld_bin_xy, config.kld_bin_yaw)
-    _, inverse = np.unique(keys, return_inverse=True)
-    heaviest = inverse == np.argmax(np.bincount(inverse, weights=weights))
-    mean = weighted_mean(poses[heaviest], weights[heaviest])
-    for _ in range(10):
-        offset = _offset(poses, mean)
-        near = (np.hypot(offset[:, 0], offset[:, 1]) < REACH_XY) & (np.abs(offset[:, 2]) < REACH_YAW)
-        moved = weighted_mean(poses[near], weights[near])
-        done = np.abs(_offset(moved, mean)).max() < 1e-6
-        mean = moved
-        if done:
+    numbers = bin_numbers(poses, bin_xy, bin_yaw)
+    heaviest = np.argmax(np.bincount(numbers, weights=weights))
+    mean = moments(poses, weights, poses[np.argmax(numbers == heaviest)], bin_xy, bin_yaw)[1]
+    for _ in range(MOST_SHIFTS):
+        mass, moved, core = moments(poses, weights, mean, REACH_XY, REACH_YAW)
+        rests = bool(np.abs(moved - mean).max() < 1e-4)
+        if rests:
             break
-    offset = _offset(poses, mean)
-    covariance = (weights * offset.T) @ offset
-    mass = float(weights[near].sum())
-    core = (weights[near] * offset[near].T) @ offset[near] / mass + np.diag(LEAST_VARIANCE)
-    return Estimate(SE2.from_array(mean), core, covariance, mass)
+        mean = moved
+    everything = 1.0 - mass < 1e-9
+    covariance = core if everything else moments(poses, weights, mean, np.inf, np.inf)[2]
+    return Estimate(SE2.from_array(moved), core + np.diag(LEAST_VARIANCE), covariance, mass)
 
 
-def weighted_mean(poses: Array, weights: Array) -> Array:
-    """Mean pose (3,): linear in position, circular in yaw."""
-    x, y = np.average(poses[:, :2], axis=0, weights=weights)
-    yaw = np.arctan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
-    return np.array([x, y, yaw])
-
-
-def _offset(poses: Array, mean: Array) -> Array:
-    offset = poses - mean
-    offset[..., 2] = wrap(offset[..., 2])
-    return offset
+@njit(cache=True)
+def moments(
+    poses: Array, weights: Array, centre: Array, reach_xy: float, reach_yaw: float
+) -> tuple[float, Array, Array]:
+    """Mass, mean pose (3,) and second moment about `centre` (3, 3) of the particles within reach of it."""
+    mass, total, second, off = 0.0, np.zeros(3), np.zeros((3, 3)), np.empty(3)
+    for i in range(len(poses)):
+        off[0], off[1] = poses[i, 0] - centre[0], poses[i, 1] - centre[1]
+        off[2] = (poses[i, 2] - centre[2] + np.pi) % (2.0 * np.pi) - np.pi
+        if off[0] * off[0] + off[1] * off[1] > reach_xy * reach_xy or abs(off[2]) > reach_yaw:
+            continue
+        mass += weights[i]
+        for a in range(3):
+            total[a] += weights[i] * off[a]
+            for b in range(3):
+                second[a, b] += weights[i] * off[a] * off[b]
+    if mass <= 0.0:
+        return 0.0, centre.copy(), second
+    return mass, centre + total / mass, second / mass

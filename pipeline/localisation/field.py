@@ -12,12 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, zoom
 
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.se2 import SE2, Array
 
 FloatGrid = NDArray[np.float32]
+
+# Beams are looked up without interpolation in a field this much finer than the map (memory permitting).
+FINEST, MOST_FINE_CELLS = 4, 2**25
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,25 @@ class DistanceField:
         xy = (self.T_map_field.inverse() @ np.asarray(points_map, dtype=np.float64)) / self.resolution
         values = bilinear(self.distance, np.ascontiguousarray(xy.reshape(-1, 2)), self.max_dist)
         return values.reshape(xy.shape[:-1])
+
+    def finer(self) -> tuple[FloatGrid, int]:
+        """The distance at the centres of cells `factor` times finer, interpolated, and that factor.
+
+        Row 0, column 0 begins at the outer corner of the field's first cell.
+        """
+        factor = FINEST
+        while factor > 1 and self.distance.size * factor**2 > MOST_FINE_CELLS:
+            factor //= 2
+        if factor == 1:
+            return self.distance, 1
+        fine = zoom(self.distance, factor, order=1, mode="nearest", grid_mode=True)
+        return np.ascontiguousarray(fine, dtype=np.float32), factor
+
+    @property
+    def T_map_corner(self) -> SE2:
+        """Outer corner of the field's first cell."""
+        half = -0.5 * self.resolution
+        return self.T_map_field @ SE2.from_xyt(half, half, 0.0)
 
 
 def distance_field(grid: OccupancyGrid, max_dist: float) -> DistanceField:
@@ -86,28 +108,33 @@ def bilinear(table: FloatGrid, cr: Array, outside: float) -> Array:
 
 
 @njit(cache=True)
-def sum_over_beams(table: FloatGrid, outside: float, poses: Array, points: Array) -> Array:
-    """Sum of interpolated table values over all beams, for each pose, (n,).
+def sum_over_beams(
+    table: FloatGrid,
+    outside: float,
+    frame: tuple[float, float, float, float],
+    poses: Array,
+    points: FloatGrid,
+) -> Array:
+    """Sum of the table's values under all beams' end points, for each pose, (n,).
 
-    `poses` (n, 3) and `points` (m, 2, in the base frame) are in cells of the table and its frame.
+    `poses` (n, 3) are in the map frame, `points` (m, 2, float32) in the base frame in table cells;
+    `frame` is the table's corner in the map (x, y, yaw) [m, rad] and its cells per metre.
     """
     rows, cols = table.shape
-    x_end, y_end = cols - 1.0, rows - 1.0
+    flat = table.ravel()
+    x0, y0, yaw0, per_metre = frame
+    c0, s0 = np.cos(yaw0), np.sin(yaw0)
     out = np.empty(len(poses))
     for i in range(len(poses)):
-        x, y = poses[i, 0], poses[i, 1]
-        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        total = 0.0
+        dx, dy = poses[i, 0] - x0, poses[i, 1] - y0
+        x, y = np.float32((c0 * dx + s0 * dy) * per_metre), np.float32((c0 * dy - s0 * dx) * per_metre)
+        c, s = np.float32(np.cos(poses[i, 2] - yaw0)), np.float32(np.sin(poses[i, 2] - yaw0))
+        total = np.float32(0.0)
         for j in range(len(points)):
-            gx = x + c * points[j, 0] - s * points[j, 1]
-            gy = y + s * points[j, 0] + c * points[j, 1]
-            if gx < 0.0 or gy < 0.0 or gx >= x_end or gy >= y_end:
-                total += outside
-                continue
+            gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
+            # int() cuts towards 0: (-1, 0) falls into the first cell, where the padding says the same.
             col, row = int(gx), int(gy)
-            fx, fy = gx - col, gy - row
-            low = table[row, col] + fx * (table[row, col + 1] - table[row, col])
-            high = table[row + 1, col] + fx * (table[row + 1, col + 1] - table[row + 1, col])
-            total += low + fy * (high - low)
+            inside = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
+            total += flat[row * cols + col] if inside else np.float32(outside)
         out[i] = total
     return out

@@ -33,6 +33,7 @@ def low_variance(weights: Array, count: int, offset: float) -> NDArray[np.int64]
     return picked
 
 
+@njit(cache=True)
 def kld_bound(bins: int, err: float, z: float) -> int:
     """Particles needed for `bins` occupied bins (Fox 2003, eq. 7), so that the error is below `err`."""
     if bins <= 1:
@@ -42,19 +43,46 @@ def kld_bound(bins: int, err: float, z: float) -> int:
     return math.ceil(k / (2.0 * err) * (1.0 - b + math.sqrt(b) * z) ** 3)
 
 
-def bin_keys(poses: Array, bin_xy: float, bin_yaw: float) -> NDArray[np.int64]:
-    """One integer a pose, equal for poses of the same histogram bin, (n,)."""
-    cells = np.floor(poses / np.array([bin_xy, bin_xy, bin_yaw])).astype(np.int64)
-    return (cells[:, 0] << 42) + ((cells[:, 1] & 0x1FFFFF) << 21) + (cells[:, 2] & 0x1FFFFF)
+@njit(cache=True)
+def bin_numbers(poses: Array, bin_xy: float, bin_yaw: float) -> NDArray[np.int64]:
+    """Histogram bin of each pose, (n,), numbered in the order in which bins are first met."""
+    n = len(poses)
+    size = 4
+    while size < 2 * n:
+        size *= 2
+    mask = size - 1
+    slots = np.full(size, -1, dtype=np.int64)  # the first pose of the bin that hashes here
+    cells = np.empty((n, 3), dtype=np.int64)
+    numbers = np.empty(n, dtype=np.int64)
+    count = 0
+    for i in range(n):
+        a = math.floor(poses[i, 0] / bin_xy)
+        b = math.floor(poses[i, 1] / bin_xy)
+        c = math.floor(poses[i, 2] / bin_yaw)
+        cells[i, 0], cells[i, 1], cells[i, 2] = a, b, c
+        slot = (a * 73856093 ^ b * 19349663 ^ c * 83492791) & mask
+        while True:
+            j = slots[slot]
+            if j < 0:
+                slots[slot] = i
+                numbers[i] = count
+                count += 1
+                break
+            if cells[j, 0] == a and cells[j, 1] == b and cells[j, 2] == c:
+                numbers[i] = numbers[j]
+                break
+            slot = (slot + 1) & mask
+    return numbers
 
 
-def kld_count(keys: NDArray[np.int64], err: float, z: float, least: int) -> int:
-    """How many of a sequence of draws (their bin keys, in random order) KLD-sampling would keep."""
-    _, first = np.unique(keys, return_index=True)
-    opened = np.sort(first)  # the draw at which the k-th bin is first met
-    for bins, position in enumerate(opened, start=1):
-        bound = max(kld_bound(bins, err, z), least)
-        following = opened[bins] if bins < len(opened) else len(keys)
-        if bound <= following:
-            return max(bound, int(position) + 1)
-    return len(keys)
+@njit(cache=True)
+def kld_count(numbers: NDArray[np.int64], err: float, z: float, least: int) -> int:
+    """How many of a sequence of random draws KLD-sampling would keep, from their bin numbers."""
+    bins, bound = 0, least
+    for drawn in range(len(numbers)):
+        if drawn >= bound:
+            return drawn
+        if numbers[drawn] == bins:
+            bins += 1
+            bound = max(least, kld_bound(bins, err, z))
+    return len(numbers)

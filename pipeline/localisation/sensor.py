@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import Array
 from pipeline.localisation.beams import Beams, spread
 from pipeline.localisation.field import DistanceField, hit_probability, sum_over_beams
 from pipeline.localisation.parameters import AmclConfig
@@ -27,30 +27,24 @@ class LikelihoodFieldModel:
     """
 
     def __init__(self, config: AmclConfig, field: DistanceField, range_max: float) -> None:
-        self._field = field
         self._cubes = config.aggregation == "cubes"
         self._max_beams = config.max_beams
-        p = hit_probability(field.distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
+        distance, factor = field.finer()
+        p = hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
         self._table = (p**3 if self._cubes else np.log(p)).astype(np.float32)
         # Padded by max_dist all round, the table's corner is as far from everything as outside is.
         self._outside = float(self._table.min())
+        x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
+        self._frame = (x, y, yaw, factor / field.resolution)
 
     def weigh(self, poses: Array, beams: Beams) -> tuple[Array, Array]:
         """See SensorModel."""
-        points = beams.points[spread(len(beams), self._max_beams)] / self._field.resolution
-        field_poses = in_field_cells(poses, self._field)
-        total = sum_over_beams(self._table, self._outside, field_poses, np.ascontiguousarray(points))
+        points = (beams.points[spread(len(beams), self._max_beams)] * self._frame[3]).astype(np.float32)
+        total = sum_over_beams(self._table, self._outside, self._frame, poses, points)
         mean = total / len(points)
         if self._cubes:
             return np.log1p(total), np.cbrt(mean)
         return total, np.exp(mean)
-
-
-def in_field_cells(poses: Array, field: DistanceField) -> Array:
-    """Poses of the map frame in the field's frame, positions in cells, (n, 3)."""
-    xyt = (field.T_map_field.inverse() @ SE2(poses)).xyt
-    xyt[:, :2] /= field.resolution
-    return xyt
 
 
 def make_sensor_model(config: AmclConfig, field: DistanceField, range_max: float) -> SensorModel:

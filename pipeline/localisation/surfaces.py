@@ -16,6 +16,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.se2 import SE2, Array
+from pipeline.localisation.linear import solve
 
 Indices = NDArray[np.int32]
 
@@ -144,7 +145,7 @@ def _parabola(near: Array, nx: float, ny: float) -> tuple[float, float, float]:
                 normal[a, b] += near[k, 2] * basis[a] * basis[b]
         weight += near[k, 2]
         squares += near[k, 2] * v * v
-    solved = np.linalg.solve(normal, right)
+    solved = solve(normal, right.reshape(3, 1))[:, 0]
     rest = max(0.0, squares - (solved * right).sum())
     return solved[0], solved[1], np.sqrt(rest / weight)
 

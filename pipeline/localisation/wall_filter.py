@@ -11,12 +11,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
+from pipeline.localisation.linear import multiply, solve
 from pipeline.localisation.matching import match_beams
 from pipeline.localisation.surfaces import Indices, Surfaces
 
-MAX_ITERATIONS = 5
+MAX_ITERATIONS = 4
 STEP_DONE = 1e-4
 # Walls kept in the state; beyond, the one longest out of sight is forgotten.
 MAX_WALLS = 150
@@ -45,6 +48,7 @@ class WallFilter:
         self._P = turn @ covariance @ turn.T
         self._walls = np.zeros(0, dtype=np.int32)  # patch of each offset in the state
         self._last_seen = np.zeros(0, dtype=np.int64)
+        self._place = np.full(surfaces.patches, -1, dtype=np.int64)  # of a patch in the list of walls
         self._scans = 0
 
     @property
@@ -73,71 +77,33 @@ class WallFilter:
     def correct(self, points_base: Array) -> None:
         """Take in a scan's end points, (n, 2) in the base frame."""
         self._scans += 1
-        first = self._match(self._x[:3], points_base)
-        seen = np.flatnonzero(first[0][:, 9] > 0.0).astype(np.int32)
-        self._admit(seen)
-        place = {int(patch): 3 + i for i, patch in enumerate(self._walls)}
-        sub = np.array([0, 1, 2, *(place[int(patch)] for patch in seen)])
-        before, x = self._x[sub], self._x[sub].copy()
-        prior = self._P[np.ix_(sub, sub)]
+        s = self._surfaces
+        tables = (s.points, s.normals, s.trust, s.patch, s.nearest, 1.0 / s.resolution)
+        offsets = np.zeros(s.patches)
+        offsets[self._walls] = self._x[3:]
+        sums, right = match_beams(*tables, self._x[:3], points_base, offsets, self._scale, self._patch_beams)
+        seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
+        walls = self._walls[seen]
+        state = np.concatenate([[0, 1, 2], 3 + seen])
+        before, prior = self._x[state], self._P[state][:, state].copy()
+        x = before
         for iteration in range(MAX_ITERATIONS):
-            sums, right = first if iteration == 0 else self._match(x[:3], points_base, seen, x[3:])
-            information, gradient = self._normal_equations(sums[seen], right[seen])
-            # (I + prior information)^-1 turns both gain and covariance: the information form, with
-            # no inverse of a covariance that may be nearly singular.
-            gain = np.linalg.solve(np.eye(len(sub)) + prior @ information, prior)
-            moved = x - before
-            moved[2] = (moved[2] + math.pi) % (2.0 * math.pi) - math.pi
-            pull = information @ moved - gradient
-            new = before + gain @ pull
+            if iteration > 0:
+                offsets[walls] = x[3:]
+                sums, right = match_beams(
+                    *tables, x[:3], points_base, offsets, self._scale, self._patch_beams
+                )
+            information, gradient = normal_equations(sums, right, walls, self._beam_std**-2)
+            new = posterior(before, prior, x, information, gradient)
             step = np.abs(new - x).max()
-            x = new
+            x, last = new, x
             if step < STEP_DONE:
                 break
-        # P_ss^-1 (x - before) without the inverse; walls out of sight move with those in sight.
-        self._x = self._x + self._P[:, sub] @ (pull - information @ (x - before))
-        shrink = information - information @ gain @ information
-        self._P = self._P - self._P[:, sub] @ shrink @ self._P[sub]
-        self._P = 0.5 * (self._P + self._P.T)
+        spread(self._x, self._P, state, before, last, information, gradient)
 
-    def _match(
-        self, pose: Array, points: Array, seen: Indices | None = None, offsets: Array | None = None
-    ) -> tuple[Array, Array]:
-        s = self._surfaces
-        full = np.zeros(s.patches)
-        full[self._walls] = self._x[3:]
-        if seen is not None and offsets is not None:
-            full[seen] = offsets
-        return match_beams(
-            s.points,
-            s.normals,
-            s.trust,
-            s.patch,
-            s.nearest,
-            1.0 / s.resolution,
-            pose,
-            points,
-            full,
-            self._scale,
-            self._patch_beams,
-        )
-
-    def _normal_equations(self, sums: Array, right: Array) -> tuple[Array, Array]:
-        """Information and gradient over (pose, seen offsets); a residual falls as its offset grows."""
-        size = 3 + len(sums)
-        H, g = np.zeros((size, size)), np.empty(size)
-        rows, cols = np.triu_indices(3)
-        H[rows, cols] = sums[:, :6].sum(axis=0)
-        H[cols, rows] = H[rows, cols]
-        H[3:, :3] = -sums[:, 6:9]
-        H[:3, 3:] = -sums[:, 6:9].T
-        H[range(3, size), range(3, size)] = sums[:, 9]
-        g[:3], g[3:] = right[:, :3].sum(axis=0), -right[:, 3]
-        return H / self._beam_std**2, g / self._beam_std**2
-
-    def _admit(self, seen: Indices) -> None:
-        """Give every wall in sight a state; drop those longest unseen when there are too many."""
-        new = np.setdiff1d(seen, self._walls)
+    def _admit(self, seen: Indices) -> NDArray[np.int64]:
+        """Give every wall in sight a state; where in the list of walls they are."""
+        new = seen[self._place[seen] < 0]
         if len(new):
             size, more = len(self._x), len(new)
             P = np.zeros((size + more, size + more))
@@ -146,13 +112,98 @@ class WallFilter:
             self._P, self._x = P, np.concatenate([self._x, np.zeros(more)])
             self._walls = np.concatenate([self._walls, new])
             self._last_seen = np.concatenate([self._last_seen, np.zeros(more, dtype=np.int64)])
-        self._last_seen[np.isin(self._walls, seen)] = self._scans
+            self._place[new] = np.arange(size - 3, size - 3 + more)
+        self._last_seen[self._place[seen]] = self._scans
         if len(self._walls) > MAX_WALLS:
-            in_sight = int(np.count_nonzero(self._last_seen == self._scans))
-            kept = np.sort(np.argsort(-self._last_seen, kind="stable")[: max(MAX_WALLS, in_sight)])
-            states = np.concatenate([[0, 1, 2], 3 + kept])
-            self._x, self._P = self._x[states], self._P[np.ix_(states, states)]
-            self._walls, self._last_seen = self._walls[kept], self._last_seen[kept]
+            self._forget_longest_unseen(max(MAX_WALLS, len(seen)))
+        return self._place[seen]
+
+    def _forget_longest_unseen(self, most: int) -> None:
+        kept = np.sort(np.argsort(-self._last_seen, kind="stable")[:most])
+        states = np.concatenate([[0, 1, 2], 3 + kept])
+        self._x, self._P = self._x[states], self._P[states][:, states].copy()
+        self._walls, self._last_seen = self._walls[kept], self._last_seen[kept]
+        self._place[:] = -1
+        self._place[self._walls] = np.arange(len(self._walls))
+
+
+@njit(cache=True)
+def normal_equations(sums: Array, right: Array, walls: Indices, weight: float) -> tuple[Array, Array]:
+    """Information (m, m) and gradient (m,) over pose and offsets in sight, of beams of equal `weight`.
+
+    A residual falls as its wall's offset grows: that Jacobian is -1.
+    """
+    m = 3 + len(walls)
+    information, gradient = np.zeros((m, m)), np.zeros(m)
+    for i in range(len(walls)):
+        p, o = walls[i], 3 + i
+        column = 0
+        for a in range(3):
+            gradient[a] += weight * right[p, a]
+            for b in range(a, 3):
+                information[a, b] += weight * sums[p, column]
+                column += 1
+            information[a, o] = information[o, a] = -weight * sums[p, 6 + a]
+        information[o, o] = weight * sums[p, 9]
+        gradient[o] = -weight * right[p, 3]
+    for a in range(3):
+        for b in range(a):
+            information[a, b] = information[b, a]
+    return information, gradient
+
+
+@njit(cache=True)
+def posterior(before: Array, prior: Array, x: Array, information: Array, gradient: Array) -> Array:
+    """State of one Gauss-Newton step, (m,): before + (P^-1 + I)^-1 (I (x - before) - g).
+
+    I and g are the beams' information and gradient at `x`, P the covariance about `before`; written
+    without an inverse of P, which may be nearly singular.
+    """
+    right = multiply(prior, _pull(before, x, information, gradient))
+    return before + solve(np.eye(len(x)) + multiply(prior, information), right)[:, 0]
+
+
+@njit(cache=True)
+def _pull(before: Array, x: Array, information: Array, gradient: Array) -> Array:
+    """I (x - before) - g as a column, (m, 1)."""
+    moved = (x - before).reshape(-1, 1)
+    moved[2, 0] = (moved[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
+    return multiply(information, moved) - gradient.reshape(-1, 1)
+
+
+@njit(cache=True)
+def spread(
+    x: Array,
+    P: Array,
+    state: NDArray[np.int64],
+    before: Array,
+    last: Array,
+    information: Array,
+    gradient: Array,
+) -> None:
+    """Carry the update of the states in sight over to all of x (n,) and P (n, n), in place.
+
+    With gain K = (P_ss^-1 + I)^-1 over the states in sight, all states move by P_s (u - I K u), where u
+    is the pull at the last linearisation, and P loses P_s (I - I K I) P_s^T.
+    """
+    n, m = len(x), len(state)
+    columns, prior = np.empty((n, m)), np.empty((m, m))
+    for j in range(m):
+        for i in range(n):
+            columns[i, j] = P[i, state[j]]
+        for i in range(m):
+            prior[i, j] = P[state[i], state[j]]
+    gain = solve(np.eye(m) + multiply(prior, information), prior)
+    pull = _pull(before, last, information, gradient)
+    x += multiply(columns, pull - multiply(information, multiply(gain, pull)))[:, 0]
+    half = multiply(columns, information - multiply(multiply(information, gain), information))
+    rows = columns.T.copy()
+    for i in range(n):
+        for k in range(m):
+            for j in range(i + 1):
+                P[i, j] -= half[i, k] * rows[k, j]
+        for j in range(i):
+            P[j, i] = P[i, j]
 
 
 def _turn(yaw: float) -> Array:
