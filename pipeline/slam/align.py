@@ -293,19 +293,18 @@ def observable(hessian: Array) -> Array:
         keep = (weak - floor) / (7.0 * floor)
     angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
     ux, uy = math.cos(angle), math.sin(angle)
-    # remove the weak direction u: information along u, given the rest, becomes keep * weak
-    uh0 = ux * hessian[0, 0] + uy * hessian[1, 0]
-    uh1 = ux * hessian[0, 1] + uy * hessian[1, 1]
-    uh2 = ux * hessian[0, 2] + uy * hessian[1, 2]
-    uhu = uh0 * ux + uh1 * uy
-    if uhu <= 0.0:
-        return out
-    f = (1.0 - keep) / uhu
-    out[0, 0] -= f * uh0 * uh0
-    out[0, 1] -= f * uh0 * uh1
-    out[0, 2] -= f * uh0 * uh2
-    out[1, 1] -= f * uh1 * uh1
-    out[1, 2] -= f * uh1 * uh2
-    out[2, 2] -= f * uh2 * uh2
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    return without_direction(out, np.array([ux, uy]), keep)
+
+
+@njit(cache=True)
+def without_direction(information: Array, direction: Array, keep: float) -> Array:
+    """Information (3, 3) with only a share `keep` left along a direction (2,) of the translation."""
+    out = information.copy()
+    h = information[:, 0] * direction[0] + information[:, 1] * direction[1]
+    along = h[0] * direction[0] + h[1] * direction[1]
+    if along > 0.0:
+        f = (1.0 - keep) / along
+        for i in range(3):
+            for j in range(3):
+                out[i, j] -= f * h[i] * h[j]
     return out

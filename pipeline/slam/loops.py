@@ -18,12 +18,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import align
+from pipeline.slam.align import align, observable, without_direction
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import best_pose, make_field, points_in_map
+from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import Constraint, optimise
-from pipeline.slam.tracking import between, compose
+from pipeline.slam.tracking import between, compose, sees_everything
 
 
 class LoopConfig(BaseModel):
@@ -43,6 +43,8 @@ class LoopConfig(BaseModel):
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the correlative search")
     max_rmse_m: float = Field(default=0.06, gt=0.0)
+    rival_m: float = Field(default=0.6, gt=0.0, description="a second peak at least this far away")
+    rival_share: float = Field(default=0.9, gt=0.0, description="of the best score: the place is ambiguous")
     soft: float = Field(default=2.0, gt=0.0, description="Cauchy width, in standard deviations")
     inflation: float = Field(default=50.0, gt=0.0)
     open3d: bool = Field(default=True, description="verify with Open3D's ICP")
@@ -104,6 +106,7 @@ class LoopFinder:
         self.poses = T_map_keys.xyt.copy()
         self.steps = list(steps)
         self.loops: list[Constraint] = []
+        self.anchors: list[tuple[int, int]] = []
         self.record: list[Loop] = []
         length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
         self.path = np.concatenate([[0.0], np.cumsum(length)])
@@ -122,6 +125,7 @@ class LoopFinder:
         accepted = [loop for loop in found if loop.accepted]
         if not accepted:
             return
+        self.anchors += [(loop.j, loop.i) for loop in accepted if sees_everything(loop.information)]
         self.loops += [
             Constraint(
                 loop.j, loop.i, loop.T_j_i, loop.information / self.config.inflation, "loop", self.config.soft
@@ -160,9 +164,10 @@ class LoopFinder:
     def _spread(self, i: int) -> Array:
         """Shortest path through the graph from key i to each older key [m]: what drift grows with."""
         n = i + 1
-        rows = [k for k in range(n - 1)] + [c.i for c in self.loops]
-        cols = [k + 1 for k in range(n - 1)] + [c.j for c in self.loops]
-        lengths = list(np.diff(self.path[:n])) + [0.1] * len(self.loops)
+        # a loop that is blind in one direction ends no drift
+        rows = [k for k in range(n - 1)] + [i for i, _ in self.anchors]
+        cols = [k + 1 for k in range(n - 1)] + [j for _, j in self.anchors]
+        lengths = list(np.diff(self.path[:n])) + [0.1] * len(self.anchors)
         graph = coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
         return dijkstra(graph, directed=False, indices=i)
 
@@ -178,7 +183,9 @@ class LoopFinder:
         points = points[:: max(1, len(points) // 300)]
         guess = between(poses[j], poses[i])
         coarse_field = make_field(self.clouds, self.keys[place], to_j, 0.2, 0.15)
-        coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, 0.03)
+        coarse, best, rival, second = best_and_rival(
+            coarse_field, points, guess, gate, turn_gate, 0.03, config.rival_m
+        )
         fine_field = make_field(self.clouds, self.keys[place], to_j, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, 0.2, 0.03, 0.01)
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
@@ -192,8 +199,14 @@ class LoopFinder:
             T_j_i=result.T_map_base.xyt,
             overlap=result.overlap,
             rmse=result.rmse,
-            information=result.information,
+            information=observable(result.information),
         )
+        if second > config.rival_share * best:
+            # the place repeats itself along this line: the loop may not fix the position along it
+            c, s = np.cos(coarse[2]), np.sin(coarse[2])
+            dx, dy = rival - coarse[:2]
+            along = np.array([c * dx + s * dy, -s * dx + c * dy]) / np.hypot(dx, dy)
+            loop = replace(loop, information=without_direction(loop.information, along, 0.0))
         if result.overlap < config.min_overlap:
             return replace(loop, verdict="low overlap")
         if result.rmse > config.max_rmse_m:
