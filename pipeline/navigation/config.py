@@ -12,6 +12,7 @@ from planners.costmap import CostmapConfig
 from planners.global_plan import PlanConfig
 from planners.live import LiveConfig
 from planners.tasks.avoid import AvoidConfig
+from planners.tasks.guarded import GuardConfig
 from planners.tasks.recovery import RecoveryConfig
 from planners.tasks.sequence import SequenceConfig
 from sim.simulator import SimConfig
@@ -32,3 +33,4 @@ class NavigateConfig(BaseModel):
     sequence: SequenceConfig = SequenceConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
+    guard: GuardConfig = GuardConfig()

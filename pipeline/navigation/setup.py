@@ -27,6 +27,7 @@ from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
 from planners.global_plan import fits
 from planners.live import LiveLayer
+from planners.tasks.guarded import Guard
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from sim.robots import RobotSpec
@@ -127,11 +128,12 @@ def make_driver(
 ) -> tuple[Driver, Localiser | None, GoalSequence | None]:
     """The driver of a mission, the localiser it uses and the goals it works through."""
     request, config = mission.request, mission.config
-    if mission.grid is None or mission.costmap is None:
-        duration = request.duration_s or DEFAULT_DURATION_S
-        return AvoidDriver(config.avoid, duration, say), None, None
     robot = mission.robot
     sensing = Sensing(robot.T_base_lidar)
+    if mission.grid is None or mission.costmap is None:
+        guard = Guard(robot.model, config.avoid, config.guard) if config.avoid.mode == "guarded" else None
+        duration = request.duration_s or DEFAULT_DURATION_S
+        return AvoidDriver(config.avoid, guard, robot.model, sensing, duration, say), None, None
     localiser = _make_localiser(mission, mission.grid, sensing, publisher)
     _tell_pose(localiser, request.initial_pose, first)
     sequence = GoalSequence(mission.waypoints, config.sequence)

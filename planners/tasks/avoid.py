@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,6 +17,8 @@ class AvoidConfig(BaseModel):
     """The tutorial's numbers; metres, m/s, rad/s."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    mode: Literal["guarded", "tutorial"] = "guarded"
+    """`tutorial` is the exact rule; `guarded` the same for a robot that knows its own shape."""
     stop_distance: float = Field(default=0.5, gt=0.0)
     slow_distance: float = Field(default=1.0, gt=0.0)
     cruise_v: float = Field(default=0.2, gt=0.0)

@@ -1,0 +1,149 @@
+import math
+
+import numpy as np
+import pytest
+from planning_room import BURGER, room
+
+from datasets.se2 import SE2, wrap
+from datasets.types import Twist
+from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from planners.control.interface import SpeedLimits, ramped
+from planners.control.monitor import CollisionMonitor, MonitorConfig, depth_inside, free_time, moved, padded
+from planners.control.pursuit import Pursuit, PursuitConfig
+from planners.control.tracking import arc_lengths, point_at, project
+from planners.costmap import CostmapConfig, costmap_from_grid
+
+DT = 1.0 / 30.0
+LIMITS = SpeedLimits(0.22, 1.5, 0.8, 3.0, DT)
+
+
+def follow(controller, start: SE2, path: SE2, seconds: float, costmap):
+    """A perfect unicycle under the controller: poses and commands."""
+    controller.set_path(path)
+    pose, last = start, Twist()
+    poses, commands = [pose.xyt], []
+    for _ in range(round(seconds / DT)):
+        last = controller.command(pose, last, costmap)
+        pose = SE2.from_xyt(*moved(*pose.xyt.tolist(), last.v, last.w, DT))
+        poses.append(pose.xyt)
+        commands.append((last.v, last.w))
+        if controller.state == "arrived" and last == Twist():
+            break
+    return np.array(poses), np.array(commands)
+
+
+def big_room():
+    return costmap_from_grid(room(rows=200, cols=200), CostmapConfig())
+
+
+@pytest.mark.parametrize("goal_yaw", [-3.0, -1.5, 0.0, 1.5, 3.1])
+def test_pursuit_settles_on_position_and_heading(goal_yaw):
+    costmap = big_room()
+    corner = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 2.5]])
+    path = SE2.from_xyt(corner[:, 0], corner[:, 1], [0.0, math.pi / 2, goal_yaw])
+    poses, commands = follow(
+        Pursuit(BURGER, PursuitConfig(), DT), SE2.from_xyt(1.0, 1.0, 2.0), path, 60.0, costmap
+    )
+    assert np.linalg.norm(poses[-1, :2] - [3.0, 2.5]) < 0.03
+    assert abs(wrap(poses[-1, 2] - goal_yaw)) < 0.03
+    assert np.abs(commands[:, 0]).max() <= BURGER.max_v + 1e-9
+    assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= PursuitConfig().max_dv * DT + 1e-9
+    # It cuts the corner by less than its least look-ahead.
+    d = np.minimum(np.abs(poses[:, 1] - 1.0), np.abs(poses[:, 0] - 3.0))
+    assert d.max() < 0.2
+
+
+def test_pursuit_returns_to_a_path_it_stands_beside():
+    path = SE2.from_xyt(np.linspace(1.0, 5.0, 50), np.full(50, 2.0), np.zeros(50))
+    poses, _ = follow(
+        Pursuit(BURGER, PursuitConfig(), DT), SE2.from_xyt(1.0, 2.3, 0.0), path, 60.0, big_room()
+    )
+    late = poses[np.searchsorted(poses[:, 0], 2.5) :]
+    assert np.abs(late[:, 1] - 2.0).max() < 0.02
+
+
+def test_ramping_keeps_the_limits_and_the_curvature():
+    step = ramped(Twist(0.2, 0.4), Twist(), LIMITS)
+    assert step.v == pytest.approx(0.8 * DT)
+    assert step.w == pytest.approx(2.0 * step.v)
+    stop = ramped(Twist(), Twist(0.2, 0.0), LIMITS)
+    assert stop.v == pytest.approx(0.2 - 0.8 * DT)
+    assert ramped(Twist(0.3, 9.0), Twist(0.22, 1.5), LIMITS) == Twist(0.22, 1.5)
+
+
+def test_projection_and_lookahead_on_a_bent_path():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    lengths = arc_lengths(points)
+    assert project(points, lengths, 0.4, 0.3, 0.0, 2.0) == pytest.approx((0.4, 0.3))
+    assert project(points, lengths, 1.2, 0.5, 0.0, 2.0) == pytest.approx((1.5, 0.2))
+    assert point_at(points, lengths, 1.25) == pytest.approx((1.0, 0.25))
+    assert point_at(points, lengths, 9.0) == pytest.approx((1.0, 1.0))
+
+
+def test_padding_moves_every_edge_out_by_as_much():
+    grown = padded(BURGER.footprint, 0.02)
+    np.testing.assert_allclose(grown.min(axis=0), BURGER.footprint.min(axis=0) - 0.02)
+    np.testing.assert_allclose(grown.max(axis=0), BURGER.footprint.max(axis=0) + 0.02)
+
+
+def test_depth_in_a_polygon():
+    assert depth_inside(BURGER.footprint, 0.0, 0.0) == pytest.approx(0.041)
+    assert depth_inside(BURGER.footprint, 0.141, 0.0) == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize(("v", "w"), [(0.2, 0.0), (0.2, 0.5), (-0.1, 0.3), (0.0, 1.0)])
+def test_free_time_matches_plain_simulation(v, w):
+    rng = np.random.default_rng(4)
+    polygon = padded(BURGER.footprint, 0.02)
+    for _ in range(25):
+        point = rng.uniform(-0.4, 0.4, 2)
+        if depth_inside(polygon, *point) > 0.0:
+            continue
+        found = free_time(point[None], polygon, 0.2, v, w, 1.5, 0.01)
+        hit = 1.5
+        for t in np.linspace(0.0, 1.5, 301):
+            pose = SE2.from_xyt(*moved(0.0, 0.0, 0.0, v, w, t))
+            if depth_inside(polygon, *(pose.inverse() @ point)) > 0.0:
+                hit = t
+                break
+        assert found == pytest.approx(hit, abs=0.026)
+
+
+def test_the_monitor_stops_before_a_wall_and_lets_the_robot_leave_it():
+    monitor = CollisionMonitor(BURGER, MonitorConfig())
+    wall = np.stack([np.full(40, 0.075), np.linspace(-0.3, 0.3, 40)], axis=1)
+    assert monitor.limit(Twist(0.22, 0.0), wall) < 0.5
+    assert monitor.limit(Twist(-0.1, 0.0), wall) == 1.0
+    assert monitor.limit(Twist(0.22, 0.0), wall + np.array([0.4, 0.0])) == 1.0
+    touching = np.array([[0.05, 0.0]])
+    assert monitor.limit(Twist(0.1, 0.0), touching) == 0.0
+    assert monitor.limit(Twist(-0.1, 0.0), touching) == 1.0
+
+
+def test_a_robot_under_the_monitor_never_drives_into_a_wall():
+    monitor = CollisionMonitor(BURGER, MonitorConfig())
+    x, last = 0.0, Twist()
+    hard = SpeedLimits(0.22, 1.5, 1.0, 3.0, DT)
+    for _ in range(300):
+        wall = np.stack([np.full(60, 1.0 - x), np.linspace(-0.3, 0.3, 60)], axis=1)
+        last = ramped(Twist(0.22 * monitor.limit(Twist(0.22, 0.0), wall), 0.0), last, hard)
+        x += last.v * DT
+    assert 0.8 < x < 1.0 - 0.041
+
+
+def test_the_goal_checker_wants_position_heading_standstill_and_time():
+    goal = SE2.from_xyt(1.0, 1.0, 0.5)
+    checker = GoalChecker(GoalCheckerConfig(hold=0.3), goal)
+    inside, still = SE2.from_xyt(1.02, 1.0, 0.53), Twist()
+    assert not checker.reached(0, inside, still)
+    assert not checker.reached(200_000_000, inside, still)
+    # Hysteresis: a little outside again is still counted, far outside is not.
+    assert checker.reached(300_000_000, SE2.from_xyt(1.034, 1.0, 0.5), still)
+    assert not checker.reached(400_000_000, SE2.from_xyt(1.05, 1.0, 0.5), still)
+    assert not checker.reached(10**9, inside, Twist(0.1, 0.0))
+    assert not checker.reached(2 * 10**9, SE2.from_xyt(1.0, 1.0, 0.6), still)
+
+
+def test_the_tutorials_tolerances_are_a_preset():
+    checker = GoalChecker(GoalCheckerConfig(preset="tutorial", hold=0.0), SE2.from_xyt(0.0, 0.0, 0.0))
+    assert checker.reached(0, SE2.from_xyt(0.045, 0.0, 0.16), Twist())
