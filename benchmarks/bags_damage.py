@@ -1,12 +1,12 @@
 """Bags cut at random bytes and with random bytes flipped: correct data and a warning, or one clear error.
 
-python benchmarks/bags_damage.py [--count 500] [--seed 0] [--out DIR]
+python -m benchmarks.bags_damage [--count 500] [--quick] [--seed 0] [--out DIR]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import csv
 import sys
 import tempfile
 from collections import Counter
@@ -128,13 +128,13 @@ def other_formats(bag: Path, count: int, seed: int, scratch: Path) -> dict[str, 
     to_sqlite3(bag, scratch / "a")
     results = {}
     for file in (scratch / "a.bag", next((scratch / "a").glob("*.db3"))):
-        content = file.read_bytes()
+        content, whole = file.read_bytes(), messages_of(file)
         for name, damages in (("cut", cuts), ("flip", flips)):
             counter: Counter[str] = Counter()
             for damaged in damages(content, count, np.random.default_rng(seed)):
                 path = scratch / f"damaged{file.suffix}"
                 path.write_bytes(damaged)
-                counter[judge_unprotected(path)] += 1
+                counter[judge(path, whole) if name == "cut" else judge_unprotected(path)] += 1
             results[f"{file.suffix[1:]} {name}"] = dict(sorted(counter.items()))
     return results
 
@@ -144,19 +144,22 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--quick", action="store_true", help="40 of each kind")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
+    count = 40 if args.quick else args.count
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         write_drive(scratch / "bag", seconds=20)
-        results = campaign(scratch / "bag", args.count, args.seed, scratch)
-        results |= other_formats(scratch / "bag", args.count, args.seed, scratch)
-    text = json.dumps(results, indent=2)
-    print(text)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "bags_damage.json").write_text(text + "\n")
+        results = campaign(scratch / "bag", count, args.seed, scratch)
+        results |= other_formats(scratch / "bag", count, args.seed, scratch)
+    rows = [(what, outcome, n) for what, counter in results.items() for outcome, n in counter.items()]
+    for what, outcome, n in rows:
+        print(f"{what:24} {n:5}  {outcome}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    with (args.out / "bags_damage.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([("what", "outcome", "count"), *rows])
     return int(any(key.startswith("BAD") for counter in results.values() for key in counter))
 
 

@@ -1,12 +1,12 @@
 """`turtlebag record` killed with SIGKILL at random moments: nothing looks whole, at most 2 s are lost.
 
-python benchmarks/bags_kill.py [--count 200] [--seed 0] [--out DIR]
+python -m benchmarks.bags_kill [--count 200] [--quick] [--seed 0] [--out DIR]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import csv
 import mmap
 import os
 import signal
@@ -91,29 +91,29 @@ def looks_whole(path: Path) -> bool:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--quick", action="store_true", help="10 kills")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
+    count = 10 if args.quick else args.count
     rng = np.random.default_rng(args.seed)
     outcomes: Counter[str] = Counter()
-    losses = []
+    losses, rows = [], []
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         record("turtlebot3_world", None, "tour", 1, scratch / "whole")
         full_s = max(m.log_time_ns for m in open_bag(scratch / "whole").messages()) * 1e-9
-        for index, kill_s in enumerate(rng.uniform(0.0, full_s, args.count)):
+        for index, kill_s in enumerate(rng.uniform(0.0, full_s, count)):
             outcome, lost = one_kill(scratch / f"r{index}", 1, float(kill_s), full_s)
             outcomes[outcome] += 1
+            rows.append((f"{kill_s:.3f}", outcome, f"{lost:.3f}"))
             losses.append(lost)
-    result = {
-        "kills": args.count,
-        "outcomes": dict(sorted(outcomes.items())),
-        "lost_s": {"mean": round(float(np.mean(losses)), 3), "max": round(float(np.max(losses)), 3)},
-    }
-    print(json.dumps(result, indent=2))
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / "bags_kill.json").write_text(json.dumps(result, indent=2) + "\n")
+    for outcome, n in sorted(outcomes.items()):
+        print(f"{n:5}  {outcome}")
+    print(f"lost: {np.mean(losses):.3f} s on average, {np.max(losses):.3f} s at most")
+    args.out.mkdir(parents=True, exist_ok=True)
+    with (args.out / "bags_kill.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([("kill_s", "outcome", "lost_s"), *rows])
     return int(any(outcome.startswith("BAD") for outcome in outcomes))
 
 

@@ -100,7 +100,7 @@ def _collect(content: bytes) -> tuple[dict[bytes, _Lines], dict[bytes, bytes], l
         if kind in found:
             try:
                 _append(found[kind], kind, line.split(), number)
-            except (ValueError, IndexError, UnicodeDecodeError):
+            except (ValueError, IndexError, OverflowError):
                 broken.append(number)
         elif kind == b"PARAM":
             words = line.split()
@@ -127,7 +127,9 @@ def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None
         view = float(words[2]), float(words[4])
     if n < 1:
         raise ValueError("no beams")
-    stamp = stamp_from_text(words[-3].decode("ascii"))
+    stamp = stamp_from_text(words[-3].decode("ascii")) if math.isfinite(float(words[-3])) else 1 << 62
+    if abs(stamp) >= 1 << 62:
+        raise ValueError("a stamp beyond all time")
     lines.numbers.append(b" ".join(words[first : first + n] + words[poses : poses + 6]))
     lines.beams.append(n)
     lines.stamps.append(stamp)
@@ -162,7 +164,7 @@ def _numbers(lines: _Lines, broken: list[int]) -> Array:
         return np.empty((0, 6))
     width = lines.beams[0] + 6
     try:
-        values = np.array(b" ".join(lines.numbers).split(), dtype="S24").astype(np.float64)
+        values = np.array(b" ".join(lines.numbers).split(), dtype="S32").astype(np.float64)
     except ValueError:
         rows, good = [], []
         for index, text in enumerate(lines.numbers):
@@ -216,7 +218,8 @@ def no_return_value(readings: Array) -> float:
         return float(finite[finite >= FAR].min())
     spike = np.count_nonzero(finite == top)
     below = np.count_nonzero((finite < top) & (finite > 0.95 * top))
-    return top if spike >= _SPIKE_SHARE * finite.size and spike > 3 * below else math.inf
+    stands_out = _SPIKE_SHARE * finite.size <= spike <= 0.9 * finite.size and spike > 3 * below
+    return top if stands_out else math.inf
 
 
 def _field_of_view(lines: _Lines, notes: list[str]) -> tuple[float, float]:

@@ -133,6 +133,40 @@ def test_a_file_without_scans_is_one_clear_line(tmp_path, text):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("kind", ["cut", "flip", "swap"])
+def test_random_damage_ends_in_scans_or_one_clear_line(tmp_path, kind):
+    rng = np.random.default_rng(3)
+    good = "".join(flaser(rng.uniform(1, 9, 20), stamp=f"{k}.5") for k in range(30)).encode()
+    for _ in range(60):
+        damaged = bytearray(good)
+        if kind == "cut":
+            del damaged[int(rng.integers(1, len(good))) :]
+        elif kind == "flip":
+            for place in rng.integers(0, len(good), 5):
+                damaged[place] = int(rng.integers(256))
+        else:
+            a, b = np.sort(rng.integers(0, len(good), 2))
+            damaged[a:b] = damaged[a:b][::-1]
+        path = tmp_path / "a.clf"
+        path.write_bytes(damaged)
+        try:
+            recording = load_recording(path)
+        except InputError:
+            continue
+        assert recording.ranges.shape == (len(recording), recording.lidar.n_beams)
+        assert np.isfinite(recording.T_odom_base.xyt).all()
+        assert np.isfinite(recording.lidar.range_max)
+        assert np.isfinite(recording.T_base_lidar.xyt).all()
+
+
+@pytest.mark.parametrize("stamp", ["1e400", "9" * 30, "nan", "-", "1.5.5"])
+def test_impossible_stamps_are_damage(tmp_path, stamp):
+    text = flaser(np.ones(180)) + flaser(np.ones(180), stamp=stamp)
+    recording = load_recording(write(tmp_path, text))
+    assert len(recording) == 1
+    assert any("1 damaged lines" in note for note in recording.notes)
+
+
 def test_relations_are_read_and_wrong_lines_named(tmp_path):
     path = write(tmp_path, "# comment\n1.5 2.5 0.1 0.2 0 0 0 -0.3\n", "a.relations")
     relations = load_relations(path)

@@ -4,95 +4,142 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.bags.decode import RawScan
-from datasets.se2 import wrap
+from datasets.se2 import Array
 from datasets.types import LidarSpec
 
 Ranges = NDArray[np.float32]
-Geometry = tuple[tuple[float, ...], int]
+
+_OVERSAMPLING = 4
+"""Beams of a grid for one of the scanner, where the scanner's own angles change from scan to scan."""
+_ALIGNED = 0.05
+"""Share of an increment that beams may lie beside the grid's without mattering."""
+
+
+class _Geometry(NamedTuple):
+    """What must be equal for two scans to share their beams; the sweep time may vary with the motor."""
+
+    angle_min: float
+    angle_max: float
+    increment: float
+    range_min: float
+    range_max: float
+    n: int
+
+    def step(self) -> float:
+        """Angle between beams, also where the driver left the increment 0."""
+        return self.increment or (self.angle_max - self.angle_min) / max(self.n - 1, 1)
+
+    def usable(self) -> bool:
+        """Whether the beams have directions."""
+        angles = (self.angle_min, self.angle_max, self.increment)
+        return self.n > 0 and all(map(math.isfinite, angles)) and (self.step() != 0.0 or self.n == 1)
 
 
 def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
     """(n_scans, n_beams) REP-117 ranges and the geometry of the beams; ValueError when there is none.
 
     The most frequent geometry is kept. Scans of another are resampled to the nearest beam, which
-    leaves NaN where they have none.
+    leaves NaN where they have none; a scanner whose angles change all the time (LDS-02) is put on
+    a finer grid, so that no reading is turned by more than an eighth of its increment.
     """
-    keys: list[Geometry] = [(scan.geometry, len(scan.ranges)) for scan in scans]
-    usable = Counter(key for key in keys if _usable(*key))
+    keys = [_geometry(scan) for scan in scans]
+    usable = Counter(key for key in keys if key.usable())
     if not usable:
         raise ValueError("no scan has a usable geometry")
-    main = usable.most_common(1)[0][0]
-    lidar = _lidar(main, notes)
-    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=np.float32)
-    same = [index for index, key in enumerate(keys) if key == main]
-    ranges[same] = [scans[index].ranges for index in same]
-    maps: dict[Geometry, NDArray[np.int64]] = {}
-    for index, key in enumerate(keys):
-        if key != main and key in usable:
-            if key not in maps:
-                maps[key] = _nearest_beams(_increment(*key), key, lidar)
-            picked = maps[key]
-            ranges[index, picked >= 0] = scans[index].ranges[picked[picked >= 0]]
-    if len(usable) > 1:
-        notes.append(f"{len(scans) - len(same)} scans of another geometry resampled to {lidar.n_beams} beams")
+    main, count = usable.most_common(1)[0]
+    lidar = _lidar(main, scans, notes)
+    beside = sum(number for key, number in usable.items() if not _aligned(key, lidar))
+    if beside > 0.1 * len(scans):
+        lidar = _finer(lidar)
+        notes.append(f"the angles change from scan to scan: put on a grid of {lidar.n_beams} beams")
+    elif len(usable) > 1:
+        notes.append(f"{len(scans) - count} scans of another geometry resampled to {lidar.n_beams} beams")
     if len(usable) < len(set(keys)):
         notes.append(f"{sum(key not in usable for key in keys)} scans without a usable geometry left empty")
+    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=np.float32)
+    places = {key: _places(key, lidar) for key in usable}
+    for row, scan, key in zip(ranges, scans, keys, strict=True):
+        if key in usable:
+            beams = places[key]
+            row[beams[beams >= 0]] = scan.ranges[beams >= 0]
     return _normalised(ranges, lidar, notes), lidar
 
 
-def _usable(geometry: tuple[float, ...], n: int) -> bool:
-    angle_min, angle_max, increment, *_ = geometry
-    return (
-        n > 0
-        and all(map(math.isfinite, (angle_min, angle_max, increment)))
-        and (increment != 0.0 or angle_max != angle_min or n == 1)
-    )
+def _geometry(scan: RawScan) -> _Geometry:
+    angle_min, angle_max, increment, _, _, range_min, range_max = scan.geometry
+    return _Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
 
 
-def _increment(geometry: tuple[float, ...], n: int) -> float:
-    angle_min, angle_max, increment, *_ = geometry
-    return increment if increment else (angle_max - angle_min) / max(n - 1, 1)
-
-
-def _lidar(key: Geometry, notes: list[str]) -> LidarSpec:
-    geometry, n = key
-    angle_min, angle_max, _, time_increment, scan_time, range_min, range_max = geometry
-    increment = _increment(*key)
-    steps = (angle_max - angle_min) / increment if increment else 0.0
-    if abs(steps - (n - 1)) > 0.5:
-        notes.append(
-            f"angle_max speaks of {round(steps) + 1} beams, the scans have {n}; the increment is believed"
-        )
+def _lidar(key: _Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
+    step, range_min, range_max = key.step(), key.range_min, key.range_max
+    steps = (key.angle_max - key.angle_min) / step if step else 0.0
+    if abs(steps - (key.n - 1)) > 0.5:
+        spoken = f"angle_max speaks of {round(steps) + 1} beams, the scans have {key.n}"
+        notes.append(f"{spoken}; the increment is believed")
     if not (math.isfinite(range_min) and range_min >= 0.0):
         range_min = 0.0
     if not (math.isfinite(range_max) and range_max > range_min):
         notes.append(f"range_max is {range_max:g}; 100 m used")
         range_max = 100.0
-    return LidarSpec(
-        n,
-        angle_min,
-        increment,
-        range_min,
-        range_max,
-        time_increment if math.isfinite(time_increment) else 0.0,
-        scan_time if math.isfinite(scan_time) else 0.0,
+    times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
+    return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
+
+
+def _median(values: Iterable[float]) -> float:
+    """Median of what is finite, 0 when nothing is."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.median(finite)) if finite else 0.0
+
+
+def _finer(lidar: LidarSpec) -> LidarSpec:
+    """The same sweep on a finer grid; full circles keep a whole number of beams."""
+    span = lidar.n_beams * abs(lidar.angle_increment)
+    whole_turn = abs(span - 2.0 * math.pi) < 2.0 * abs(lidar.angle_increment)
+    n = _OVERSAMPLING * lidar.n_beams
+    step = math.copysign((2.0 * math.pi if whole_turn else span) / n, lidar.angle_increment)
+    share = step / lidar.angle_increment
+    return replace(lidar, n_beams=n, angle_increment=step, time_increment=lidar.time_increment * share)
+
+
+def _offsets(key: _Geometry, lidar: LidarSpec) -> Array:
+    """Where the beams of a geometry fall on the grid of `lidar`, in beams of the grid, (n,)."""
+    angles = key.angle_min + key.step() * np.arange(key.n)
+    half = 0.5 * abs(lidar.angle_increment)
+    ahead = np.sign(lidar.angle_increment) * (angles - lidar.angle_min)
+    return ((ahead + half) % (2.0 * math.pi) - half) / abs(lidar.angle_increment)
+
+
+def _same_beams(key: _Geometry, lidar: LidarSpec) -> bool:
+    return lidar.angle_increment == 0.0 or (key.angle_min, key.step()) == (
+        lidar.angle_min,
+        lidar.angle_increment,
     )
 
 
-def _nearest_beams(increment: float, key: Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
-    """For each beam of `lidar` the index of the nearest one of another geometry, -1 without one."""
-    (angle_min, *_), n = key
-    own = angle_min + increment * np.arange(n)
-    difference = np.abs(wrap(lidar.angles[:, None] - own))
-    nearest = difference.argmin(axis=1)
-    close = difference[np.arange(lidar.n_beams), nearest] <= 0.51 * abs(lidar.angle_increment)
-    return np.where(close, nearest, -1)
+def _aligned(key: _Geometry, lidar: LidarSpec) -> bool:
+    """Whether the beams of a geometry lie on those of `lidar`."""
+    if _same_beams(key, lidar):
+        return True
+    offsets = _offsets(key, lidar)
+    return float(np.abs(offsets - np.rint(offsets)).max()) <= _ALIGNED
+
+
+def _places(key: _Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
+    """Index on the grid for each beam of a geometry, -1 for those outside it."""
+    if _same_beams(key, lidar):  # also where the last beam meets the first, as Gazebo's does
+        return np.where(np.arange(key.n) < lidar.n_beams, np.arange(key.n), -1)
+    places = np.rint(_offsets(key, lidar)).astype(np.int64)
+    if abs(lidar.n_beams * abs(lidar.angle_increment) - 2.0 * math.pi) < abs(lidar.angle_increment) / 2.0:
+        places %= lidar.n_beams
+    return np.where((places >= 0) & (places < lidar.n_beams), places, -1)
 
 
 def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
