@@ -263,7 +263,7 @@ class McapScan:
         state = self.state
         fields = _Fields(body)
         crc = fields.number("I")
-        if crc and crc != zlib.crc32(self._data[:at]):
+        if crc and crc != zlib.crc32(memoryview(self._data)[:at]):
             state.problems.append(
                 "the file's checksum does not match: something outside the messages changed"
             )
