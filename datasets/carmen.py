@@ -24,6 +24,9 @@ from datasets.types import LidarSpec, Recording, Stamps
 FAR = 49.99
 """No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""
 
+_END_OF_TIME_S = 2.0**31
+"""ROS's seconds are 32 bits wide; a larger stamp is damage, and so is one before 1970."""
+
 _SPIKE_SHARE = 0.005
 """Share of all readings that must equal the largest one for it to count as "no return"."""
 
@@ -127,9 +130,9 @@ def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None
         view = float(words[2]), float(words[4])
     if n < 1:
         raise ValueError("no beams")
-    stamp = stamp_from_text(words[-3].decode("ascii")) if math.isfinite(float(words[-3])) else 1 << 62
-    if abs(stamp) >= 1 << 62:
-        raise ValueError("a stamp beyond all time")
+    if not 0.0 <= float(words[-3]) < _END_OF_TIME_S:
+        raise ValueError("an impossible stamp")
+    stamp = stamp_from_text(words[-3].decode("ascii"))
     lines.numbers.append(b" ".join(words[first : first + n] + words[poses : poses + 6]))
     lines.beams.append(n)
     lines.stamps.append(stamp)

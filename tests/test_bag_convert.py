@@ -10,7 +10,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.convert import carmen_to_mcap, to_mcap, to_ros1_bag, to_sqlite3
+from datasets.bags.copying import into_mcap
+from datasets.bags.folder import BagFolder
 from datasets.bags.source import open_bag
+from datasets.bags.topics import definition
 from datasets.recordings import load_recording
 
 RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
@@ -97,3 +100,40 @@ def test_a_carmen_log_is_the_same_recording_as_a_bag(tmp_path):
     np.testing.assert_allclose(bag.T_odom_base.xyt, log.T_odom_base.xyt, atol=1e-12)
     np.testing.assert_allclose(bag.T_base_lidar.xyt, log.T_base_lidar.xyt)
     np.testing.assert_allclose(bag.lidar.angles, log.lidar.angles, atol=1e-6)
+
+
+@pytest.mark.parametrize("convert", [to_mcap, to_sqlite3, to_ros1_bag])
+def test_the_files_of_a_split_bag_share_their_topics(drive, tmp_path, convert):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for index in range(2):
+        (folder / f"bag_{index}.mcap").write_bytes((drive / "bag_0.mcap").read_bytes())
+    out = tmp_path / ("out.bag" if convert is to_ros1_bag else "out")
+    count, _ = convert(folder, out)
+    assert count == 2 * len(contents(drive))
+    with AnyReader([out]) as reader:
+        names = [connection.topic for connection in reader.connections]
+        assert len(names) == len(set(names))
+        assert reader.message_count == count
+
+
+def test_what_cannot_be_translated_is_left_out_and_named(drive, tmp_path):
+    with BagFolder(tmp_path / "bag", custom={}) as bag:
+        copier = into_mcap(bag)
+        for message in open_bag(drive).messages():
+            copier.write(message)
+        text, type_hash = definition("sensor_msgs/msg/LaserScan")
+        scan = bag.add_topic("/scan2", "sensor_msgs/msg/LaserScan", text, type_hash=type_hash)
+        bag.write(scan, 1, b"\x00\x01\x00\x00short")
+        strange = bag.add_topic("/strange", "my_msgs/msg/Strange", "my_msgs/Missing field")
+        bag.write(strange, 2, b"\x00\x01\x00\x00")
+        json = bag.add_topic("/json", "Thing", "{}", form="jsonschema", encoding="json")
+        bag.write(json, 3, b"{}")
+    count, notes = to_ros1_bag(tmp_path / "bag", tmp_path / "a.bag")
+    assert count == len(contents(drive))
+    assert any("/scan2: 1 damaged" in note for note in notes)
+    assert any("/strange" in note for note in notes)
+    assert any("/json" in note for note in notes)
+    count, notes = to_sqlite3(tmp_path / "bag", tmp_path / "a")
+    assert count == len(contents(drive)) + 2
+    assert [note for note in notes if "/json" in note]

@@ -159,7 +159,7 @@ def test_random_damage_ends_in_scans_or_one_clear_line(tmp_path, kind):
         assert np.isfinite(recording.T_base_lidar.xyt).all()
 
 
-@pytest.mark.parametrize("stamp", ["1e400", "9" * 30, "nan", "-", "1.5.5"])
+@pytest.mark.parametrize("stamp", ["1e400", "9" * 30, "nan", "-", "1.5.5", "-3.5"])
 def test_impossible_stamps_are_damage(tmp_path, stamp):
     text = flaser(np.ones(180)) + flaser(np.ones(180), stamp=stamp)
     recording = load_recording(write(tmp_path, text))

@@ -11,9 +11,11 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.rosbag2.metadata import parse_qos
 
 from datasets.bags.copying import (
-    TopicCopier,
+    Copier,
     Untranslatable,
+    Write,
     completed,
+    into_mcap,
     is_latched,
     store_of,
     to_ros1,
@@ -21,36 +23,29 @@ from datasets.bags.copying import (
 )
 from datasets.bags.folder import BagFolder
 from datasets.bags.source import Bag, open_bag
-from datasets.bags.storage import Message, Topic
+from datasets.bags.storage import Topic
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.types import Odometry, Recording, Twist
 
-Skipped = dict[str, str]
-
 
 def to_mcap(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new rosbag2 folder with mcap storage; returns the message count and notes."""
-    bag = open_bag(path)
     with BagFolder(folder, custom={}) as out:
-        copier = TopicCopier(out)
-        for message in bag.messages(_kept(exclude)):
-            copier.write(message)
-    return copier.count, _notes(bag, copier.skipped)
+        return _copied(open_bag(path), into_mcap(out), exclude)
 
 
 def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new rosbag2 folder with sqlite3 storage; returns the message count and notes."""
-    bag = open_bag(path)
     with Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
 
-        def register(topic: Topic) -> Callable[[Message], None]:
+        def register(topic: Topic) -> Write:
             translate = None
             if topic.encoding == "ros1":
                 topic, translate = to_ros2(topic)
             topic = completed(topic)
-            if not topic.definition:
-                raise Untranslatable(f"{topic.name}: the definition of {topic.msgtype} is not known")
+            if not topic.definition or topic.encoding != "cdr":
+                raise Untranslatable(f"{topic.name}: {topic.msgtype} has no definition, or is not CDR")
             connection = writer.add_connection(
                 topic.name,
                 topic.msgtype,
@@ -58,33 +53,25 @@ def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tu
                 rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
                 offered_qos_profiles=parse_qos(topic.qos),
             )
+            if translate is None:
+                return lambda message: writer.write(connection, message.log_time_ns, message.data)
+            return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
-            def write(message: Message) -> None:
-                data = translate(message.data) if translate else message.data
-                writer.write(connection, message.log_time_ns, data)
-
-            return write
-
-        return _copy(bag, exclude, register)
+        return _copied(open_bag(path), Copier(register), exclude)
 
 
 def to_ros1_bag(path: Path, file: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new ROS 1 .bag; returns the message count and notes."""
-    bag = open_bag(path)
     with Writer1(file) as writer:
 
-        def register(topic: Topic) -> Callable[[Message], None]:
+        def register(topic: Topic) -> Write:
             text, digest, translate = _as_ros1(topic)
             connection = writer.add_connection(
-                topic.name,
-                topic.msgtype,
-                msgdef=text,
-                md5sum=digest,
-                latching=1 if is_latched(topic) else 0,
+                topic.name, topic.msgtype, msgdef=text, md5sum=digest, latching=int(is_latched(topic))
             )
             return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
-        return _copy(bag, exclude, register)
+        return _copied(open_bag(path), Copier(register), exclude)
 
 
 def carmen_to_mcap(recording: Recording, folder: Path) -> tuple[int, list[str]]:
@@ -111,33 +98,11 @@ def _as_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
     return topic.definition, store.generate_msgdef(topic.msgtype)[1], lambda data: data
 
 
-def _kept(exclude: Collection[str]) -> Callable[[Topic], bool]:
-    return lambda topic: topic.name not in exclude
-
-
-def _copy(
-    bag: Bag, exclude: Collection[str], register: Callable[[Topic], Callable[[Message], None]]
-) -> tuple[int, list[str]]:
-    """Write every kept message through what `register` returns for its topic."""
-    writers: dict[tuple[str, str], Callable[[Message], None] | None] = {}
-    skipped: Skipped = {}
-    count = 0
-    for message in bag.messages(_kept(exclude)):
-        key = message.topic.name, message.topic.msgtype
-        if key not in writers:
-            try:
-                writers[key] = register(message.topic)
-            except Untranslatable as error:
-                writers[key], skipped[message.topic.name] = None, str(error)
-        write = writers[key]
-        if write:
-            write(message)
-            count += 1
-    return count, _notes(bag, skipped)
-
-
-def _notes(bag: Bag, skipped: Skipped) -> list[str]:
-    return [*bag.notes, *(f"skipped {text}" for text in skipped.values())]
+def _copied(bag: Bag, copier: Copier, exclude: Collection[str]) -> tuple[int, list[str]]:
+    """Copy every message of the topics that are kept."""
+    for message in bag.messages(lambda topic: topic.name not in exclude):
+        copier.write(message)
+    return copier.count, [*bag.notes, *copier.notes()]
 
 
 def require_messages(path: Path, count: int, notes: list[str]) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import struct
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
 from rosbags.interfaces.typing import Typesdict
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -86,44 +89,78 @@ def is_latched(topic: Topic) -> bool:
     return "transient_local" in topic.qos or topic.name == "/tf_static"
 
 
-class TopicCopier:
-    """Appends messages of other bags to a rosbag2 folder; topics are registered as they appear."""
+Write = Callable[[Message], None]
 
-    def __init__(self, bag: BagFolder) -> None:
-        self._bag = bag
-        self._known: dict[int, tuple[int, Callable[[bytes], bytes] | None]] = {}
-        self._topics: list[Topic] = []
+
+class Copier:
+    """Copies messages through what `register` returns for each topic.
+
+    Topics that cannot be expressed and messages that cannot be translated are left out and named
+    in `notes`.
+    """
+
+    def __init__(self, register: Callable[[Topic], Write]) -> None:
+        self._register = register
+        self._by_topic: dict[Topic, Write | None] = {}
+        self._by_object: dict[int, tuple[Topic, Write | None]] = {}
+        self._skipped: dict[str, str] = {}
+        self._damaged: Counter[str] = Counter()
         self.count = 0
-        self.skipped: dict[str, str] = {}
 
     def write(self, message: Message) -> None:
-        """Append a message; those of untranslatable types are skipped and named in `skipped`."""
-        known = self._known.get(id(message.topic))
-        if known is None:
-            self._topics.append(message.topic)  # keeps the identity taken
-            known = self._known[id(message.topic)] = self._register(message.topic)
-        channel, translate = known
-        if channel:
-            data = translate(message.data) if translate else message.data
-            self._bag.write(channel, message.log_time_ns, data)
+        """Copy one message."""
+        topic = message.topic
+        known = self._by_object.get(id(topic))
+        if known is None:  # files of a split bag have topics of their own that are equal
+            known = self._by_object[id(topic)] = topic, self._writer(topic)
+        write = known[1]
+        if write is None:
+            return
+        try:
+            write(message)
+        except (SerdeError, struct.error, ValueError, IndexError, OverflowError):
+            self._damaged[topic.name] += 1
+        else:
             self.count += 1
 
-    def _register(self, topic: Topic) -> tuple[int, Callable[[bytes], bytes] | None]:
+    def _writer(self, topic: Topic) -> Write | None:
+        if topic not in self._by_topic:
+            try:
+                self._by_topic[topic] = self._register(topic)
+            except Untranslatable as error:
+                self._by_topic[topic], self._skipped[topic.name] = None, str(error)
+            except TypesysError as error:
+                reason = f"{topic.name}: {topic.msgtype} ({' '.join(str(error).split())[:80]})"
+                self._by_topic[topic], self._skipped[topic.name] = None, reason
+        return self._by_topic[topic]
+
+    def notes(self) -> list[str]:
+        """What was left out."""
+        return [
+            *(f"skipped {text}" for text in self._skipped.values()),
+            *(f"{name}: {count} damaged messages left out" for name, count in self._damaged.items()),
+        ]
+
+
+def into_mcap(bag: BagFolder) -> Copier:
+    """A copier into a rosbag2 folder with mcap storage."""
+
+    def register(topic: Topic) -> Write:
         translate = None
         if topic.encoding == "ros1":
-            try:
-                topic, translate = to_ros2(topic)
-            except Untranslatable as error:
-                self.skipped[topic.name] = str(error)
-                return 0, None
+            topic, translate = to_ros2(topic)
         topic = completed(topic)
-        channel = self._bag.add_topic(
+        channel = bag.add_topic(
             topic.name,
             topic.msgtype,
             topic.definition,
             form=topic.definition_format if topic.definition else "",
             qos=topic.qos,
             type_hash=topic.type_hash,
-            encoding=topic.encoding if topic.encoding != "ros1" else "cdr",
+            encoding=topic.encoding,
         )
-        return channel, translate
+        if translate is None:
+            return lambda message: bag.write(channel, message.log_time_ns, message.data)
+        return lambda message: bag.write(channel, message.log_time_ns, translate(message.data))
+
+    return Copier(register)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.bags.copying import TopicCopier
+from datasets.bags.copying import into_mcap
 from datasets.bags.folder import BagFolder
 from datasets.bags.source import open_bag
 from datasets.errors import InputError
@@ -29,12 +29,11 @@ def recover(path: Path, folder: Path) -> Recovered:
     bag = open_bag(path)
     times: list[int] = []
     with BagFolder(folder, custom={"recovered": "true"}) as out:
-        copier = TopicCopier(out)
+        copier = into_mcap(out)
         for message in bag.messages(step_over=True):
             copier.write(message)
             times.append(message.log_time_ns)
         if not copier.count:
             reason = "; ".join(bag.notes) or "it is empty"
             raise InputError(f"{path}: no message could be saved ({reason})")
-    notes = (*bag.notes, *(f"skipped {text}" for text in copier.skipped.values()))
-    return Recovered(copier.count, min(times), max(times), notes)
+    return Recovered(copier.count, min(times), max(times), (*bag.notes, *copier.notes()))
