@@ -24,7 +24,7 @@ from pipeline.console import log
 from sim.driver import Stuck
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import SimConfig, Simulator
-from sim.teleop import Script, check_script, commands, load_script
+from sim.teleop import Script, commands, load_script
 from sim.worlds import World, load_world
 
 
@@ -79,7 +79,7 @@ def record(
     world_loaded = load_world(world)
     robot_name = robot or world_loaded.robot
     robot_loaded, script = load_robot(robot_name), load_script(teleop)
-    check_script(script, world_loaded)
+    commands(script, world_loaded, robot_loaded, seed)  # InputError before anything is written
     _check_left_over(out, force=force)
     config = RecordConfig(world=world, robot=robot_name, teleop=teleop, seed=seed, sim=sim or SimConfig())
     with staged_output(out, force=force) as folder:
@@ -125,8 +125,7 @@ def _drive(
 ) -> tuple[float, str | None]:
     """Run the script to its end or to an interrupt: the simulated time [s], and where it got stuck."""
     observation = simulator.reset()
-    limits = simulator.robot.limits
-    driver = commands(script, simulator.world, limits.max_v, limits.max_w)
+    driver = commands(script, simulator.world, simulator.robot, simulator.seed)
     bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
     next(driver)
     stuck = None

@@ -6,7 +6,9 @@ Each action is sent the truth after every step and returns the last one it saw.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+
+import numpy as np
 
 from datasets.se2 import Array
 from datasets.types import Twist
@@ -22,6 +24,9 @@ STEERING = 2.0
 """Yaw rate per heading error while driving straight [1/s]."""
 NEAR_M, NEAR_RAD = 0.004, 0.01
 CREEP_V, CREEP_W = 0.02, 0.06
+LOOK_AHEAD_M, ARRIVED_M, RESAMPLED_M = 0.2, 0.05, 0.02
+WEAVE_STEPS = 90
+"""Control steps of one swing to and fro."""
 PATIENCE_STEPS = 300
 """Without getting nearer to its aim for so long, an action gives up."""
 
@@ -70,6 +75,61 @@ class Driver:
             truth = yield from self._straight(truth, (x, y), 1.0)
         return truth
 
+    def flow(self, truth: Truth, points: Array, weave: float = 0.0) -> Action:
+        """Drive along world points (n, 2) without stopping, by pure pursuit; then stand.
+
+        `weave` [rad] swings the heading to and fro all the while: what mapping guides warn of.
+        """
+        line = _resampled(np.vstack([truth.T_world_base.xy, points]))
+        at, steps = 0, 0
+        patience = _Patience(0.02)
+        while True:
+            x, y, yaw = truth.T_world_base.xyt.tolist()
+            while at < len(line) - 1 and math.hypot(line[at, 0] - x, line[at, 1] - y) < LOOK_AHEAD_M:
+                at += 1
+            left = math.hypot(line[at, 0] - x, line[at, 1] - y)
+            if at == len(line) - 1 and left < ARRIVED_M:
+                break
+            patience.check(left + (len(line) - at) * RESAMPLED_M, truth)
+            swing = weave * min(left / LOOK_AHEAD_M, 1.0) * math.sin(2.0 * math.pi * steps / WEAVE_STEPS)
+            aim = math.atan2(line[at, 1] - y, line[at, 0] - x)
+            truth = yield self._toward(_wrapped(aim + swing - yaw))
+            steps += 1
+        return (yield from self._stand(truth))
+
+    def circle(self, truth: Truth, radius: float) -> Action:
+        """Once round on a circle to the left that comes back to this place, driving and turning at once."""
+        speed = min(self._v, self._w * radius)
+        left, yaw = 2.0 * math.pi, float(truth.T_world_base.yaw)
+        patience = _Patience(0.05)
+        while left > NEAR_RAD:
+            patience.check(left, truth)
+            truth = yield Twist(speed, speed / radius)
+            now = float(truth.T_world_base.yaw)
+            left, yaw = left - _wrapped(now - yaw), now
+        return truth
+
+    def follow_wall(
+        self, truth: Truth, room: Callable[[float, float], float], aside: float, steps: int
+    ) -> Action:
+        """Keep the wall to the right at a distance `aside` [m] of the base, for a number of steps.
+
+        `room(x, y)` is the distance to the nearest obstacle: the driver keeps to its level line.
+        """
+        for _ in range(steps):
+            x, y, yaw = truth.T_world_base.xyt.tolist()
+            x, y = x + 0.05 * math.cos(yaw), y + 0.05 * math.sin(yaw)
+            away_x, away_y = room(x + 0.01, y) - room(x - 0.01, y), room(x, y + 0.01) - room(x, y - 0.01)
+            along = math.atan2(-away_x, away_y)
+            back = math.atan(3.0 * (room(x, y) - aside))
+            truth = yield self._toward(_wrapped(along - back - yaw))
+        return (yield from self._stand(truth))
+
+    def _toward(self, error: float) -> Twist:
+        """Forward while turning by a heading error [rad], the slower the larger it is."""
+        slow = max(math.cos(error), 0.0) ** 2
+        return Twist(self._v * slow, max(-self._w, min(self._w, 2.0 * STEERING * error)))
+
     def _straight(self, truth: Truth, target: tuple[float, float], direction: float) -> Action:
         start = truth.T_world_base.xyt.tolist()
         line = math.atan2(target[1] - start[1], target[0] - start[0])
@@ -112,6 +172,13 @@ class _Patience:
         if self._steps > PATIENCE_STEPS:
             x, y, _ = truth.T_world_base.xyt.tolist()
             raise Stuck(f"the robot is stuck at {x:.2f}, {y:.2f}")
+
+
+def _resampled(points: Array) -> Array:
+    """Points along a polyline (n, 2), RESAMPLED_M apart."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.append(np.arange(0.0, lengths[-1], RESAMPLED_M), lengths[-1])
+    return np.stack([np.interp(at, lengths, points[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 def _wrapped(angle: float) -> float:

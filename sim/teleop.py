@@ -8,17 +8,21 @@ and nothing of it reaches an Observation but the motion itself.
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.errors import InputError
 from datasets.se2 import Array
+from datasets.seeds import stream
 from datasets.types import Twist
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.driver import Driver
+from sim.robots import RobotSpec
+from sim.routes import SIDE_M, RoutePlanner, random_goals, route
 from sim.simulator import CONTROL_HZ, Truth
 from sim.worlds import World
 
@@ -27,6 +31,12 @@ FOLDER = Path(__file__).parent / "scripts"
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Action = Generator[Twist, Truth, None]
+
+ACTIONS = ("drive", "turn_deg", "spin", "wait", "through", "route", "wall_follow", "random_walk", "repeat")
+WEAVE_RAD = 0.5
+"""How far the `spiral` style swings its heading."""
+CIRCLE_M = 0.2
+"""Radius of the circles it drives where there is room."""
 
 
 class Step(BaseModel):
@@ -44,7 +54,11 @@ class Step(BaseModel):
     through: list[tuple[Finite, Finite]] | None = None
     """World points to drive through, turning on the spot at each."""
     route: str | None = None
-    """A named route of the world, driven as `through`."""
+    """A route of the world: one that its file names, or `tour`, `perimeter_then_rooms` planned for it."""
+    wall_follow: Positive | None = None
+    """Seconds of driving with the wall to the right."""
+    random_walk: Positive | None = None
+    """Metres of driving to places drawn at random, all within reach and clear of everything."""
     repeat: Annotated[int, Field(ge=1)] | None = None
     """How often to do `steps`."""
     steps: list[Step] = []
@@ -53,9 +67,7 @@ class Step(BaseModel):
     def _one_action(self) -> Step:
         given = [key for key in self.model_fields_set if key != "steps"]
         if len(given) != 1 or bool(self.steps) != (self.repeat is not None):
-            raise ValueError(
-                "a step has one action (drive, turn_deg, spin, wait, through, route, repeat+steps)"
-            )
+            raise ValueError("a step has one action ({', '.join(ACTIONS)})")
         return self
 
 
@@ -66,6 +78,8 @@ class Script(BaseModel):
     name: str
     v: Positive = 0.16
     w: Positive = 0.6
+    style: Literal["turn_then_drive", "flowing", "spiral"] = "turn_then_drive"
+    """Through points: turning on the spot at each, without stopping, or swinging and circling."""
     steps: list[Step]
 
 
@@ -80,14 +94,16 @@ def script_names() -> list[str]:
     return known_names(FOLDER)
 
 
-def check_script(script: Script, world: World) -> None:
-    """InputError when the script names a route that the world does not have."""
+def commands(script: Script, world: World, robot: RobotSpec, seed: int) -> Action:
+    """The script as a generator: yields the next command, is sent the truth after it was driven.
+
+    Prime it with `next` for nothing (it yields a first standstill), then `send` each Truth. It
+    raises InputError at once for a route that the world does not have, and Stuck under way.
+    """
+    person = _Person(script, world, robot, seed)
     for name in _routes(script.steps):
-        if name not in world.routes:
-            known = ", ".join(sorted(world.routes)) or "none"
-            raise InputError(
-                f"teleop {script.name}: world {world.name} has no route '{name}' (it has: {known})"
-            )
+        route(name, person.planner)
+    return person.drive()
 
 
 def _routes(steps: list[Step]) -> Iterator[str]:
@@ -97,35 +113,71 @@ def _routes(steps: list[Step]) -> Iterator[str]:
         yield from _routes(step.steps)
 
 
-def commands(script: Script, world: World, max_v: float, max_w: float) -> Action:
-    """The script as a generator: yields the next command, is sent the truth after it was driven.
+class _Person:
+    """Drives a script: hands (the driver) and a plan (the routes)."""
 
-    Prime it with `next` for nothing (it yields a first standstill), then `send` each Truth.
-    """
-    check_script(script, world)
-    driver = Driver(min(script.v, max_v), min(script.w, max_w))
-    truth = yield Twist()
-    for step in script.steps:
-        truth = yield from _act(step, driver, world, truth)
+    def __init__(self, script: Script, world: World, robot: RobotSpec, seed: int) -> None:
+        self._script, self._world, self._robot = script, world, robot
+        self._hands = Driver(min(script.v, robot.limits.max_v), min(script.w, robot.limits.max_w))
+        self._rng = stream(seed, "teleop")
 
+    @cached_property
+    def planner(self) -> RoutePlanner:
+        """Ways through this world for this robot."""
+        return RoutePlanner(self._world, self._robot)
 
-def _act(step: Step, driver: Driver, world: World, truth: Truth) -> Generator[Twist, Truth, Truth]:
-    if step.drive is not None:
-        return (yield from driver.drive(truth, step.drive))
-    if step.turn_deg is not None:
-        return (yield from driver.turn(truth, float(np.deg2rad(step.turn_deg))))
-    if step.spin is not None:
-        return (yield from driver.turn(truth, 2.0 * np.pi * step.spin))
-    if step.wait is not None:
-        return (yield from driver.wait(truth, round(step.wait * CONTROL_HZ)))
-    if step.repeat is not None:
-        for _ in range(step.repeat):
-            for inner in step.steps:
-                truth = yield from _act(inner, driver, world, truth)
+    def drive(self) -> Action:
+        """All steps of the script."""
+        truth = yield Twist()
+        for step in self._script.steps:
+            truth = yield from self._act(step, truth)
+
+    def _act(self, step: Step, truth: Truth) -> Generator[Twist, Truth, Truth]:
+        hands = self._hands
+        if step.drive is not None:
+            return (yield from hands.drive(truth, step.drive))
+        if step.turn_deg is not None:
+            return (yield from hands.turn(truth, float(np.deg2rad(step.turn_deg))))
+        if step.spin is not None:
+            return (yield from hands.turn(truth, 2.0 * np.pi * step.spin))
+        if step.wait is not None:
+            return (yield from hands.wait(truth, round(step.wait * CONTROL_HZ)))
+        if step.repeat is not None:
+            for _ in range(step.repeat):
+                for inner in step.steps:
+                    truth = yield from self._act(inner, truth)
+            return truth
+        if step.wall_follow is not None:
+            return (yield from self._follow_wall(truth, step.wall_follow))
+        return (yield from self._along(truth, self._points(step)))
+
+    def _points(self, step: Step) -> Array:
+        if step.through is not None:
+            return np.array(step.through, dtype=np.float64).reshape(-1, 2)
+        if step.random_walk is not None:
+            return random_goals(self.planner, self._rng, step.random_walk)
+        return route(str(step.route), self.planner)
+
+    def _along(self, truth: Truth, points: Array) -> Generator[Twist, Truth, Truth]:
+        if self._script.style == "turn_then_drive":
+            return (yield from self._hands.through(truth, points))
+        if self._script.style == "flowing":
+            return (yield from self._hands.flow(truth, points))
+        for point in points:
+            truth = yield from self._hands.flow(truth, point[None], weave=WEAVE_RAD)
+            needed = self._robot.model.circumscribed_radius + 2.0 * CIRCLE_M + SIDE_M
+            if self.planner.room(*truth.T_world_base.xy.tolist()) > needed:
+                truth = yield from self._hands.circle(truth, CIRCLE_M)
         return truth
-    points: Any = step.through if step.through is not None else world.routes[str(step.route)]
-    return (yield from driver.through(truth, _as_points(points)))
 
-
-def _as_points(points: Any) -> Array:
-    return np.array(points, dtype=np.float64).reshape(-1, 2)
+    def _follow_wall(self, truth: Truth, duration: float) -> Generator[Twist, Truth, Truth]:
+        planner = self.planner
+        if not self._world.shapes:
+            raise InputError(f"teleop {self._script.name}: world {self._world.name} has no wall to follow")
+        aside = self._robot.model.circumscribed_radius + 0.2
+        beside = np.nonzero(np.abs(planner.rooms - aside) < 0.08)[0]
+        cost, before = planner.ways_from(planner.nearest(truth.T_world_base.xy))
+        start = int(beside[np.argmin(cost[beside])])
+        points = planner.straightened(planner.places[planner.way(before, start)])
+        truth = yield from self._hands.through(truth, points)
+        return (yield from self._hands.follow_wall(truth, planner.room, aside, round(duration * CONTROL_HZ)))

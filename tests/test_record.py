@@ -142,7 +142,7 @@ def drive(name, world, seed=1, scripts=load_script):
     poses, clearances, contacts = [], [], 0
     with Simulator(world, robot, SimConfig(lidar={"noise": "none"}), seed) as simulator:
         simulator.reset()
-        driver = commands(scripts(name), world, robot.limits.max_v, robot.limits.max_w)
+        driver = commands(scripts(name), world, robot, seed)
         next(driver)
         for_sending = simulator.truth
         while True:
