@@ -28,6 +28,13 @@ from sim.teleop import Script, commands, load_script
 from sim.worlds import World, load_world
 
 
+class RecordOptions(BaseModel):
+    """What --config and --set may change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    sim: SimConfig = SimConfig()
+
+
 class RecordConfig(BaseModel):
     """The resolved settings of a recording."""
 

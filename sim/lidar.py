@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import Array
 from datasets.types import LidarSpec
-from sim.raycast import beam_rays, cast
+from sim.raycast import beam_rays, cast, cast_sweep
 from sim.robots import RobotSpec
 from sim.shapes import Solid, sections
 
@@ -27,6 +27,8 @@ class LidarConfig(BaseModel):
     turning: bool = True
     noise: Literal["gazebo", "datasheet", "none"] = "gazebo"
     sigma: Annotated[float, Field(ge=0.0)] = 0.01
+    rate_hz: Annotated[float, Field(gt=0.0)] | None = None
+    """Turns a second; none: as the robot's file says. 30 must be a whole multiple of it."""
     dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Chance that a beam comes back as no return (+inf)."""
     reflectivity: bool = True
@@ -39,7 +41,7 @@ class Lidar:
     def __init__(
         self, solids: Sequence[Solid], robot: RobotSpec, config: LidarConfig, rng: np.random.Generator
     ) -> None:
-        self.spec: LidarSpec = robot.lidar.spec(config.turning)
+        self.spec: LidarSpec = robot.lidar.spec(config.turning, config.rate_hz)
         self._config, self._rng = config, rng
         self._outlines = sections(
             [solid for solid in solids if solid.crosses(robot.lidar_height)], robot.lidar_height
@@ -58,10 +60,13 @@ class Lidar:
         end of the sweep; one row for a lidar that takes all beams at once.
         """
         when: Array = self._sweep * float(len(poses) - 1)
-        origins, directions = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
-        ranges, hits = cast(
-            origins, directions, self._outlines.segments, self._outlines.circles, self.spec.range_max
-        )
+        origins, directions, bearings = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
+        outlines, limit = self._outlines, self.spec.range_max
+        if np.all(bearings[1:] > bearings[:-1]):
+            found = cast_sweep(origins, directions, bearings, outlines.segments, outlines.circles, limit)
+        else:  # the robot spins against the lidar as fast as that turns
+            found = cast(origins, directions, outlines.segments, outlines.circles, limit)
+        ranges, hits = found
         if self._movers:
             self._see_movers(origins, directions, when, ranges, hits)
         return ranges, hits

@@ -9,13 +9,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
+from sim.bodies import create_body, create_compound, groups
 from sim.bullet import bullet
 from sim.robots import RobotSpec
-from sim.shapes import Ball, Mesh, Solid, as_rectangle
+from sim.shapes import Solid
 from sim.urdf import composite, urdf
 
 CONTACT_GAP_M = 5e-4
@@ -39,9 +39,15 @@ class Physics:
     """One Bullet client with one robot in it. Poses are of base_footprint in the world frame."""
 
     def __init__(
-        self, solids: Sequence[Solid], robot: RobotSpec, config: PhysicsConfig, control_dt: float
+        self,
+        standing: Sequence[Solid],
+        moving: Sequence[Solid],
+        robot: RobotSpec,
+        config: PhysicsConfig,
+        control_dt: float,
     ) -> None:
-        self._solids, self._robot, self._config, self._dt = solids, robot, config, control_dt
+        self._solids, self._n_standing = [*standing, *moving], len(standing)
+        self._robot, self._config, self._dt = robot, config, control_dt
         self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._n_wheels = 2 * len(robot.wheels.pairs_x)
@@ -84,12 +90,12 @@ class Physics:
             physicsClientId=client,
         )
         bullet.changeDynamics(floor, -1, lateralFriction=1.0, physicsClientId=client)
-        self._solid_of = {
-            _create(solid, client): number
-            for number, solid in enumerate(self._solids)
-            if solid.z_min < self._robot.height and solid.z_max > 0.0
-        }
-        self._body_of = {number: body for body, number in self._solid_of.items()}
+        reachable = [s.z_min < self._robot.height and s.z_max > 0.0 for s in self._solids]
+        movers = range(self._n_standing, len(self._solids))
+        self._body_of = {number: create_body(self._solids[number], client) for number in movers}
+        self._solid_of = {body: number for number, body in self._body_of.items()}
+        for group in groups(self._solids[: self._n_standing], reachable, self._robot.lidar_height):
+            self._solid_of[create_compound([self._solids[n] for n in group], client)] = group[0]
         self._load_robot(T_world_base)
         for _ in range(round(0.5 / self._dt)):
             self.step(0.0, 0.0)
@@ -133,11 +139,9 @@ class Physics:
         bullet.stepSimulation(physicsClientId=self._client)
 
     def place(self, number: int, xy: Array, velocity: Array) -> None:
-        """Put a moving solid somewhere; its velocity is what it pushes with. Never the robot."""
-        body = self._body_of.get(number)
-        if body is None:
-            return
-        solid = self._solids[number]
+        """Put moving solid `number` somewhere; its velocity is what it pushes with. Never the robot."""
+        body = self._body_of[self._n_standing + number]
+        solid = self._solids[self._n_standing + number]
         bullet.resetBasePositionAndOrientation(
             body,
             [float(xy[0]), float(xy[1]), 0.5 * (solid.z_min + solid.z_max)],
@@ -178,50 +182,13 @@ class Physics:
         return left[0], right[0], left[1], right[1]
 
     def touched(self) -> set[int]:
-        """Indices of the solids that the robot touches now."""
+        """Indices of solids that the robot touches now, the standing ones first.
+
+        Of standing solids that share a body (all seen by the lidar, or none) the first stands for all.
+        """
         found = set()
         for point in bullet.getContactPoints(bodyA=self.body, physicsClientId=self._client):
             number = self._solid_of.get(point[2])
             if number is not None and (point[9] > 0.0 or point[8] < CONTACT_GAP_M):
                 found.add(number)
         return found
-
-
-def _create(solid: Solid, client: int) -> int:
-    """A static body for a solid; returns its id."""
-    height, middle = solid.z_max - solid.z_min, 0.5 * (solid.z_max + solid.z_min)
-    position, yaw = [*solid.center, middle], 0.0
-    rectangle = as_rectangle(solid.polygon)
-    if isinstance(solid, Mesh):
-        position = [0.0, 0.0, 0.0]
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_MESH,
-            vertices=solid.triangles.reshape(-1, 3).tolist(),
-            indices=list(range(3 * len(solid.triangles))),
-            physicsClientId=client,
-        )
-    elif isinstance(solid, Ball):
-        shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=solid.radius, physicsClientId=client)
-    elif solid.is_cylinder:
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_CYLINDER, radius=solid.radius, height=height, physicsClientId=client
-        )
-    elif rectangle is not None:
-        x, y, length, width, yaw = rectangle
-        position = [x, y, middle]
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_BOX, halfExtents=[length / 2.0, width / 2.0, height / 2.0], physicsClientId=client
-        )
-    else:
-        outline = solid.polygon - np.array(solid.center)
-        vertices = [[float(x), float(y), z] for z in (-height / 2.0, height / 2.0) for x, y in outline]
-        shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices, physicsClientId=client)
-    body = bullet.createMultiBody(
-        0.0,
-        shape,
-        basePosition=position,
-        baseOrientation=bullet.getQuaternionFromEuler([0.0, 0.0, yaw]),
-        physicsClientId=client,
-    )
-    bullet.changeDynamics(body, -1, lateralFriction=1.0, physicsClientId=client)
-    return int(body)

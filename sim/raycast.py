@@ -11,52 +11,125 @@ from datasets.se2 import Array
 
 
 @njit(cache=True)
+def _point_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
+    ex, ey = bx - ax, by - ay
+    square = ex * ex + ey * ey
+    u = 0.0 if square == 0.0 else min(1.0, max(0.0, ((px - ax) * ex + (py - ay) * ey) / square))
+    return math.hypot(px - ax - u * ex, py - ay - u * ey)
+
+
+@njit(cache=True)
+def _to_segment(ox: float, oy: float, dx: float, dy: float, segment: Array) -> float:
+    """Distance along a ray to a segment, +inf when it misses: a + u e = t d, by Cramer's rule."""
+    ax, ay = segment[0] - ox, segment[1] - oy
+    ex, ey = segment[2] - segment[0], segment[3] - segment[1]
+    det = dx * ey - dy * ex
+    if det == 0.0:
+        return math.inf
+    t = (ax * ey - ay * ex) / det
+    u = (ax * dy - ay * dx) / det
+    return t if t >= 0.0 and 0.0 <= u <= 1.0 else math.inf
+
+
+@njit(cache=True)
+def _to_circle(ox: float, oy: float, dx: float, dy: float, circle: Array) -> float:
+    """Distance along a ray to a circle's rim, +inf when it misses."""
+    cx, cy, r = circle[0] - ox, circle[1] - oy, circle[2]
+    along = cx * dx + cy * dy
+    inside = along * along - (cx * cx + cy * cy - r * r)
+    if inside < 0.0:
+        return math.inf
+    root = math.sqrt(inside)
+    if along - root >= 0.0:
+        return along - root
+    return along + root if along + root >= 0.0 else math.inf
+
+
+@njit(cache=True)
 def cast(origins: Array, directions: Array, segments: Array, circles: Array, limit: float) -> tuple:
     """Distance to the first outline along each ray, and which outline that is.
 
     origins (n, 2), unit directions (n, 2), segments (s, 4), circles (c, 3), limit [m]. Returns
     ranges (n,), +inf beyond the limit, and indices (n,): 0..s-1 a segment, s..s+c-1 a circle, -1 none.
     """
-    n = origins.shape[0]
-    ranges = np.empty(n)
-    hits = np.empty(n, dtype=np.int64)
-    n_segments = segments.shape[0]
+    n, n_segments = origins.shape[0], segments.shape[0]
+    ranges = np.full(n, math.inf)
+    hits = np.full(n, -1, dtype=np.int64)
     for i in range(n):
         ox, oy, dx, dy = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1]
-        best, hit = limit, -1
-        for k in range(n_segments):
-            ax, ay = segments[k, 0] - ox, segments[k, 1] - oy
-            ex, ey = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
-            det = dx * ey - dy * ex
-            if det == 0.0:
-                continue
-            # a + u e = t d, by Cramer's rule.
-            t = (ax * ey - ay * ex) / det
-            if t < 0.0 or t > best:
-                continue
-            u = (ax * dy - ay * dx) / det
-            if 0.0 <= u <= 1.0:
-                best, hit = t, k
-        for k in range(circles.shape[0]):
-            cx, cy, r = circles[k, 0] - ox, circles[k, 1] - oy, circles[k, 2]
-            along = cx * dx + cy * dy
-            off = cx * cx + cy * cy - r * r
-            inside = along * along - off
-            if inside < 0.0:
-                continue
-            t = along - math.sqrt(inside)
-            if t < 0.0:
-                t = along + math.sqrt(inside)
-            if 0.0 <= t <= best:
-                best, hit = t, n_segments + k
-        ranges[i] = best if hit >= 0 else math.inf
-        hits[i] = hit
+        for k in range(n_segments + circles.shape[0]):
+            if k < n_segments:
+                t = _to_segment(ox, oy, dx, dy, segments[k])
+            else:
+                t = _to_circle(ox, oy, dx, dy, circles[k - n_segments])
+            if t < ranges[i] and t <= limit:
+                ranges[i], hits[i] = t, k
+    return ranges, hits
+
+
+@njit(cache=True)
+def cast_sweep(
+    origins: Array, directions: Array, bearings: Array, segments: Array, circles: Array, limit: float
+) -> tuple:
+    """What `cast` returns, for rays that fan out from nearly one place: far fewer tests.
+
+    `bearings` (n,) are the rays' angles, not wrapped and not falling. Each outline is tried only on
+    the rays whose bearing it can meet: as seen from the middle of the origins, widened by how far
+    the origins stray from there.
+    """
+    n, n_segments = origins.shape[0], segments.shape[0]
+    ranges = np.full(n, math.inf)
+    hits = np.full(n, -1, dtype=np.int64)
+    mx, my = 0.5 * (origins[0, 0] + origins[n - 1, 0]), 0.5 * (origins[0, 1] + origins[n - 1, 1])
+    stray = 0.0
+    for i in range(n):
+        stray = max(stray, math.hypot(origins[i, 0] - mx, origins[i, 1] - my))
+    for k in range(n_segments + circles.shape[0]):
+        if k < n_segments:
+            ax, ay, bx, by = (
+                segments[k, 0] - mx,
+                segments[k, 1] - my,
+                segments[k, 2] - mx,
+                segments[k, 3] - my,
+            )
+            near = _point_segment(0.0, 0.0, ax, ay, bx, by)
+            half = 0.5 * abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
+            # The middle of the bearings of two ends less than half a turn apart.
+            fa, fb = math.hypot(ax, ay), math.hypot(bx, by)
+            middle = math.atan2(ay * fb + by * fa, ax * fb + bx * fa)
+            blur = stray
+        else:
+            cx, cy = circles[k - n_segments, 0] - mx, circles[k - n_segments, 1] - my
+            near, half, middle = math.hypot(cx, cy), 0.0, math.atan2(cy, cx)
+            blur = stray + circles[k - n_segments, 2]
+        if near - blur > limit + stray:
+            continue
+        half = math.pi if near <= 1.01 * blur + 1e-9 else half + math.asin(blur / near) + 1e-9
+        # Every whole turn that brings the interval over the fan.
+        turn = math.floor((bearings[0] - middle - half) / (2.0 * math.pi))
+        start = 0
+        while start < n:
+            low, high = middle - half + turn * 2.0 * math.pi, middle + half + turn * 2.0 * math.pi
+            if low > bearings[n - 1]:
+                break
+            i = max(start, np.searchsorted(bearings, low))
+            while i < n and bearings[i] <= high:
+                ox, oy, dx, dy = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1]
+                if k < n_segments:
+                    t = _to_segment(ox, oy, dx, dy, segments[k])
+                else:
+                    t = _to_circle(ox, oy, dx, dy, circles[k - n_segments])
+                if t < ranges[i] and t <= limit:
+                    ranges[i], hits[i] = t, k
+                i += 1
+            start = i
+            turn += 1
     return ranges, hits
 
 
 @njit(cache=True)
 def beam_rays(poses: Array, when: Array, lidar: Array, angles: Array) -> tuple:
-    """Origins and directions of beams taken while the base moves.
+    """Origins (n, 2), directions (n, 2) and bearings (n,) of beams taken while the base moves.
 
     poses (k, 3) are base poses at equal steps over the sweep, `when` (n,) the place of each beam in
     it (0 the first pose, k - 1 the last), `lidar` (3,) the lidar in the base frame, `angles` (n,).
@@ -65,30 +138,27 @@ def beam_rays(poses: Array, when: Array, lidar: Array, angles: Array) -> tuple:
     n = angles.shape[0]
     origins = np.empty((n, 2))
     directions = np.empty((n, 2))
+    bearings = np.empty(n)
+    # Yaw without its jumps, so that bearings rise.
+    yaws = poses[:, 2].copy()
+    for k in range(1, yaws.shape[0]):
+        yaws[k] = yaws[k - 1] + (poses[k, 2] - poses[k - 1, 2] + math.pi) % (2.0 * math.pi) - math.pi
     for i in range(n):
         lo = int(when[i])
         if lo > poses.shape[0] - 2:
             lo = max(poses.shape[0] - 2, 0)
         hi = min(lo + 1, poses.shape[0] - 1)
         f = when[i] - lo
-        turn = (poses[hi, 2] - poses[lo, 2] + math.pi) % (2.0 * math.pi) - math.pi
         x = poses[lo, 0] + f * (poses[hi, 0] - poses[lo, 0])
         y = poses[lo, 1] + f * (poses[hi, 1] - poses[lo, 1])
-        yaw = poses[lo, 2] + f * turn
+        yaw = yaws[lo] + f * (yaws[hi] - yaws[lo])
         c, s = math.cos(yaw), math.sin(yaw)
         origins[i, 0] = x + c * lidar[0] - s * lidar[1]
         origins[i, 1] = y + s * lidar[0] + c * lidar[1]
         angle = yaw + lidar[2] + angles[i]
         directions[i, 0], directions[i, 1] = math.cos(angle), math.sin(angle)
-    return origins, directions
-
-
-@njit(cache=True)
-def _point_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
-    ex, ey = bx - ax, by - ay
-    square = ex * ex + ey * ey
-    u = 0.0 if square == 0.0 else min(1.0, max(0.0, ((px - ax) * ex + (py - ay) * ey) / square))
-    return math.hypot(px - ax - u * ex, py - ay - u * ey)
+        bearings[i] = angle
+    return origins, directions, bearings
 
 
 @njit(cache=True)

@@ -102,9 +102,9 @@ class Lidar(_Spec):
     sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Part of a turn of the head during which beams are taken."""
 
-    def spec(self, turning: bool) -> LidarSpec:
-        """Its geometry; with `turning` off all beams are taken at once."""
-        period = 1.0 / self.rate_hz
+    def spec(self, turning: bool, rate_hz: float | None = None) -> LidarSpec:
+        """Its geometry; with `turning` off all beams are taken at once; at its own rate or another."""
+        period = 1.0 / (rate_hz or self.rate_hz)
         return LidarSpec(
             self.n_beams,
             self.angle_min,
@@ -164,12 +164,15 @@ def load_robot(name_or_path: str) -> RobotSpec:
     """A built-in robot by name or a YAML file by path; InputError for unknown names lists the known."""
     path = find_named(name_or_path, FOLDER, "robot")
     spec = load_model(RobotSpec, path)
-    steps_per_scan = 30.0 / spec.lidar.rate_hz
-    if steps_per_scan < 1.0 or abs(steps_per_scan - round(steps_per_scan)) > 1e-9:
-        raise InputError(
-            f"{path}: lidar.rate_hz: 30 must be a whole multiple of it, got {spec.lidar.rate_hz}"
-        )
+    check_rate(spec.lidar.rate_hz, str(path))
     return spec
+
+
+def check_rate(rate_hz: float, where: str) -> None:
+    """InputError when scans would not fall on control steps (30 a second)."""
+    steps = 30.0 / rate_hz
+    if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
+        raise InputError(f"{where}: lidar.rate_hz: 30 must be a whole multiple of it, got {rate_hz:g}")
 
 
 def robot_names() -> list[str]:

@@ -17,7 +17,7 @@ from sim.lidar import Lidar, LidarConfig
 from sim.movers import MovingSolid, outlines
 from sim.physics import Physics, PhysicsConfig
 from sim.raycast import distance_to_outlines, distance_to_point
-from sim.robots import RobotSpec
+from sim.robots import RobotSpec, check_rate
 from sim.shapes import Sections, contains
 from sim.wheels import Calibration, Motors, OdometryConfig, WheelOdometry
 from sim.worlds import World
@@ -73,8 +73,16 @@ class Simulator:
         self._visible = [solid.crosses(robot.lidar_height) for solid in everything]
         self._footprint = robot.model.footprint
         self._radius = robot.model.circumscribed_radius
-        self._steps_per_scan = round(CONTROL_HZ / robot.lidar.rate_hz)
-        self._physics = Physics(everything, robot, self.config.physics, 1.0 / CONTROL_HZ)
+        rate = self.config.lidar.rate_hz or robot.lidar.rate_hz
+        check_rate(rate, "sim")
+        self._steps_per_scan = round(CONTROL_HZ / rate)
+        self._physics = Physics(
+            self._solids,
+            [mover.solid for mover in world.movers],
+            robot,
+            self.config.physics,
+            1.0 / CONTROL_HZ,
+        )
         self._step = -1
 
     def __enter__(self) -> Simulator:
@@ -144,7 +152,7 @@ class Simulator:
         """Tell physics, lidar and clearance where the movers stand now."""
         if not self._moving:
             return
-        for number, one in enumerate(self._moving, start=len(self._solids)):
+        for number, one in enumerate(self._moving):
             self._physics.place(number, one.position, one.velocity)
         self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]

@@ -102,7 +102,7 @@ def commands(script: Script, world: World, robot: RobotSpec, seed: int) -> Actio
     """
     person = _Person(script, world, robot, seed)
     for name in _routes(script.steps):
-        route(name, person.planner)
+        person.route(name)
     return person.drive()
 
 
@@ -120,11 +120,18 @@ class _Person:
         self._script, self._world, self._robot = script, world, robot
         self._hands = Driver(min(script.v, robot.limits.max_v), min(script.w, robot.limits.max_w))
         self._rng = stream(seed, "teleop")
+        self._planned: dict[str, Array] = {}
 
     @cached_property
     def planner(self) -> RoutePlanner:
         """Ways through this world for this robot."""
         return RoutePlanner(self._world, self._robot)
+
+    def route(self, name: str) -> Array:
+        """A route by name, planned once."""
+        if name not in self._planned:
+            self._planned[name] = route(name, self.planner)
+        return self._planned[name]
 
     def drive(self) -> Action:
         """All steps of the script."""
@@ -156,7 +163,7 @@ class _Person:
             return np.array(step.through, dtype=np.float64).reshape(-1, 2)
         if step.random_walk is not None:
             return random_goals(self.planner, self._rng, step.random_walk)
-        return route(str(step.route), self.planner)
+        return self.route(str(step.route))
 
     def _along(self, truth: Truth, points: Array) -> Generator[Twist, Truth, Truth]:
         if self._script.style == "turn_then_drive":

@@ -117,7 +117,7 @@ def test_interrupt_closes_the_bag_and_keeps_it(tmp_path):
         (["--world", "empty", "--robot", "burgr"], "burger"),
         (["--world", "empty", "--teleop", "tuor"], "tour"),
         (["--world", "turtlebot3_world", "--seed", "-1"], "seed"),
-        (["--world", "turtlebot3_world", "--set", "physics.frction=1"], "frction"),
+        (["--world", "turtlebot3_world", "--set", "sim.physics.frction=1"], "frction"),
     ],
 )
 def test_a_wrong_name_is_one_line_exit_2_and_nothing_written(tmp_path, capsys, arguments, named):

@@ -10,7 +10,7 @@ from datasets.types import Twist
 from sim.bullet import bullet
 from sim.lidar import Lidar, LidarConfig
 from sim.physics import Physics, PhysicsConfig
-from sim.raycast import beam_rays, cast, distance_to_outlines, distance_to_point
+from sim.raycast import beam_rays, cast, cast_sweep, distance_to_outlines, distance_to_point
 from sim.robots import load_robot
 from sim.shapes import box, contains, cylinder, prism, sections
 from sim.simulator import SimConfig, Simulator
@@ -37,7 +37,7 @@ def test_ranges_at_the_spawn_are_the_analytic_ones():
 
 @pytest.fixture(scope="module")
 def arena():
-    with Physics(WORLD.shapes, BURGER, PhysicsConfig(), 1.0 / 30.0) as physics:
+    with Physics(WORLD.shapes, [], BURGER, PhysicsConfig(), 1.0 / 30.0) as physics:
         physics.reset(WORLD.spawn)
         yield physics
 
@@ -51,7 +51,7 @@ def test_the_ray_caster_agrees_with_bullets_rays(arena, x, y, yaw):
     sensor = lidar()
     ranges, _ = sensor.true_ranges(pose)
     when = np.zeros(len(ranges))
-    origins, directions = beam_rays(pose, when, BURGER.T_base_lidar.xyt, sensor.spec.angles)
+    origins, directions, _ = beam_rays(pose, when, BURGER.T_base_lidar.xyt, sensor.spec.angles)
     outlines = sections(WORLD.crossing(BURGER.lidar_height), BURGER.lidar_height)
     near = distance_to_point(*origins[0], outlines.segments, outlines.circles)
     # From inside a solid, or its 1 mm of padding, Bullet reports nothing sensible; the housing's own
@@ -103,6 +103,32 @@ def test_cast_matches_a_plain_reference():
     ]
     np.testing.assert_allclose(ranges, expected, atol=1e-9)
     assert np.array_equal(hits >= 0, np.isfinite(ranges))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    turn=st.floats(-1.5, 1.5),
+    step=st.floats(0.0, 0.4),
+    first=st.floats(-3.2, 0.0),
+    fan=st.floats(0.5, 6.28),
+)
+def test_a_sweep_sees_exactly_what_single_rays_see(seed, turn, step, first, fan):
+    rng = np.random.default_rng(seed)
+    segments = rng.uniform(-3.0, 3.0, (25, 4))
+    circles = np.hstack([rng.uniform(-3.0, 3.0, (15, 2)), rng.uniform(0.05, 0.8, (15, 1))])
+    poses = np.stack(
+        [np.linspace(0.0, step, 4), np.zeros(4), rng.uniform(-3, 3) + np.linspace(0.0, turn, 4)], -1
+    )
+    poses[:, 2] = (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    angles = first + np.linspace(0.0, fan, 180)
+    rays = beam_rays(poses, np.linspace(0.0, 3.0, 180), np.array([-0.03, 0.0, 0.0]), angles)
+    origins, directions, bearings = rays
+    assume(np.all(np.diff(bearings) > 0.0))
+    expected = cast(origins, directions, segments, circles, 2.5)
+    got = cast_sweep(origins, directions, bearings, segments, circles, 2.5)
+    np.testing.assert_array_equal(got[0], expected[0])
+    np.testing.assert_array_equal(got[1], expected[1])
 
 
 def along(polygon, n):

@@ -26,17 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record a drive."""
-    from pipeline.record import record
-    from sim.simulator import SimConfig
+    from pipeline.record import RecordOptions, record
 
-    sim = load_config(SimConfig, args.config, args.settings)
+    options = load_config(RecordOptions, args.config, args.settings)
     return record(
         args.world,
         args.robot,
         args.teleop,
         args.seed,
         args.out,
-        sim=sim,
+        sim=options.sim,
         force=args.force,
         command=args.command_line,
     )
