@@ -15,6 +15,7 @@ from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording
 from pipeline.config import config_text, load_config
 from pipeline.console import log, track
+from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from reports.metrics.map import map_metrics
@@ -54,8 +55,9 @@ def build_map(
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
         write_json(folder / "metrics.json", {**summary(recording, result), **references.metrics(result)})
         (folder / "config.yaml").write_text(config_text(resolved))
+        write_json(folder / "graph.json", loop_record(result))
         if explain:
-            write_json(folder / "graph.json", graph_record(result))
+            write_explanation(folder, recording, result, resolved)
         write_manifest(
             folder,
             stage="map",
@@ -65,6 +67,8 @@ def build_map(
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
         )
+    for reason in result.check.reasons:
+        log.warning(f"doubtful map: {reason}")
     log.info(f"{out}: {len(recording)} scans, {len(result.keys)} key scans, {slam_s:.1f} s")
     return 0
 
@@ -120,24 +124,5 @@ def summary(recording: Recording, result: SlamResult) -> dict[str, Any]:
             "rejected": len(result.loops) - accepted,
         },
         "log_s": recording.duration(),
-    }
-
-
-def graph_record(result: SlamResult) -> dict[str, Any]:
-    """Every loop candidate and what became of it."""
-    return {
-        "keys": [int(k) for k in result.keys],
-        "loops": [
-            {
-                "i": loop.i,
-                "j": loop.j,
-                "T_j_i": loop.T_j_i,
-                "score": loop.score,
-                "overlap": loop.overlap,
-                "rmse_m": loop.rmse,
-                "gate_m": loop.gate_m,
-                "verdict": loop.verdict,
-            }
-            for loop in result.loops
-        ],
+        "self_check": result.check.as_metrics(),
     }

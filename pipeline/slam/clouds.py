@@ -49,6 +49,15 @@ class Clouds:
         """Points of one scan, (k, 2)."""
         return self.points[self.starts[scan] : self.starts[scan + 1]]
 
+    def lines(self, scan: int) -> int:
+        """Points of one scan that have a surface line."""
+        return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
+
+    def lines_per_scan(self) -> NDArray[np.int64]:
+        """Points with a surface line in each scan, (n,)."""
+        total = np.concatenate([[0], np.cumsum(self.line_ok)])
+        return np.asarray(np.diff(total[self.starts]))
+
 
 def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = None) -> Clouds:
     """Points of every scan, the robot's motion during the sweep undone.

@@ -26,8 +26,8 @@ class RefineConfig(BaseModel):
     """The joint refinement."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    rounds: int = Field(default=8, ge=0, description="linearise-and-solve rounds; 0 switches it off")
-    neighbours: int = Field(default=12, gt=0, description="partners of a key scan")
+    rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0 switches it off")
+    neighbours: int = Field(default=10, gt=0, description="partners of a key scan")
     radius_m: float = Field(default=4.0, gt=0.0, description="partners lie within this distance")
     gate_m: float = Field(default=0.3, gt=0.0, description="point distance in the first round")
     last_gate_m: float = Field(default=0.1, gt=0.0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,10 @@ from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion
 from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.pose_graph import Constraint
+from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.refine import RefineConfig, refine
-from pipeline.slam.tracking import Track, TrackingConfig, track_log
+from pipeline.slam.selfcheck import SelfCheck, SelfCheckConfig, check_map
+from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning, track_log
 
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
@@ -29,12 +32,17 @@ class SlamConfig(BaseModel):
     """Everything that shapes a map."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    sensors: Literal["both", "lidar", "odometry"] = Field(
+        default="both", description="which witnesses to use; odometry alone draws the map along the wheels"
+    )
     usable_range_m: float = Field(
         default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
     )
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
     refine: RefineConfig = RefineConfig()
+    posing: PosingConfig = PosingConfig()
+    self_check: SelfCheckConfig = SelfCheckConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
 
@@ -48,6 +56,7 @@ class SlamResult:
     T_map_keys: SE2
     constraints: list[Constraint]
     loops: list[Loop]
+    check: SelfCheck
 
     @property
     def keys(self) -> NDArray[np.int64]:
@@ -65,16 +74,37 @@ def run_slam(recording: Recording, config: SlamConfig, progress: Progress = no_p
     """Map a recording offline. The map frame starts at the first odometry pose (identity without one)."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
+    recording, config = _with_sensors(recording, config)
     usable = min(recording.lidar.range_max, config.usable_range_m)
     motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
     clouds = make_clouds(recording, usable, motion)
-    n = len(recording)
-    scans = progress(range(1, n), "matching scans", n - 1)
-    track = track_log(recording, clouds, config.tracking, usable, scans)
+    if config.sensors == "odometry":
+        track = dead_reckoning(recording, clouds, config.tracking)
+    else:
+        scans = progress(range(1, len(recording)), "matching scans", len(recording) - 1)
+        track = track_log(recording, clouds, config.tracking, usable, scans)
     T_map_keys, constraints, loops = _optimised(clouds, track, config, progress)
-    poses = pose_all_scans(track, T_map_keys)
+    poses = pose_all_scans(clouds, track, T_map_keys, config.posing)
     grid = make_grid(recording, poses, config.grid, usable, motion)
-    return SlamResult(Trajectory(recording.stamps_ns, poses), grid, track, T_map_keys, constraints, loops)
+    check = check_map(clouds, track, T_map_keys, config.self_check)
+    trajectory = Trajectory(recording.stamps_ns, poses)
+    return SlamResult(trajectory, grid, track, T_map_keys, constraints, loops, check)
+
+
+def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
+    """The recording and settings cut down to the witnesses asked for."""
+    if config.sensors == "lidar":
+        return replace(recording, T_odom_base=None, odometry=None), config
+    if config.sensors == "odometry":
+        if recording.T_odom_base is None:
+            raise InputError(f"{recording.source}: no odometry to map with")
+        off = {
+            "loops": config.loops.model_copy(update={"enabled": False}),
+            "refine": config.refine.model_copy(update={"rounds": 0}),
+            "posing": config.posing.model_copy(update={"enabled": False}),
+        }
+        return recording, config.model_copy(update=off)
+    return recording, config
 
 
 def _optimised(
@@ -110,16 +140,3 @@ def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
             information = config.odometry.information(odometry)
             constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
     return constraints
-
-
-def pose_all_scans(track: Track, T_map_keys: SE2) -> SE2:
-    """Each scan carried by the key scans before and after it, the correction blended between them."""
-    keys = track.keys
-    scans = np.arange(len(track.T_track_base))
-    before = np.searchsorted(keys, scans, side="right") - 1
-    after = np.minimum(before + 1, len(keys) - 1)
-    T_track = track.T_track_base
-    from_before = T_map_keys[before] @ (T_track[keys[before]].inverse() @ T_track)
-    from_after = T_map_keys[after] @ (T_track[keys[after]].inverse() @ T_track)
-    fraction = (scans - keys[before]) / np.maximum(keys[after] - keys[before], 1)
-    return from_before.interpolate(from_after, fraction)

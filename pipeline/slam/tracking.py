@@ -71,7 +71,8 @@ class Track:
 
     `information` (n, 3, 3) is what the scan saw (blind directions taken out); `source` names the
     hypothesis that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the
-    calibrated odometry's motions between successive key scans, None without odometry.
+    calibrated odometry's motions between successive key scans, None without odometry. `usable` says
+    which scans had points to align.
     """
 
     T_track_base: SE2
@@ -82,8 +83,11 @@ class Track:
     source: NDArray[np.int8]
     odometry_steps: Array | None
     calibration: Calibration
+    usable: NDArray[np.bool_]
 
 
+# Fewer points with a surface line than this place nothing.
+MIN_LINES = 8
 CALIBRATE_EVERY = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 
@@ -101,6 +105,7 @@ class Tracker:
         self.calibration = Calibration()
         self.fully_seen: list[bool] = []
         self._seen = True
+        self._has_reference = False
         self._usual_cost = 0.3
 
     def start(self, scan: int, T_map_base: Array) -> None:
@@ -113,6 +118,8 @@ class Tracker:
     def step(self, scan: int) -> tuple[Alignment, int]:
         """Pose of the next scan."""
         odometry_step = self._odometry_step(scan)
+        if not self._has_reference:
+            return self._carry(scan, odometry_step)
         steady = compose(self.pose, self.velocity)
         guess = steady if odometry_step is None else compose(self.pose, odometry_step)
         prior_step = self.velocity if odometry_step is None else odometry_step
@@ -141,9 +148,17 @@ class Tracker:
         self.pose = new
         if self.kiss is not None:
             self.kiss.update(self.clouds.of(scan), new, guess)
-        if self._moved_enough():
+        if self._moved_enough() and self.clouds.lines(scan) >= MIN_LINES:
             self._add_key(scan)
         return result, source
+
+    def _carry(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
+        """Before the first scan with surfaces there is nothing to match with: odometry carries."""
+        if odometry_step is not None:
+            self.pose = compose(self.pose, odometry_step)
+        if self.clouds.lines(scan) >= MIN_LINES:
+            self._add_key(scan)
+        return Alignment(SE2(self.pose), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
 
     def _odometry_step(self, scan: int) -> Array | None:
         if self.odometry is None:
@@ -169,8 +184,8 @@ class Tracker:
     ) -> tuple[Alignment, int, float] | None:
         """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
         config, best = self.config, None
-        usable = int(self.clouds.line_ok[self.clouds.starts[scan] : self.clouds.starts[scan + 1]].sum())
-        if usable < 5:
+        usable = self.clouds.lines(scan)
+        if usable < MIN_LINES:
             return None
         tried: list[Array] = []
         points = self.clouds.of(scan)[:: max(1, usable // 90)]
@@ -225,6 +240,7 @@ class Tracker:
     def _add_key(self, scan: int) -> None:
         self.keys.append(scan)
         self.key_poses.append(self.pose)
+        self._has_reference = self._has_reference or self.clouds.lines(scan) >= MIN_LINES
         self.fully_seen.append(self._seen)
         self._seen = True
         if len(self.keys) % CALIBRATE_EVERY == 0:
@@ -259,7 +275,23 @@ def track_log(
     calibration = tracker.calibrated()
     steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
     keys = np.array(tracker.keys)
-    return Track(SE2(poses), keys, overlap, rmse, information, source, steps, calibration)
+    usable = clouds.lines_per_scan() >= MIN_LINES
+    return Track(SE2(poses), keys, overlap, rmse, information, source, steps, calibration, usable)
+
+
+def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig) -> Track:
+    """The track odometry alone draws."""
+    assert recording.T_odom_base is not None
+    T = recording.T_odom_base
+    n, keys = len(T), [0]
+    for scan in range(1, n):
+        step = between(T.xyt[keys[-1]], T.xyt[scan])
+        if np.hypot(step[0], step[1]) > config.key_distance_m or abs(step[2]) > config.key_turn_rad:
+            keys.append(scan)
+    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
+    blind, usable = np.zeros((n, 3, 3)), clouds.lines_per_scan() >= MIN_LINES
+    source = np.zeros(n, dtype=np.int8)
+    return Track(T, np.array(keys), np.zeros(n), np.zeros(n), blind, source, steps, Calibration(), usable)
 
 
 def sees_everything(information: Array) -> bool:

@@ -1,0 +1,174 @@
+"""Is this map good? Asked without any truth.
+
+Revisit consistency: two key scans at the same place must see the same walls. Where one saw through
+what the other saw as a wall, the map is doubled or folded there. Map entropy: how undecided the cells
+are. Lost scans: where neither the walls nor the odometry held the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.tracking import HYPOTHESES, Track
+
+
+class SelfCheckConfig(BaseModel):
+    """When a map is called doubtful."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    near_m: float = Field(default=1.5, gt=0.0, description="key scans this near are one place")
+    apart_keys: int = Field(default=30, gt=0, description="and this far apart in time are a revisit")
+    wall_m: float = Field(default=0.15, gt=0.0, description="a point this near a wall confirms it")
+    through_m: float = Field(default=0.4, gt=0.0, description="a wall seen through by this much is denied")
+    max_denied: float = Field(default=0.08, gt=0.0, description="share of denied points, mean over revisits")
+    max_bad_place: float = Field(
+        default=0.35, gt=0.0, description="share of denied points that marks a place"
+    )
+    max_bad_places: float = Field(default=0.05, gt=0.0, description="share of such places")
+    min_overlap: float = Field(default=0.3, gt=0.0, description="of a scan with its references, not lost")
+    max_lost: float = Field(default=0.02, gt=0.0, description="share of lost scans")
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCheck:
+    """Numbers of the check and what is wrong, in words; `denied` is (n, 3): key i, key j, share."""
+
+    revisits: int
+    denied_mean: float
+    bad_places: float
+    lost_scans: int
+    unconfirmed_span: tuple[int, int] | None
+    denied: Array
+    reasons: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Nothing was found wrong."""
+        return not self.reasons
+
+    def as_metrics(self) -> dict[str, Any]:
+        """What metrics.json says of it."""
+        return {
+            "verdict": "good" if self.good else "doubtful",
+            "reasons": list(self.reasons),
+            "revisits": self.revisits,
+            "denied_mean": self.denied_mean,
+            "bad_places": self.bad_places,
+            "lost_scans": self.lost_scans,
+        }
+
+
+def check_map(clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckConfig) -> SelfCheck:
+    """Check a finished map."""
+    pairs = _revisits(T_map_keys, config)
+    share = denied_shares(
+        clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt, pairs,
+        config.wall_m, config.through_m,
+    )  # fmt: skip
+    known = np.isfinite(share)
+    pairs, share = pairs[known], share[known]
+    mean = float(share.mean()) if len(share) else 0.0
+    bad = float(np.mean(share > config.max_bad_place)) if len(share) else 0.0
+    lost = np.flatnonzero(track.usable & (track.overlap < config.min_overlap))
+    reasons = []
+    if mean > config.max_denied or bad > config.max_bad_places:
+        worst = pairs[int(np.argmax(share))]
+        x, y = T_map_keys.xy[worst[0]]
+        reasons.append(
+            f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): folded or doubled"
+        )
+    if len(lost) > config.max_lost * max(len(track.usable), 1):
+        reasons.append(f"{len(lost)} scans fit nothing seen before them (first: scan {lost[0]})")
+    blind = int(np.count_nonzero(~track.usable))
+    if blind > 0.1 * len(track.usable):
+        reasons.append(f"{blind} scans see no surface")
+    longest = _longest_blind(track)
+    if longest is not None and track.odometry_steps is None:
+        reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
+    denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
+    return SelfCheck(len(share), mean, bad, len(lost), longest, denied, tuple(reasons))
+
+
+def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
+    pairs = cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
+    pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return np.asarray(pairs[:: max(1, len(pairs) // 4000)], dtype=np.int64)
+
+
+def _longest_blind(track: Track) -> tuple[int, int] | None:
+    """Longest run of scans (at least 25) that are blind in one direction, (first, last)."""
+    least = np.linalg.eigvalsh(track.information[:, :2, :2])
+    blind = track.usable & (least[:, 0] < 0.002 * np.maximum(least[:, 1], 1e-9))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], blind.astype(int), [0]])))
+    runs = edges.reshape(-1, 2)
+    if len(runs) == 0:
+        return None
+    first, end = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+    return (int(first), int(end) - 1) if end - first >= 25 else None
+
+
+@njit(cache=True)
+def denied_shares(
+    points: Array,
+    starts: NDArray,
+    table: NDArray,
+    origin: Array,
+    keys: NDArray,
+    poses: Array,
+    pairs: NDArray,
+    wall: float,
+    through: float,
+) -> Array:
+    """Per pair: of i's points that j confirms or denies, the share denied; NaN when fewer than 20."""
+    n_bins = table.shape[1]
+    scale = n_bins / (2.0 * math.pi)
+    out = np.full(len(pairs), np.nan)
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        c, s = math.cos(poses[b, 2]), math.sin(poses[b, 2])
+        dx, dy = poses[a, 0] - poses[b, 0], poses[a, 1] - poses[b, 1]
+        tx, ty = c * dx + s * dy, -s * dx + c * dy
+        dyaw = poses[a, 2] - poses[b, 2]
+        c, s = math.cos(dyaw), math.sin(dyaw)
+        confirmed, denied = 0, 0
+        for r in range(starts[keys[a]], starts[keys[a] + 1]):
+            x = tx + c * points[r, 0] - s * points[r, 1]
+            y = ty + s * points[r, 0] + c * points[r, 1]
+            ex, ey = x - origin[0], y - origin[1]
+            distance = math.sqrt(ex * ex + ey * ey)
+            bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
+            half = min(6, int(wall / max(distance, wall) * scale) + 1)
+            nearest, shortest, seen = 1e9, 1e9, 0
+            for q in range(bin_ - half, bin_ + half + 1):
+                row = table[keys[b], q % n_bins]
+                if row < 0:
+                    continue
+                px, py = points[row, 0], points[row, 1]
+                nearest = min(nearest, math.hypot(px - x, py - y))
+                shortest = min(shortest, math.hypot(px - origin[0], py - origin[1]))
+                seen += 1
+            if nearest < wall:
+                confirmed += 1
+            elif seen >= 3 and shortest > distance + through:
+                denied += 1
+        if confirmed + denied >= 20:
+            out[k] = denied / (confirmed + denied)
+    return out
+
+
+def hypothesis_shares(track: Track) -> dict[str, float]:
+    """How often each start of the front end won."""
+    counts = np.bincount(track.source[1:], minlength=len(HYPOTHESES)) if len(track.source) > 1 else [0] * 4
+    total = max(int(np.sum(counts)), 1)
+    return {name: float(count) / total for name, count in zip(HYPOTHESES, counts, strict=True)}
