@@ -27,6 +27,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),
+    "sweep": ("sweep", "run a campaign of many cases, resumable, on all cores"),
     "verify": ("verify", "compute a report's numbers again from the bags"),
     "bag": ("bag", "look at bags, play, repair and convert them"),
     "data": ("data", "list and fetch public logs"),

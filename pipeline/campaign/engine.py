@@ -1,0 +1,90 @@
+"""Cases on Dask: a local cluster as large as the machine, or a scheduler somewhere else."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from pipeline.campaign.case import run_case
+from pipeline.campaign.plan import Campaign, Case
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+    """A Dask client; the local cluster has one single-threaded process a core and no dashboard."""
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError("campaigns need Dask: run `make setup` again, or pip install distributed") from None
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    dask.config.set({"distributed.scheduler.allowed-failures": 1})
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, ValueError):
+            raise InputError(f"--scheduler {scheduler}: nobody answers there") from None
+        with client:
+            yield client
+        return
+    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+    with (
+        LocalCluster(
+            n_workers=workers or os.cpu_count() or 1,
+            threads_per_worker=1,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            env=threads,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def run_cases(
+    campaign: Campaign,
+    todo: Sequence[Case],
+    folder: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Rows of the cases as they finish, in any order; a case whose worker died is a `failed` row.
+
+    Workers write below `folder`: with a remote scheduler it must be on a file system they share.
+    """
+    from distributed import as_completed
+
+    place = folder.resolve()
+    with _client(scheduler, workers) as client:
+        futures = {
+            client.submit(
+                run_case,
+                asdict(case),
+                campaign.results,
+                str(place / case.name),
+                campaign.keep,
+                key=f"{campaign.name}-{case.name}",
+                pure=False,
+            ): case
+            for case in todo
+        }
+        for future in as_completed(list(futures)):
+            case = futures[future]
+            if future.status == "finished":
+                yield future.result()
+            else:
+                yield _lost(case, campaign, future.exception())
+
+
+def _lost(case: Case, campaign: Campaign, error: BaseException | None) -> dict[str, Any]:
+    """The row of a case that took its worker down. It is not written: a resumed campaign tries it again."""
+    reason = f"worker died ({type(error).__name__})"
+    values = dict.fromkeys(campaign.results)
+    return {"case": case.name, **case.factors, "failed": True, "error": reason, **values}

@@ -1,0 +1,163 @@
+"""A campaign file: factors, the stages each case runs, and the numbers to keep."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from datasets.errors import InputError
+from datasets.seeds import stream
+from datasets.yaml_files import checked, find_named, read_mapping
+
+FOLDER = Path(__file__).parents[2] / "reports" / "studies"
+Scalar = bool | int | float | str
+
+
+class Range(BaseModel):
+    """Whole numbers from `first` to `last`, both included."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    first: int
+    last: int
+
+
+class Uniform(BaseModel):
+    """A number drawn anew for each case; only with `sample`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    low: float
+    high: float
+
+
+Levels = list[Scalar] | Range | Uniform | dict[str, str]
+
+
+class Figure(BaseModel):
+    """One figure: result `y` over factor `x`, once for each level of `lines`, intervals by bootstrap."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    x: str
+    y: str
+    lines: str | None = None
+    title: str = ""
+    unit: str = "plain"
+    log: bool = False
+
+
+class Campaign(BaseModel):
+    """The campaign file.
+
+    `factors`: a list of values, `{first, last}` for whole numbers, `{low, high}` to draw from, or named
+    levels whose text is put into the command as several words. `stages`: command lines without `--out`,
+    with `{factor}` and `{stage}` (an earlier stage's folder) in braces. `results`: name -> `stage:path`
+    in that stage's metrics.json. `against`: the level that `compare`'s other levels are paired with.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$")]
+    question: str = ""
+    seed: int = 1
+    factors: dict[str, Levels]
+    sample: Annotated[int, Field(ge=1)] | None = None
+    stages: dict[str, str]
+    results: dict[str, str]
+    compare: str | None = None
+    against: Scalar | None = None
+    figures: list[Figure] = []
+    keep: list[str] = ["metrics.json", "manifest.json", "config.yaml"]
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Campaign:
+        if self.sample is None and any(isinstance(levels, Uniform) for levels in self.factors.values()):
+            raise ValueError("a factor with low and high needs `sample`: the number of cases to draw")
+        if clash := set(self.factors) & set(self.stages):
+            raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
+        for name, place in self.results.items():
+            if place.partition(":")[0] not in self.stages or ":" not in place:
+                raise ValueError(f"results.{name}: expected STAGE:PATH with one of the stages")
+        wanted = [self.compare, *(figure.x for figure in self.figures), *(f.lines for f in self.figures)]
+        for factor in wanted:
+            if factor is not None and factor not in self.factors:
+                raise ValueError(f"{factor} is no factor of this campaign")
+        for figure in self.figures:
+            if figure.y not in self.results:
+                raise ValueError(f"{figure.y} is no result of this campaign")
+        return self
+
+
+@dataclass(frozen=True)
+class Case:
+    """One combination of factor levels and the command line (without --out) of each of its stages."""
+
+    index: int
+    name: str
+    factors: dict[str, Scalar]
+    commands: dict[str, list[str]]
+
+
+def load_campaign(name_or_path: str) -> Campaign:
+    """A shipped study by name or a file by path; InputError names the first wrong key."""
+    path = find_named(name_or_path, FOLDER, "study")
+    return checked(Campaign, read_mapping(path), where=str(path))
+
+
+def cases(campaign: Campaign) -> list[Case]:
+    """Every case: the full grid, or `sample` draws of it; named by a hash of what it runs."""
+    combinations = _drawn(campaign) if campaign.sample is not None else _grid(campaign)
+    return [_case(campaign, index, chosen) for index, chosen in enumerate(combinations)]
+
+
+def _grid(campaign: Campaign) -> Iterator[dict[str, Scalar]]:
+    names = list(campaign.factors)
+    for values in itertools.product(*(_levels(campaign.factors[name]) for name in names)):
+        yield dict(zip(names, values, strict=True))
+
+
+def _drawn(campaign: Campaign) -> Iterator[dict[str, Scalar]]:
+    rng = stream(campaign.seed, "campaign cases")
+    for _ in range(campaign.sample or 0):
+        chosen: dict[str, Scalar] = {}
+        for name, levels in campaign.factors.items():
+            if isinstance(levels, Uniform):
+                chosen[name] = round(float(rng.uniform(levels.low, levels.high)), 6)
+            else:
+                options = _levels(levels)
+                chosen[name] = options[int(rng.integers(len(options)))]
+        yield chosen
+
+
+def _levels(levels: Levels) -> list[Scalar]:
+    if isinstance(levels, Range):
+        return list(range(levels.first, levels.last + 1))
+    if isinstance(levels, Uniform):
+        raise ValueError("a drawn factor has no levels")
+    return list(levels)
+
+
+def _case(campaign: Campaign, index: int, chosen: dict[str, Scalar]) -> Case:
+    texts = {}
+    for name, level in chosen.items():
+        levels = campaign.factors[name]
+        texts[name] = levels[str(level)] if isinstance(levels, dict) else str(level)
+    commands: dict[str, list[str]] = {}
+    for stage, line in campaign.stages.items():
+        # Folders of earlier stages stay in braces: they depend on where the campaign is written.
+        places = {earlier: "{" + earlier + "}" for earlier in commands}
+        commands[stage] = shlex.split(_filled(line, {**texts, **places}, stage))
+    digest = hashlib.sha256(json.dumps(commands).encode()).hexdigest()
+    return Case(index, digest[:12], chosen, commands)
+
+
+def _filled(line: str, values: dict[str, Any], stage: str) -> str:
+    try:
+        return line.format(**values)
+    except (KeyError, IndexError, ValueError) as error:
+        raise InputError(f"stages.{stage}: {{{error}}} is neither a factor nor an earlier stage") from None

@@ -1,0 +1,54 @@
+"""turtlebag sweep: a campaign of many runs, and questions to its table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from datasets.errors import InputError
+from pipeline.campaign.table import query
+from pipeline.sweep import TABLE, sweep
+
+EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag sweep`."""
+    parser.add_argument("campaign", metavar="FILE", help="campaign file or the name of a shipped study")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler (tcp://...)")
+    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one a core)")
+    parser.add_argument(
+        "--query", metavar="SQL", help="ask the table `runs` of a finished sweep: FILE is its folder"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the campaign and print its page's path, or answer a query."""
+    if args.query is not None:
+        return _answer(Path(args.campaign), args.query)
+    if args.out is None:
+        raise InputError("sweep: --out DIR is needed")
+    if args.workers is not None and args.workers < 1:
+        raise InputError(f"--workers {args.workers}: at least one is needed")
+    code = sweep(
+        args.campaign,
+        args.out,
+        scheduler=args.scheduler,
+        workers=args.workers,
+        force=args.force,
+        command=args.command_line,
+    )
+    print(args.out / "index.html")
+    return code
+
+
+def _answer(folder: Path, sql: str) -> int:
+    if not (folder / TABLE).is_file():
+        raise InputError(f"{folder}: has no {TABLE}, so it is no finished sweep")
+    names, rows = query(folder / TABLE, sql)
+    print("\t".join(names))
+    for row in rows:
+        print("\t".join("" if value is None else str(value) for value in row))
+    return 0

@@ -1,0 +1,150 @@
+"""The sweep stage: a campaign file in, a table of all its cases with figures and intervals out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from datasets.outputs import Stopwatch, check_free, sha256_text, write_json, write_manifest
+from pipeline.campaign.case import ROW
+from pipeline.campaign.engine import run_cases
+from pipeline.campaign.plan import Campaign, Case, cases, load_campaign
+from pipeline.campaign.table import write_parquet
+from pipeline.config import config_text
+from pipeline.console import log, track
+from reports.campaign import compare_pairs, summarise
+from reports.campaign_page import draw_campaign, render_campaign
+from reports.figures.album import Album
+from reports.stages import read_json
+
+TABLE = "results.parquet"
+
+
+def sweep(
+    campaign_name: str,
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    force: bool = False,
+    command: Sequence[str] = ("turtlebag", "sweep"),
+) -> int:
+    """Run what is left of a campaign and write its results to `out`; 1 when any case failed.
+
+    The work grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
+    """
+    watch = Stopwatch()
+    campaign = load_campaign(campaign_name)
+    check_free(out, force=force)
+    folder = _work_folder(campaign, out, force=force)
+    todo = cases(campaign)
+    rows = _run(campaign, todo, folder / "cases", scheduler, workers)
+    timing = _collect_timing(folder / "cases")
+    write_results(campaign, rows, folder)
+    write_manifest(
+        folder,
+        stage="sweep",
+        command=command,
+        inputs={},
+        seed=campaign.seed,
+        wall_s=watch.seconds(),
+        extra={"case_wall_s": timing},
+    )
+    if out.exists():
+        shutil.rmtree(out)
+    folder.rename(out)
+    failed = sum(bool(row["failed"]) for row in rows)
+    log.info(f"{out}: {len(rows)} cases, {failed} failed")
+    return int(failed > 0)
+
+
+def _work_folder(campaign: Campaign, out: Path, *, force: bool) -> Path:
+    """OUT.partial: a new one, or the one an earlier start of the same campaign left."""
+    folder = out.with_name(out.name + ".partial")
+    text = config_text(campaign)
+    mark = folder / "config.yaml"
+    if folder.exists() and not (mark.is_file() and sha256_text(mark.read_text()) == sha256_text(text)):
+        if not force:
+            raise InputError(f"{folder}: left by another campaign; remove it or pass --force")
+        shutil.rmtree(folder)
+    try:
+        (folder / "cases").mkdir(parents=True, exist_ok=True)
+        mark.write_text(text)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def _run(
+    campaign: Campaign, todo: Sequence[Case], folder: Path, scheduler: str | None, workers: int | None
+) -> list[dict[str, Any]]:
+    """Rows of all cases in the campaign's order; those that were done before are only read."""
+    rows: dict[str, dict[str, Any]] = {}
+    for case in todo:
+        if (folder / case.name / ROW).is_file():
+            rows[case.name] = read_json(folder / case.name / ROW)
+    # Draws may repeat a case: it runs once.
+    left = list({case.name: case for case in todo if case.name not in rows}.values())
+    if rows:
+        log.info(f"going on: {len(rows)} of {len(todo)} cases are done")
+    if left:
+        found = run_cases(campaign, left, folder, scheduler=scheduler, workers=workers)
+        for row in track(found, campaign.name, total=len(left)):
+            rows[row["case"]] = row
+            if row["failed"]:
+                log.warning(f"{row['case']}: {row['error']}")
+    return [rows[case.name] for case in todo]
+
+
+def _collect_timing(folder: Path) -> dict[str, float]:
+    """Wall time of each case [s]; taken out of the folder, which is the same when a campaign is repeated."""
+    timing = {}
+    for path in sorted(folder.glob("*/timing.json")):
+        timing[path.parent.name] = float(json.loads(path.read_text())["wall_s"])
+        path.unlink()
+    return timing
+
+
+def write_results(campaign: Campaign, rows: Sequence[dict[str, Any]], folder: Path) -> None:
+    """The Parquet table, the statistics and the page."""
+    write_parquet(rows, folder / TABLE)
+    results = list(campaign.results)
+    summaries = {
+        factor: summarise(rows, factor, results, campaign.seed)
+        for factor in campaign.factors
+        if factor != "seed"
+    }
+    pairs = []
+    if campaign.compare is not None and campaign.against is not None:
+        others = [factor for factor in campaign.factors if factor != campaign.compare]
+        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results, campaign.seed)
+    write_json(
+        folder / "summary.json",
+        {
+            "levels": {factor: [asdict(item) for item in found] for factor, found in summaries.items()},
+            "pairs": [asdict(pair) for pair in pairs],
+        },
+    )
+    album = Album(folder / "figures", paper=True)
+    draw_campaign([figure.model_dump() for figure in campaign.figures], rows, campaign.seed, album)
+    units = {figure.y: figure.unit for figure in campaign.figures}
+    text = config_text(campaign)
+    page = render_campaign(
+        campaign.name,
+        campaign.question,
+        rows,
+        summaries,
+        pairs,
+        compare=campaign.compare or "",
+        against=campaign.against,
+        units=units,
+        factors=list(campaign.factors),
+        pictures=album.pictures,
+        file=text,
+    )
+    (folder / "index.html").write_text(page)
