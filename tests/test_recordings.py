@@ -12,7 +12,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
+from datasets.bags.copying import into_mcap
+from datasets.bags.folder import BagFolder
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
+from datasets.bags.source import open_bag
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.recordings import load_recording
@@ -295,6 +298,19 @@ def test_a_split_bag_is_read_in_order(drive, tmp_path):
     assert load_recording(folder).stamps_ns.tolist() == expected
     (folder / "metadata.yaml").unlink()
     assert load_recording(folder).stamps_ns.tolist() == expected
+
+
+def test_topics_of_unknown_types_are_named_and_harmless(drive, tmp_path):
+    with BagFolder(tmp_path / "bag", custom={}) as bag:
+        sensors = bag.add_topic("/sensor_state", "turtlebot3_msgs/msg/SensorState", "uint8 bumper")
+        bag.write(sensors, 0, b"\x00\x01\x00\x00\x01")
+        copier = into_mcap(bag)
+        for message in open_bag(drive).messages():
+            copier.write(message)
+    recording = load_recording(tmp_path / "bag")
+    same(recording, load_recording(drive))
+    note = "topics of unknown types skipped: /sensor_state (turtlebot3_msgs/msg/SensorState)"
+    assert recording.notes == (note,)
 
 
 def test_what_is_not_a_recording_is_one_clear_line(tmp_path):

@@ -92,6 +92,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     odometry = find_odometry(streams, frame, notes)
     T_base_lidar = sensor_matrix(streams.frames, odometry.base, frame, notes)
     T_odom_base = odometry_at(odometry, stamps_ns, np.array(log_times, dtype=np.int64), notes)
+    streams.note_unknown(notes)
     if streams.bad:
         notes.append(f"{streams.bad} damaged messages skipped")
     return Recording3D(

@@ -38,6 +38,7 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None) -> Recording:
     log_times = np.array(streams.scan_times[topic], dtype=np.int64)
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
+    streams.note_unknown(notes)
     if streams.bad:
         notes.append(f"{streams.bad} damaged messages skipped")
     return Recording(

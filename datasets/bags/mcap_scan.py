@@ -158,8 +158,10 @@ class McapScan:
                 if not step_over:
                     return
                 at = self._next_chunk(at + 1)
-        state.problems.append(f"the file ends without its index, after {end} bytes: recording was cut off")
-        state.stopped = True
+        state.problems.append(
+            f"the file ends without its index, after {end} bytes: the recording was cut off; "
+            "`turtlebag bag recover` makes a whole bag of it"
+        )
 
     def _record(self, at: int) -> tuple[int, bytes, int]:
         if at + _RECORD.size > len(self._data):

@@ -9,12 +9,17 @@ from datasets.bags.columns import OdometryColumns, imu, odometry
 from datasets.bags.frames import FrameTree
 from datasets.bags.source import TRUTH_PREFIX, Bag
 from datasets.bags.storage import Topic
+from datasets.bags.topics import typestore
 from datasets.types import ImuLog
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _WANTED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
+
+
+def _current(msgtype: str) -> str:
+    return TRANSFORMS[0] if msgtype == TRANSFORMS[1] else msgtype
 
 
 @dataclass(slots=True)
@@ -42,7 +47,7 @@ class Streams:
         self.odometry: dict[str, Raw] = {}
         self.imu: dict[str, Raw] = {}
         self.frames = FrameTree()
-        self.seen: set[str] = set()
+        self.seen: dict[str, str] = {}
         self.bad = 0
         self._moving = Raw()
         for topic, log_time, data in bag.messages(self._wanted):
@@ -60,8 +65,17 @@ class Streams:
                 self._moving.add(log_time, data)
 
     def _wanted(self, topic: Topic) -> bool:
-        self.seen.add(topic.name)
+        self.seen[topic.name] = topic.msgtype
         return topic.msgtype in self._types and not topic.name.startswith(TRUTH_PREFIX)
+
+    def note_unknown(self, notes: list[str]) -> None:
+        """Name the topics whose types are no standard ROS types."""
+        known = typestore().fielddefs
+        unknown = [
+            f"{name} ({msgtype})" for name, msgtype in self.seen.items() if _current(msgtype) not in known
+        ]
+        if unknown:
+            notes.append(f"topics of unknown types skipped: {', '.join(sorted(unknown))}")
 
     def _scan(self, name: str, log_time: int, data: bytes) -> None:
         try:
