@@ -61,7 +61,7 @@ def _run_stage(stage: str, words: Sequence[str], place: Path) -> str:
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
             code = main([*words, "--quiet", "--out", str(out), "--force"])
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
         return f"{stage}: {type(error).__name__}: {error}".replace("\n", " ")
     if (out / "manifest.json").is_file():

@@ -1,0 +1,246 @@
+"""Campaigns: expansion, failures, resuming, the table, the statistics."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_tree, write_json, write_manifest
+from pipeline.campaign.case import run_case
+from pipeline.campaign.plan import FOLDER, Campaign, cases, load_campaign
+from reports.campaign import compare_pairs, summarise
+from reports.metrics.statistics import median_interval, paired, share_interval
+
+CAMPAIGN = """
+name: small
+question: Does it?
+factors:
+  size: [1, 2, 3]
+  kind: {plain: "", strange: "--odd 'two words'"}
+  seed: {first: 1, last: 4}
+stages:
+  make: "fake --size {size} --seed {seed} {kind}"
+  check: "fake --size {size} --of {make}/metrics.json"
+results: {error_m: "make:error.rmse", good: "check:good"}
+compare: size
+against: 1
+figures:
+  - {x: size, y: error_m, lines: kind, unit: cm}
+  - {x: size, y: good}
+"""
+
+
+def fake_main(argv):
+    """Stands in for the command line: a stage that knows its answer at once."""
+    given = dict(zip(argv[1::2], argv[2::2], strict=False))
+    size = int(given["--size"])
+    if size == 99:
+        raise RuntimeError("a defect")
+    if size == 98:
+        print("turtlebag: bad size 98", file=sys.stderr)
+        return 2
+    out = Path(argv[argv.index("--out") + 1])
+    out.mkdir(parents=True)
+    noise = 0.001 * int(given.get("--seed", 0))
+    write_json(out / "metrics.json", {"error": {"rmse": 0.1 * size + noise}, "good": size < 3})
+    (out / "big.bin").write_bytes(b"0" * 100)
+    write_manifest(out, stage="fake", command=argv, inputs={}, seed=None, wall_s=0.0)
+    return 0
+
+
+@pytest.fixture
+def no_commands(monkeypatch):
+    monkeypatch.setattr("pipeline.cli.main", fake_main)
+
+
+def load(tmp_path, text=CAMPAIGN):
+    (tmp_path / "campaign.yaml").write_text(text)
+    return load_campaign(str(tmp_path / "campaign.yaml"))
+
+
+def test_the_grid_has_every_combination_once(tmp_path):
+    found = cases(load(tmp_path))
+    assert len(found) == 24
+    assert len({case.name for case in found}) == 24
+    strange = next(case for case in found if case.factors["kind"] == "strange")
+    assert strange.commands["make"][-2:] == ["--odd", "two words"]
+    assert strange.commands["check"][-1] == "{make}/metrics.json"
+
+
+def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
+    text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
+    with pytest.raises(InputError, match="needs `sample`"):
+        load(tmp_path, text)
+    found = cases(load(tmp_path, text + "sample: 50\n"))
+    sizes = [case.factors["size"] for case in found]
+    assert len(sizes) == 50
+    assert 0.5 <= min(sizes) < max(sizes) <= 2.0
+    assert cases(load(tmp_path, text + "sample: 50\n")) == found
+    assert cases(load(tmp_path, text + "sample: 50\nseed: 2\n")) != found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("compare: size", "compare: shape", "no factor"),
+        ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
+        ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
+        ("y: good", "y: bad", "no result"),
+        ("question:", "questoin:", "unknown key"),
+    ],
+)
+def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
+    assert old in CAMPAIGN
+    with pytest.raises(InputError, match=message):
+        cases(load(tmp_path, CAMPAIGN.replace(old, new)))
+
+
+def row_of(tmp_path, **factors):
+    commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
+    case = {"name": "c", "factors": factors, "commands": commands}
+    return run_case(case, {"error_m": "make:error.rmse"}, str(tmp_path / "c"), ["metrics.json"])
+
+
+def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path, no_commands):
+    row = row_of(tmp_path, size=2)
+    assert row == {"case": "c", "size": 2, "failed": False, "error": "", "error_m": pytest.approx(0.202)}
+    assert json.loads((tmp_path / "c/row.json").read_text()) == row
+    assert not (tmp_path / "c/make/big.bin").exists()
+    assert (tmp_path / "c/make/metrics.json").exists()
+
+
+@pytest.mark.parametrize(("size", "reason"), [(98, "turtlebag: bad size 98"), (99, "RuntimeError: a defect")])
+def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, no_commands, size, reason):
+    row = row_of(tmp_path, size=size)
+    assert row["failed"]
+    assert row["error"] == f"make: {reason}"
+    assert row["error_m"] is None
+
+
+def test_a_finished_case_is_not_run_again(tmp_path, no_commands, monkeypatch):
+    first = row_of(tmp_path, size=2)
+    monkeypatch.setattr("pipeline.cli.main", lambda argv: pytest.fail("ran again"))
+    assert row_of(tmp_path, size=2) == first
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    pytest.importorskip("duckdb", reason="DuckDB is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, no_commands, scheduler):
+    from pipeline.campaign.table import query
+    from pipeline.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler) == 1
+    names, rows = query(
+        tmp_path / "out/results.parquet",
+        "SELECT size, median(error_m) AS m, "
+        "count(*) FILTER (failed) AS f FROM runs GROUP BY size ORDER BY size",
+    )
+    assert names == ["size", "m", "f"]
+    assert rows == [(1, pytest.approx(0.1025), 0), (2, pytest.approx(0.2025), 0), (99, None, 8)]
+    page = (tmp_path / "out/index.html").read_text()
+    assert "8 of them failed" in page
+    assert "RuntimeError: a defect" in page
+    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    pair = next(p for p in summary["pairs"] if p["level"] == 2 and p["result"] == "error_m")
+    assert pair["found"]["difference"]["value"] == pytest.approx(0.1)
+    assert pair["found"]["difference"]["n"] == 8
+    with pytest.raises(InputError):
+        query(tmp_path / "out/results.parquet", "SELECT nothing FROM runs")
+
+
+def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, no_commands, scheduler, monkeypatch):
+    from pipeline.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "whole", scheduler=scheduler) == 0
+
+    def stopped(found, description, total):
+        for count, row in enumerate(found):
+            if count == 10:
+                raise KeyboardInterrupt
+            yield row
+
+    monkeypatch.setattr("pipeline.sweep.track", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", scheduler=scheduler)
+    done = len(list((tmp_path / "parts.partial/cases").glob("*/row.json")))
+    assert 10 <= done <= 24
+    monkeypatch.undo()
+    monkeypatch.setattr("pipeline.cli.main", fake_main)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", scheduler=scheduler) == 0
+    assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
+
+
+def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, scheduler):
+    from pipeline.sweep import sweep
+
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    with pytest.raises(InputError, match="another campaign"):
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler)
+
+
+def test_every_shipped_study_can_be_expanded():
+    for path in FOLDER.glob("*.yaml"):
+        campaign = load_campaign(path.stem)
+        assert campaign.name == path.stem
+        assert len(cases(campaign)) > 1
+
+
+def test_the_median_interval_covers_the_true_median_about_as_often_as_it_says():
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(100):
+        found = median_interval(rng.exponential(size=30), rng)
+        hits += found.low <= math.log(2.0) <= found.high
+    assert 85 <= hits <= 100
+
+
+def test_wilsons_interval_is_the_published_one():
+    found = share_interval(15, 20)
+    assert (found.low, found.high) == (pytest.approx(0.531, abs=1e-3), pytest.approx(0.888, abs=1e-3))
+    assert share_interval(20, 20).high == 1.0
+    assert 0.8 < share_interval(20, 20).low < 0.9
+    assert share_interval(0, 0).value is None
+
+
+def test_pairs_see_a_small_shift_that_the_spread_hides():
+    rng = np.random.default_rng(0)
+    a = {key: float(rng.normal()) for key in range(40)}
+    b = {key: value + 0.05 + float(rng.normal(scale=0.02)) for key, value in a.items()}
+    found = paired(a, {**b, "alone": 9.0}, rng)
+    assert found.difference.n == 40
+    assert found.difference.low > 0.0
+    assert found.less < 0.1
+
+
+def test_failed_cases_count_against_a_share_and_not_in_a_median():
+    rows = [
+        {"f": "a", "failed": False, "good": True, "error_m": 1.0},
+        {"f": "a", "failed": True, "good": None, "error_m": None},
+        {"f": "b", "failed": False, "good": False, "error_m": 3.0},
+    ]
+    good, _, error, _ = summarise(rows, "f", ["good", "error_m"], 1)
+    assert (good.kind, good.interval.value, good.failed) == ("share", 0.5, 1)
+    assert (error.kind, error.interval.value, error.interval.n) == ("median", 1.0, 1)
+    (pair,) = compare_pairs(rows[:1] + rows[2:], "f", "a", [], ["error_m"], 1)
+    assert pair.found.difference.value == 2.0
+
+
+def test_a_campaign_needs_its_keys():
+    with pytest.raises(ValueError, match="stages"):
+        Campaign.model_validate({"name": "x", "factors": {}, "results": {}})
