@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,10 +21,11 @@ from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist, seconds
 from pipeline.config import config_text
 from pipeline.console import log
+from pipeline.replay import is_recording, load_commands
 from sim.driver import Stuck
 from sim.robots import RobotSpec, load_robot
-from sim.simulator import SimConfig, Simulator
-from sim.teleop import Script, commands, load_script
+from sim.simulator import SimConfig, Simulator, Truth
+from sim.teleop import commands, load_script
 from sim.worlds import World, load_world
 
 
@@ -43,6 +44,7 @@ class RecordConfig(BaseModel):
     robot: str
     teleop: str
     seed: int
+    start: tuple[float, float, float] | None = None
     sim: SimConfig = SimConfig()
 
 
@@ -75,39 +77,100 @@ def record(
     out: Path,
     *,
     sim: SimConfig | None = None,
+    start: SE2 | None = None,
     force: bool = False,
     command: Sequence[str] = (),
 ) -> int:
-    """Record a drive; returns the exit code.
+    """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
     0 done, 1 the robot got stuck, 130 interrupted; what was recorded until then is complete and kept.
     """
-    watch = Stopwatch()
-    world_loaded = load_world(world)
-    robot_name = robot or world_loaded.robot
-    robot_loaded, script = load_robot(robot_name), load_script(teleop)
-    commands(script, world_loaded, robot_loaded, seed)  # InputError before anything is written
+    scene = Scene.load(world, robot, seed, sim, start)
+    if is_recording(teleop):
+        replayed = load_commands(Path(teleop))
+        return record_drive(
+            scene,
+            replayed.commands(),
+            replayed.label,
+            out,
+            inputs={"teleop": Path(teleop)},
+            force=force,
+            command=command,
+        )
+    driver = commands(load_script(teleop), scene.world, scene.robot, seed)
+    inputs = {"teleop": Path(teleop)} if Path(teleop).is_file() else {}
+    return record_drive(scene, driver, teleop, out, inputs=inputs, force=force, command=command)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is simulated: a robot in a world, where it starts, the settings and the seed."""
+
+    world_name: str
+    robot_name: str
+    world: World
+    robot: RobotSpec
+    sim: SimConfig
+    start: SE2 | None
+    seed: int
+
+    @staticmethod
+    def load(world: str, robot: str | None, seed: int, sim: SimConfig | None, start: SE2 | None) -> Scene:
+        """Look the names up; InputError for unknown ones."""
+        loaded = load_world(world)
+        name = robot or loaded.robot
+        return Scene(world, name, loaded, load_robot(name), sim or SimConfig(), start, seed)
+
+    def config(self, teleop: str) -> RecordConfig:
+        """The resolved settings, to be saved."""
+        start = None if self.start is None else tuple(self.start.xyt.tolist())
+        return RecordConfig(
+            world=self.world_name,
+            robot=self.robot_name,
+            teleop=teleop,
+            seed=self.seed,
+            start=start,
+            sim=self.sim,
+        )
+
+
+def record_drive(
+    scene: Scene,
+    driver: Generator[Twist, Truth, None],
+    teleop: str,
+    out: Path,
+    *,
+    inputs: Mapping[str, Path] | None = None,
+    watch: Callable[[Observation], None] | None = None,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Record what a driver does (sim.teleop: a generator of commands that is sent the truth).
+
+    `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
+    """
+    timer = Stopwatch()
     _check_left_over(out, force=force)
-    config = RecordConfig(world=world, robot=robot_name, teleop=teleop, seed=seed, sim=sim or SimConfig())
+    config = scene.config(teleop)
     with staged_output(out, force=force) as folder:
-        text = config_text(config)
-        (folder / "config.yaml").write_text(text)
+        (folder / "config.yaml").write_text(config_text(config))
         truth = TruthLog()
-        custom = {"seed": str(seed), "config_sha256": sha256_text(text)}
+        # Without the driver's name: a bag that is driven again from its own commands is the same bag.
+        custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
         with (
-            Simulator(world_loaded, robot_loaded, config.sim, seed) as simulator,
+            Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
             BagWriter(folder / "bag", custom=custom) as bag,
             deferred_interrupt() as interrupted,
         ):
-            duration, stuck = _drive(simulator, script, bag, truth, interrupted)
-        truth.save(folder / "truth", world_loaded, robot_loaded)
-        wall = watch.seconds()
+            duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, interrupted)
+        truth.save(folder / "truth", scene.world, scene.robot)
+        wall = timer.seconds()
         write_manifest(
             folder,
             stage="record",
             command=command,
-            inputs={},
-            seed=seed,
+            inputs=inputs or {},
+            seed=scene.seed,
             wall_s=wall,
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
         )
@@ -128,17 +191,24 @@ def _check_left_over(out: Path, *, force: bool) -> None:
 
 
 def _drive(
-    simulator: Simulator, script: Script, bag: BagWriter, truth: TruthLog, interrupted: list[int]
+    simulator: Simulator,
+    start: SE2 | None,
+    driver: Generator[Twist, Truth, None],
+    bag: BagWriter,
+    truth: TruthLog,
+    watch: Callable[[Observation], None] | None,
+    interrupted: list[int],
 ) -> tuple[float, str | None]:
-    """Run the script to its end or to an interrupt: the simulated time [s], and where it got stuck."""
-    observation = simulator.reset()
-    driver = commands(script, simulator.world, simulator.robot, simulator.seed)
+    """Run the driver to its end or to an interrupt: the simulated time [s], and where it got stuck."""
+    observation = simulator.reset(start)
     bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
     next(driver)
     stuck = None
     while True:
         bag.observation(observation)
         truth.add(observation, simulator)
+        if watch is not None:
+            watch(observation)
         now = simulator.truth
         bag.truth(now.stamp_ns, now.T_world_base, now.twist)
         if interrupted:

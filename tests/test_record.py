@@ -211,3 +211,31 @@ def test_an_unfinished_recording_is_not_overwritten_unasked(tmp_path, script):
         record("turtlebot3_world", None, script, 1, tmp_path / "rec")
     assert left_over.is_file()
     assert record("turtlebot3_world", None, script, 1, tmp_path / "rec", force=True) == 0
+
+
+def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
+    for number, source in enumerate((recorded, recorded / "bag", recorded / "bag" / "bag_0.mcap")):
+        out = tmp_path / str(number)
+        assert record("turtlebot3_world", None, str(source), 1, out) == 0
+        again, before = hashes(out), hashes(recorded)
+        assert again.pop("config.yaml") != before.pop("config.yaml")  # it names another driver
+        assert again == before
+
+
+def test_a_bags_commands_drive_another_robot_too(recorded, tmp_path):
+    assert record("empty", "waffle_pi", str(recorded), 1, tmp_path / "rec") == 0
+    path = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum")
+    assert path.length() == pytest.approx(load_tum(recorded / "truth" / "trajectory.tum").length(), rel=0.1)
+
+
+def test_a_bag_without_commands_cannot_be_driven_again(tmp_path):
+    with pytest.raises(InputError):
+        record("empty", None, str(tmp_path), 1, tmp_path / "rec")
+    assert not (tmp_path / "rec").exists()
+
+
+def test_a_start_pose_may_be_given(tmp_path, script):
+    arguments = ["record", "--world", "empty", "--teleop", script, "--start=-2.5,-0.5,0.5"]
+    assert main([*arguments, "--out", str(tmp_path / "rec")]) == 0
+    first = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum").poses[0].xyt
+    np.testing.assert_allclose(first, [-2.5, -0.5, 0.5], atol=0.01)

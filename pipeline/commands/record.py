@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from pipeline.commands.arguments import add_config, add_output, seed
+from pipeline.commands.arguments import add_config, add_output, pose, seed
 from pipeline.config import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
@@ -16,10 +16,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
-    parser.add_argument("--teleop", default="tour", metavar="SCRIPT", help="script: a name or a YAML file")
+    parser.add_argument(
+        "--teleop",
+        default="tour",
+        metavar="SCRIPT",
+        help="script: a name, a YAML file, or a bag whose /cmd_vel is driven again",
+    )
     parser.add_argument(
         "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
     )
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     add_config(parser)
     add_output(parser)
 
@@ -36,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
         args.seed,
         args.out,
         sim=options.sim,
+        start=pose(args.start, "--start") if args.start else None,
         force=args.force,
         command=args.command_line,
     )
