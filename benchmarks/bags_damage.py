@@ -20,8 +20,6 @@ from datasets.bags.source import open_bag
 from datasets.errors import InputError
 from datasets.recordings import load_recording
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
 
 def messages_of(path: Path) -> list[tuple[str, int, bytes]]:
     return [(m.topic.name, m.log_time_ns, m.data) for m in open_bag(path).messages()]
@@ -140,6 +138,7 @@ def other_formats(bag: Path, count: int, seed: int, scratch: Path) -> dict[str, 
 
 
 def main() -> int:
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
     from bag_samples import write_drive
 
     parser = argparse.ArgumentParser(description=__doc__)

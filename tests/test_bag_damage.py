@@ -1,5 +1,6 @@
 """Crashes, cuts and flipped bytes: what is read is right, what is lost is said, little is lost."""
 
+import importlib.util
 import os
 import signal
 import subprocess
@@ -13,12 +14,15 @@ from bag_samples import write_drive
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from bags_damage import campaign, messages_of, other_formats
-
 from datasets.bags.recover import recover
 from datasets.bags.source import open_bag
 from datasets.recordings import load_recording
+
+ROOT = Path(__file__).parents[1]
+spec = importlib.util.spec_from_file_location("bags_damage", ROOT / "benchmarks" / "bags_damage.py")
+bags_damage = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(bags_damage)
+campaign, messages_of = bags_damage.campaign, bags_damage.messages_of
 
 CHILD = """
 import mmap, sys, time
@@ -81,7 +85,7 @@ def test_random_cuts_and_flips_never_give_wrong_data_or_silence(drive, tmp_path)
 
 
 def test_formats_without_checksums_end_in_data_or_one_error(drive, tmp_path):
-    for counter in other_formats(drive, 6, 0, tmp_path).values():
+    for counter in bags_damage.other_formats(drive, 6, 0, tmp_path).values():
         assert not [outcome for outcome in counter if outcome.startswith("BAD")]
 
 
@@ -105,6 +109,13 @@ def test_a_damaged_first_chunk_costs_only_itself(drive, tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     assert recover(path, tmp_path / "saved").messages > 0.7 * len(messages_of(drive))
+
+
+def test_recovery_keeps_what_was_noted_of_the_recording(drive, tmp_path):
+    content = (drive / "bag_0.mcap").read_bytes()
+    (tmp_path / "a.mcap").write_bytes(content[: len(content) // 2])
+    recover(tmp_path / "a.mcap", tmp_path / "saved")
+    assert open_bag(tmp_path / "saved").custom_data() == {"seed": "7", "recovered": "true"}
 
 
 def test_the_warning_says_where_and_what_to_do(drive, tmp_path):

@@ -113,7 +113,7 @@ def test_the_official_reader_agrees_checksums_and_all(bag):
         count = sum(1 for _ in reader.iter_messages())
         metadata = [record.name for record in reader.iter_metadata()]
     assert count == summary.statistics.message_count
-    assert metadata == ["rosbag2"]
+    assert metadata == ["custom_data", "rosbag2"]
     assert {channel.topic for channel in summary.channels.values()} == set(TOPICS)
     assert all(schema.encoding == "ros2msg" for schema in summary.schemas.values())
 

@@ -31,13 +31,17 @@ from datasets.types import Odometry, Recording, Twist
 
 def to_mcap(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new rosbag2 folder with mcap storage; returns the message count and notes."""
-    with BagFolder(folder, custom={}) as out:
-        return _copied(open_bag(path), into_mcap(out), exclude)
+    bag = open_bag(path)
+    with BagFolder(folder, custom=bag.custom_data()) as out:
+        return _copied(bag, into_mcap(out), exclude)
 
 
 def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new rosbag2 folder with sqlite3 storage; returns the message count and notes."""
+    bag = open_bag(path)
     with Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for key, value in bag.custom_data().items():
+            writer.set_custom_data(key, value)
 
         def register(topic: Topic) -> Write:
             translate = None
@@ -57,7 +61,7 @@ def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tu
                 return lambda message: writer.write(connection, message.log_time_ns, message.data)
             return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
-        return _copied(open_bag(path), Copier(register), exclude)
+        return _copied(bag, Copier(register), exclude)
 
 
 def to_ros1_bag(path: Path, file: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:

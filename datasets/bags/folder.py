@@ -10,6 +10,7 @@ import yaml
 
 from datasets.bags.mcap import McapWriter
 from datasets.bags.topics import (
+    CUSTOM_RECORD,
     DATA_FILE,
     METADATA_FILE,
     TopicSummary,
@@ -34,6 +35,8 @@ class BagFolder:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._folder = folder
         self._custom = dict(custom)
+        if custom:  # at the beginning, where a crash cannot take it away
+            self._mcap.add_metadata(CUSTOM_RECORD, custom)
         self._topics: list[tuple[str, str, str, str]] = []
         self._schemas: dict[tuple[str, str, str], int] = {}
         self._closed = False
@@ -85,7 +88,8 @@ class BagFolder:
             for (name, msgtype, qos, type_hash), count in zip(self._topics, self._mcap.counts, strict=True)
         ]
         information = bag_metadata(summaries, self._mcap.span_ns, self._custom)
-        self._mcap.close({"rosbag2": {"serialized_metadata": metadata_text(information)}})
+        self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
+        self._mcap.close()
         unfinished = self._folder / (METADATA_FILE + ".tmp")
         unfinished.write_text(metadata_text({"rosbag2_bagfile_information": information}))
         unfinished.rename(self._folder / METADATA_FILE)

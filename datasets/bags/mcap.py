@@ -58,6 +58,7 @@ class McapWriter:
         self._schemas: list[bytes] = []
         self._channels: list[bytes] = []
         self._chunk_indices: list[bytes] = []
+        self._metadata_indices: list[bytes] = []
         self._counts: list[int] = []
         self._start_ns: int | None = None
         self._end_ns = 0
@@ -145,18 +146,19 @@ class McapWriter:
             self._end_ns = max(self._end_ns, end)
         self._new_chunk()
 
-    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        """Write the metadata records, the index and the end magic, and close the file."""
+    def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
+        """Write a metadata record, after what was given so far."""
         self.flush()
-        metadata_indices = []
-        for name, items in (metadata or {}).items():
-            record = _record(METADATA, _text(name) + _map(items))
-            metadata_indices.append(
-                _record(METADATA_INDEX, struct.pack("<QQ", self._position, len(record)) + _text(name))
-            )
-            self._append(record)
+        record = _record(METADATA, _text(name) + _map(items))
+        place = struct.pack("<QQ", self._position, len(record))
+        self._metadata_indices.append(_record(METADATA_INDEX, place + _text(name)))
+        self._append(record)
+
+    def close(self) -> None:
+        """Write the index and the end magic, and close the file."""
+        self.flush()
         self._append(_record(DATA_END, struct.pack("<I", self._crc)))
-        self._append_summary(metadata_indices)
+        self._append_summary()
         self._file.close()
 
     def abort(self) -> None:
@@ -164,7 +166,7 @@ class McapWriter:
         self.flush()
         self._file.close()
 
-    def _append_summary(self, metadata_indices: list[bytes]) -> None:
+    def _append_summary(self) -> None:
         start, end = self.span_ns
         counts = b"".join(struct.pack("<HQ", number, count) for number, count in enumerate(self._counts, 1))
         statistics = struct.pack(
@@ -173,7 +175,7 @@ class McapWriter:
             len(self._schemas),
             len(self._channels),
             0,
-            len(metadata_indices),
+            len(self._metadata_indices),
             len(self._chunk_indices),
             start,
             end,
@@ -183,7 +185,7 @@ class McapWriter:
             (CHANNEL, self._channels),
             (STATISTICS, [_record(STATISTICS, statistics + _sized(counts))]),
             (CHUNK_INDEX, self._chunk_indices),
-            (METADATA_INDEX, metadata_indices),
+            (METADATA_INDEX, self._metadata_indices),
         )
         summary_start, summary, offsets = self._position, b"", b""
         for opcode, records in groups:

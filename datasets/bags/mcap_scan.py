@@ -163,6 +163,21 @@ class McapScan:
             "`turtlebag bag recover` makes a whole bag of it"
         )
 
+    def leading_metadata(self, name: str) -> dict[str, str]:
+        """A metadata record that precedes the messages; empty when there is none."""
+        at = len(MAGIC)
+        try:
+            while at < len(self._data):
+                opcode, body, at = self._record(at)
+                if opcode in (CHUNK, MESSAGE, DATA_END):
+                    break
+                fields = _Fields(body)
+                if opcode == METADATA and fields.text() == name:
+                    return fields.map()
+        except Damage:
+            pass
+        return {}
+
     def _record(self, at: int) -> tuple[int, bytes, int]:
         if at + _RECORD.size > len(self._data):
             raise Damage("the file ends inside a record")

@@ -28,7 +28,7 @@ def recover(path: Path, folder: Path) -> Recovered:
     """
     bag = open_bag(path)
     times: list[int] = []
-    with BagFolder(folder, custom={"recovered": "true"}) as out:
+    with BagFolder(folder, custom={**bag.custom_data(), "recovered": "true"}) as out:
         copier = into_mcap(out)
         for message in bag.messages(step_over=True):
             copier.write(message)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 import yaml
 
 from datasets.bags.decode import Cursor, Ros1Cursor
 from datasets.bags.mcap import MAGIC
+from datasets.bags.mcap_scan import McapScan
 from datasets.bags.ros1_scan import ROS1_MAGIC
 from datasets.bags.storage import READERS, Message, Wanted
-from datasets.bags.topics import METADATA_FILE
+from datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from datasets.errors import InputError
 from datasets.files import read_unpacked
 
@@ -24,8 +25,16 @@ TRUTH_PREFIX = "/ground_truth"
 class Bag:
     """A bag: its files in order. `notes` grows while messages are read."""
 
-    def __init__(self, path: Path, kind: str, files: list[Path], notes: list[str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        kind: str,
+        files: list[Path],
+        notes: list[str],
+        custom: Mapping[str, str] | None = None,
+    ) -> None:
         self.path, self.kind, self.files, self.notes = path, kind, files, notes
+        self._custom = dict(custom or {})
         self._keep: list[tempfile.TemporaryDirectory] = []
 
     def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
@@ -36,6 +45,15 @@ class Bag:
         for file in self.files:
             source = READERS[self.kind](file)
             yield from source.messages(wanted, self.notes, step_over=step_over)
+
+    def custom_data(self) -> dict[str, str]:
+        """What the recorder noted of the recording (seed and the like), as far as it can be read."""
+        if self.kind == "mcap":
+            for file in self.files:
+                found = McapScan(file).leading_metadata(CUSTOM_RECORD)
+                if found:
+                    return found
+        return self._custom
 
     def cursor(self, data: bytes) -> Cursor:
         """A field reader for a message's bytes."""
@@ -117,10 +135,11 @@ def _from_metadata(path: Path, folder: Path) -> Bag:
     kind = str(information["storage_identifier"])
     if kind not in ("mcap", "sqlite3"):
         raise ValueError(f"unknown storage {kind!r}")
+    custom = {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()}
     if information.get("compression_mode", "").lower() not in ("", "none"):
-        return Bag(path, "compressed", [folder], [])
+        return Bag(path, "compressed", [folder], [], custom)
     files = [folder / PurePosixPath(str(name)).name for name in information["relative_file_paths"]]
     missing = [file.name for file in files if not file.is_file()]
     if missing or not files:
         raise ValueError(f"it names {', '.join(missing) or 'no file'}")
-    return Bag(path, kind, files, [])
+    return Bag(path, kind, files, [], custom)

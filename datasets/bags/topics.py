@@ -16,6 +16,9 @@ METADATA_FILE = "metadata.yaml"
 DATA_FILE = "bag_0.mcap"
 """One name whatever the folder is called: the same run gives the same bytes wherever it is written."""
 
+CUSTOM_RECORD = "custom_data"
+"""Metadata record of the mcap file that repeats metadata.yaml's custom data."""
+
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
