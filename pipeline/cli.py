@@ -22,6 +22,7 @@ from pipeline.console import set_verbosity
 # `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
 VERBS: dict[str, tuple[str, str]] = {
     "record": ("record", "drive a simulated robot by a script and record a bag"),
+    "teleop": ("teleop", "drive with the keyboard and record a bag"),
     "map": ("map", "build a map from a bag or log"),
     "localise": ("localise", "find where a recorded robot was on a map"),
     "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),

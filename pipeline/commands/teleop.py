@@ -1,0 +1,62 @@
+"""turtlebag teleop."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.config import load_config
+
+EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
+    )
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
+    parser.add_argument(
+        "--style",
+        choices=("keys", "turtlebot3"),
+        default="keys",
+        help="keys: W A S D; turtlebot3: its own node's",
+    )
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)")
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive by keys until Q or Ctrl-C."""
+    from datasets.errors import InputError
+    from datasets.outputs import check_free
+    from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, show
+    from pipeline.record import RecordOptions, Scene, record_drive
+
+    if not args.speed > 0.0:
+        raise InputError(f"--speed {args.speed:g}: must be more than 0")
+    options = load_config(RecordOptions, args.config, args.settings)
+    start = pose(args.start, "--start") if args.start else None
+    scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
+    check_free(args.out, force=args.force)
+    state = KeyState(scene.robot.limits, args.style)
+    show(TABLES[args.style] + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys:
+        code = record_drive(
+            scene,
+            keyboard_driver(state, read_keys, clock(args.speed)),
+            f"keyboard:{args.style}",
+            args.out,
+            watch=View(scene.robot, state, args.view, show),
+            force=args.force,
+            command=args.command_line,
+        )
+    show("\n")
+    return code

@@ -1,0 +1,191 @@
+"""Keyboard teleop: keys to speeds, at the pace of a clock, with a view of what the robot sees."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+import numpy as np
+
+from datasets.se2 import Array
+from datasets.types import Observation, Twist
+from pipeline.terminal import Canvas
+from sim.robots import Limits, RobotSpec
+from sim.simulator import CONTROL_HZ, Truth
+
+STEP_V, STEP_W = 0.01, 0.1
+RAMP = 0.5
+"""TurtleBot3's own node moves its output to the target by this share of a key's step, ten times a second."""
+STOPPING_STEPS = 30
+VIEW_EVERY = 6
+CELL_M = 0.05
+
+Style = Literal["keys", "turtlebot3"]
+
+TABLES: dict[Style, str] = {
+    "keys": (
+        "  W forward +0.01 m/s    A left  +0.1 rad/s    X or space  stop\n"
+        "  S back    -0.01 m/s    D right -0.1 rad/s    Q           end the recording"
+    ),
+    "turtlebot3": (
+        "  w / x  linear  +/- 0.01 m/s     space or s  stop at once\n"
+        "  a / d  angular +/- 0.1 rad/s    q           end the recording\n"
+        "  (the speed follows its target by half a step ten times a second)"
+    ),
+}
+
+
+class KeyState:
+    """Speeds that keys have asked for, within a robot's limits."""
+
+    def __init__(self, limits: Limits, style: Style) -> None:
+        self._limits, self._style = limits, style
+        self._v = self._w = 0.0
+        self._out_v = self._out_w = 0.0
+        self.ended = False
+
+    def press(self, key: str) -> None:
+        """Take one key; unknown ones do nothing."""
+        key = key.lower()
+        back, stops = ("s", "x ") if self._style == "keys" else ("x", "s ")
+        if key in ("q", "\x03", "\x04"):
+            self.ended = True
+        elif key in stops:
+            self._v = self._w = self._out_v = self._out_w = 0.0
+        else:
+            v = {"w": STEP_V, back: -STEP_V}.get(key, 0.0)
+            w = {"a": STEP_W, "d": -STEP_W}.get(key, 0.0)
+            # Whole steps, so that as many back lead to exactly zero.
+            self._v = _clip(round((self._v + v) / STEP_V) * STEP_V if v else self._v, self._limits.max_v)
+            self._w = _clip(round((self._w + w) / STEP_W) * STEP_W if w else self._w, self._limits.max_w)
+
+    def tick(self) -> None:
+        """A tenth of a second has passed: the TurtleBot3 style moves its output on."""
+        self._out_v = _toward(self._out_v, self._v, RAMP * STEP_V)
+        self._out_w = _toward(self._out_w, self._w, RAMP * STEP_W)
+
+    @property
+    def command(self) -> Twist:
+        """What is sent to the robot now."""
+        return Twist(self._v, self._w) if self._style == "keys" else Twist(self._out_v, self._out_w)
+
+
+def _clip(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
+
+
+def _toward(value: float, target: float, step: float) -> float:
+    return max(min(target, value + step), value - step)
+
+
+def keyboard_driver(
+    state: KeyState, read_keys: Callable[[], str], wait: Callable[[int], None]
+) -> Generator[Twist, Truth, None]:
+    """A driver for record_drive: asks for keys at each control step, until the end key; then stops.
+
+    `read_keys` gives what was typed since it was asked last; `wait` is told the number of the step
+    and returns when that is due. What the driver is sent, the truth, it does not look at.
+    """
+    yield Twist()
+    step = 0
+    while not state.ended:
+        wait(step)
+        for key in read_keys():
+            state.press(key)
+        if step % (CONTROL_HZ // 10) == 0:
+            state.tick()
+        step += 1
+        yield Twist() if state.ended else state.command
+    for _ in range(STOPPING_STEPS):
+        yield Twist()
+
+
+class View:
+    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone."""
+
+    def __init__(
+        self, robot: RobotSpec, state: KeyState, drawing: bool, write: Callable[[str], None]
+    ) -> None:
+        self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
+        self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
+        self._height = 2.0 * min(robot.lidar.range_max, 5.0)
+        self._count = 0
+
+    def __call__(self, observation: Observation) -> None:
+        """Take an observation; draw a few times a second."""
+        scan, T_odom_base = observation.scan, observation.odometry.T_odom_base
+        if scan is not None and self._drawing:
+            points = T_odom_base @ (self._T_base_lidar @ scan.points_lidar())
+            cells = np.floor(points / CELL_M).astype(np.int64)
+            self._seen = np.unique(np.vstack([self._seen, cells]), axis=0)
+        if self._count % VIEW_EVERY == 0:
+            self._write(self.frame(observation))
+        self._count += 1
+
+    def frame(self, observation: Observation) -> str:
+        """The text of one frame."""
+        wanted, odometry = self._state.command, observation.odometry
+        x, y, yaw = odometry.T_odom_base.xyt.tolist()
+        line = (
+            f"{observation.stamp_ns * 1e-9:7.1f} s   command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s   "
+            f"odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s   at {x:+.2f}, {y:+.2f}"
+        )
+        if not self._drawing:
+            return "\r" + line + "\x1b[K"
+        canvas = Canvas(78, 22, (x, y), self._height)
+        canvas.dots(self.map_points)
+        canvas.robot(x, y, yaw)
+        return "\x1b[H\x1b[2J" + canvas.text() + "\n" + line + "\n"
+
+    @property
+    def map_points(self) -> Array:
+        """Middles of all 5 cm cells that a beam has hit so far, (n, 2) in the odom frame."""
+        return (self._seen.astype(np.float64) + 0.5) * CELL_M
+
+
+@contextmanager
+def keys_of(stream: int) -> Iterator[Callable[[], str]]:
+    """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
+
+    The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
+    each call, and the end key at its end.
+    """
+    if not os.isatty(stream):
+        # An empty read is the end of the pipe.
+        yield lambda: (os.read(stream, 1).decode(errors="ignore") or "q") if _ready(stream) else ""
+        return
+    before = termios.tcgetattr(stream)
+    tty.setcbreak(stream)
+    try:
+        yield lambda: os.read(stream, 64).decode(errors="ignore") if _ready(stream) else ""
+    finally:
+        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+
+
+def _ready(stream: int) -> bool:
+    return bool(select.select([stream], [], [], 0.0)[0])
+
+
+def clock(speed: float) -> Callable[[int], None]:
+    """A function that returns when a control step is due, at `speed` times real time."""
+    begun = time.monotonic()
+
+    def wait(step: int) -> None:
+        left = begun + step / (CONTROL_HZ * speed) - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+    return wait
+
+
+def show(text: str) -> None:
+    """Write to the terminal (stderr), at once."""
+    sys.stderr.write(text)
+    sys.stderr.flush()

@@ -1,0 +1,110 @@
+"""Keyboard teleop: steps and limits of the keys, stopping, the bag, the view."""
+
+import os
+
+import numpy as np
+import pytest
+
+from datasets.bags.reader import read_commands
+from datasets.types import Twist
+from pipeline.cli import main
+from pipeline.keyboard import KeyState, View, keyboard_driver, keys_of
+from pipeline.record import Scene, record_drive
+from sim.robots import load_robot
+from sim.simulator import SimConfig, Simulator
+from sim.worlds import load_world
+
+BURGER = load_robot("burger")
+
+
+def pressed(keys, style="keys"):
+    state = KeyState(BURGER.limits, style)
+    for key in keys:
+        state.press(key)
+    return state
+
+
+def test_keys_move_by_their_steps():
+    assert pressed("wwwa").command == Twist(pytest.approx(0.03), pytest.approx(0.1))
+    assert pressed("WwsDd").command == Twist(pytest.approx(0.01), pytest.approx(-0.2))
+    assert pressed("wwss").command == Twist(0.0, 0.0)
+    for stop in "x X".replace(" ", "") + " ":
+        assert pressed("wwwaa" + stop).command == Twist(0.0, 0.0)
+
+
+def test_limits_of_the_robot_are_kept():
+    assert pressed("w" * 100 + "a" * 100).command == Twist(0.22, 2.84)
+    assert pressed("s" * 100 + "d" * 100).command == Twist(-0.22, -2.84)
+
+
+def test_turtlebot3_style_follows_its_target_by_half_steps():
+    state = pressed("wwa", "turtlebot3")
+    assert state.command == Twist(0.0, 0.0)
+    state.tick()
+    assert state.command == Twist(pytest.approx(0.005), pytest.approx(0.05))
+    for _ in range(10):
+        state.tick()
+    assert state.command == Twist(pytest.approx(0.02), pytest.approx(0.1))
+    state.press("x")  # in this style: slower
+    for _ in range(10):
+        state.tick()
+    assert state.command.v == pytest.approx(0.01)
+    state.press("s")  # stop at once
+    assert state.command == Twist(0.0, 0.0)
+
+
+def test_a_keyboard_drive_is_a_bag_like_any_other_and_ends_standing(tmp_path):
+    scene = Scene.load("empty", None, 1, None, None)
+    state = KeyState(scene.robot.limits, "keys")
+    typed = iter(["w" * 10, "", "aaa"] + [""] * 40 + ["q"])
+    frames = []
+    driver = keyboard_driver(state, lambda: next(typed), lambda step: None)
+    view = View(scene.robot, state, False, frames.append)
+    assert record_drive(scene, driver, "keyboard:keys", tmp_path / "rec", watch=view) == 0
+    _, v, w = read_commands(tmp_path / "rec")
+    assert v.max() == pytest.approx(0.1)
+    assert w.max() == pytest.approx(0.3)
+    assert (v[-1], w[-1]) == (0.0, 0.0)
+    assert np.all(v[-25:] == 0.0)
+    assert any("+0.10 m/s" in frame for frame in frames)
+
+
+def test_the_view_draws_a_map_that_grows():
+    world = load_world("turtlebot3_world")
+    state = KeyState(BURGER.limits, "keys")
+    frames = []
+    view = View(BURGER, state, True, frames.append)
+    with Simulator(world, BURGER, SimConfig(), 1) as simulator:
+        view(simulator.reset())
+        for _ in range(6):
+            view(simulator.step(Twist(0.2, 0.0)))
+        first = len(view.map_points)
+        for _ in range(60):
+            view(simulator.step(Twist(0.2, 0.5)))
+    assert len(view.map_points) > first > 50
+    assert sum(ord(c) - 0x2800 > 0 for c in frames[-1] if 0x2800 <= ord(c) < 0x2900) > 20
+    assert any(arrow in frames[-1] for arrow in "→↗↑↖←↙↓↘")
+
+
+def test_keys_from_a_pipe_are_given_one_by_one_and_end():
+    reader, writer = os.pipe()
+    os.write(writer, b"wa")
+    os.close(writer)
+    with keys_of(reader) as read_keys:
+        assert [read_keys() for _ in range(3)] == ["w", "a", "q"]
+    os.close(reader)
+
+
+def test_the_command_records_from_piped_keys_and_refuses_a_wrong_world(tmp_path, monkeypatch, capsys):
+    reader, writer = os.pipe()
+    os.write(writer, b"w" * 20)
+    os.close(writer)
+    with os.fdopen(reader) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        arguments = ["teleop", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec")]
+        assert main(arguments) == 0
+    _, v, _ = read_commands(tmp_path / "rec")
+    assert v.max() == pytest.approx(0.2)
+    assert "W forward" in capsys.readouterr().err
+    assert main(["teleop", "--world", "nowhere", "--out", str(tmp_path / "other")]) == 2
+    assert not (tmp_path / "other").exists()
