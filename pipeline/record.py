@@ -152,7 +152,8 @@ def record_drive(
     timer = Stopwatch()
     _check_left_over(out, force=force)
     config = scene.config(teleop)
-    with staged_output(out, force=force) as folder:
+    # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
+    with deferred_interrupt() as interrupted, staged_output(out, force=force) as folder:
         (folder / "config.yaml").write_text(config_text(config))
         truth = TruthLog()
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
@@ -160,7 +161,6 @@ def record_drive(
         with (
             Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
             BagWriter(folder / "bag", custom=custom) as bag,
-            deferred_interrupt() as interrupted,
         ):
             duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, interrupted)
         truth.save(folder / "truth", scene.world, scene.robot)
