@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2
+from datasets.yaml_files import load_model
 
 # Trinary pixels of map_saver. 205 reads back as (255 - 205) / 255 = 0.19608, which is "unknown" only
 # because free_thresh is 0.196: with Nav2's 0.25 it would load as free.
@@ -27,7 +27,7 @@ class MapYaml(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
     image: str
-    resolution: float = Field(gt=0.0, allow_inf_nan=False)
+    resolution: float = Field(ge=1e-4, le=100.0, allow_inf_nan=False)
     origin: tuple[float, float, float]
     negate: int = 0
     occupied_thresh: float
@@ -76,21 +76,9 @@ def load_map(path: Path) -> OccupancyGrid:
 def _read_yaml(path: Path) -> MapYaml:
     if not path.is_file():
         raise InputError(f"{path}: no such map file (expected a map yaml)")
-    try:
-        raw = yaml.safe_load(path.read_text())
-        if not isinstance(raw, dict):
-            raise InputError(f"{path}: not a map yaml (no keys)")
-        meta = MapYaml(**raw)
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"{path}: not valid YAML") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "map yaml"
-        raise InputError(f"{path}: {key}: {first['msg']}") from None
-    except TypeError:
-        raise InputError(f"{path}: not a map yaml (keys must be text)") from None
-    if not all(math.isfinite(value) for value in meta.origin):
-        raise InputError(f"{path}: origin must be three finite numbers")
+    meta = load_model(MapYaml, path)
+    if not all(math.isfinite(value) and abs(value) < 1e7 for value in meta.origin):
+        raise InputError(f"{path}: origin must be three finite numbers of a place on Earth")
     return meta
 
 

@@ -87,10 +87,20 @@ def _put_in_place(partial: Path, out: Path) -> None:
         _remove(old)
 
 
+OUTPUT_MARKS = ("manifest.json", "metadata.yaml")
+"""A folder that holds one of these is an output (or a bag) of ours and may be replaced on demand."""
+
+
 def check_free(out: Path, *, force: bool) -> None:
-    """InputError when `out` exists already and may not be replaced."""
-    if out.exists() and not force:
+    """InputError when `out` cannot be an output, or exists already and may not be replaced."""
+    if out.name in ("", ".."):
+        raise InputError(f"--out {out}: give the folder to write a name")
+    if not out.exists():
+        return
+    if not force:
         raise InputError(f"{out}: already exists; choose another --out or pass --force")
+    if out.is_dir() and any(out.iterdir()) and not any((out / mark).exists() for mark in OUTPUT_MARKS):
+        raise InputError(f"{out}: holds files that are no output of turtlebag; --force does not remove them")
 
 
 def _remove(path: Path) -> None:

@@ -18,16 +18,28 @@ def read_mapping(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        data = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{path}{line}: not valid YAML") from None
+        text = path.read_text()
     except (OSError, UnicodeDecodeError):
         raise InputError(f"{path}: cannot be read as text") from None
+    data = parsed(text, where=str(path))
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected keys and values, found a {type(data).__name__}")
     return data
+
+
+def parsed(text: str, *, where: str) -> Any:
+    """YAML text as plain values, or an InputError with the line that is wrong."""
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{where}{line}: not valid YAML") from None
+    except RecursionError:
+        raise InputError(f"{where}: nested too deeply to be read") from None
+    except (ValueError, OverflowError) as error:
+        # A date of the year 0, an integer of a million digits: YAML's own constructors refuse.
+        raise InputError(f"{where}: not valid YAML ({' '.join(str(error).split())})") from None
 
 
 def checked(model: type[Model], data: Any, *, where: str) -> Model:

@@ -130,3 +130,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return EXIT_OK
+    except OSError as error:  # a full disk, no permission: the system's own words, in one line
+        print(f"turtlebag: {error.filename or verb}: {error.strerror or error}", file=sys.stderr)
+        return EXIT_INPUT
+    except MemoryError:
+        print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
+        return EXIT_INPUT

@@ -10,7 +10,7 @@ import yaml
 from pydantic import BaseModel
 
 from datasets.errors import InputError
-from datasets.yaml_files import checked, read_mapping
+from datasets.yaml_files import checked, parsed, read_mapping
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -32,10 +32,7 @@ def _apply(data: dict[str, Any], setting: str) -> None:
     key, equals, text = setting.partition("=")
     if not equals or not key:
         raise InputError(f"--set {setting}: expected key=value")
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise InputError(f"--set {setting}: the value is not valid YAML") from None
+    value = parsed(text, where=f"--set {key}")
     *parents, last = key.split(".")
     node = data
     for parent in parents:

@@ -32,6 +32,8 @@ class PlanConfig(BaseModel):
     """The elastic band moves the path this far from obstacles where that costs little length."""
     spacing: float = Field(default=0.05, gt=0.0)
     """Distance between the path's poses."""
+    replan_period: float = Field(default=1.0, ge=0.0)
+    """A blocked path is planned anew no more often than this [s]."""
     snap: float = Field(default=0.35, ge=0.0)
     """How far the start may be moved to reach free floor, when the robot stands too near an obstacle."""
 

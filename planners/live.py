@@ -27,10 +27,23 @@ class LiveConfig(BaseModel):
     """A beam that ends this near an obstacle of the map shows nothing new."""
     decay: float = Field(default=8.0, gt=0.0)
     """Seconds after which a mark that was not seen again is forgotten."""
+    period: float = Field(default=0.08, ge=0.0)
+    """Sweeps that come sooner after one taken in are left out."""
     reach: float = Field(default=1.2, gt=0.0)
     """How far round live obstacles the clearance is computed anew."""
     hits: int = Field(default=2, ge=1)
     """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
+
+
+def empty_costmap(around: Array, margin: float, resolution: float) -> Costmap:
+    """Floor of which nothing is known, free for all that: a frame for live obstacles only.
+
+    Holds the points `around` (n, 2) with `margin` about them.
+    """
+    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
+    cols, rows = np.ceil((high - low) / resolution).astype(int)
+    lethal = np.zeros((int(rows), int(cols)), dtype=bool)
+    return Costmap(lethal, resolution, SE2.from_xyt(low[0], low[1], 0.0))
 
 
 class LiveLayer:

@@ -61,10 +61,12 @@ def test_negated_and_scaled_maps(tmp_path):
     [
         (YAML.replace("map.pgm", "gone.pgm"), "gone.pgm does not exist"),
         (YAML.replace("0.05", "-1"), "resolution"),
+        (YAML.replace("0.05", "1e300"), "resolution"),
+        ("[" * 20000, "nested too deeply"),
         (YAML.replace("[0, 0, 0]", "[0, 0]"), "origin"),
         (YAML.replace("[0, 0, 0]", "[0, .nan, 0]"), "origin"),
         (YAML + "mode: fancy\n", "mode"),
-        ("- 1\n", "not a map yaml"),
+        ("- 1\n", "found a list"),
         ("{:", "not valid YAML"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,12 +34,30 @@ def test_an_interrupted_output_leaves_nothing(tmp_path, error):
 def test_an_existing_output_is_refused_and_untouched_unless_forced(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").write_text("old")
+    (tmp_path / "out" / "manifest.json").write_text("{}")
     with pytest.raises(InputError, match="already exists"), staged_output(tmp_path / "out"):
         pass
     assert (tmp_path / "out" / "old").exists()
     with staged_output(tmp_path / "out", force=True) as partial:
         (partial / "new").write_text("new")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["new"]
+
+
+def test_force_never_removes_what_is_no_output_of_ours(tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("years")
+    with (
+        pytest.raises(InputError, match="no output of turtlebag"),
+        staged_output(tmp_path / "home", force=True),
+    ):
+        pass
+    assert (tmp_path / "home" / "thesis.tex").read_text() == "years"
+
+
+@pytest.mark.parametrize("name", ["", ".", "/", ".."])
+def test_an_output_needs_a_name(name):
+    with pytest.raises(InputError, match="name"), staged_output(Path(name), force=True):
+        pass
 
 
 def test_a_failed_forced_output_keeps_the_old_one(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.localisation.parameters import AmclConfig
 from planners.control.goal_checker import GoalCheckerConfig
@@ -18,6 +18,16 @@ from planners.tasks.sequence import SequenceConfig
 from sim.simulator import SimConfig
 
 
+class MaplessConfig(BaseModel):
+    """Goals without a map: the costmap holds what the scans showed since the start."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    margin: float = Field(default=8.0, gt=0.0)
+    """Room about start and goal that the costmap covers [m]."""
+    resolution: float = Field(default=0.05, gt=0.0)
+    live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
+
+
 class NavigateConfig(BaseModel):
     """One section for each part."""
 
@@ -26,6 +36,7 @@ class NavigateConfig(BaseModel):
     amcl: AmclConfig = AmclConfig()
     costmap: CostmapConfig = CostmapConfig()
     live: LiveConfig = LiveConfig()
+    mapless: MaplessConfig = MaplessConfig()
     plan: PlanConfig = PlanConfig()
     pursuit: PursuitConfig = PursuitConfig()
     monitor: MonitorConfig = MonitorConfig()

@@ -22,7 +22,6 @@ from planners.tasks.sequence import Status
 LOOK_AHEAD_M = 2.5
 TIGHT_M = 0.02
 """A path along which the footprint comes this near to something counts as blocked."""
-REPLAN_EVERY_NS = 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ class GoalRunner:
         self._watch = ProgressWatch(tools.recovery)
         self._manoeuvre: Manoeuvre | None = None
         self._path: Plan | None = None
-        self._planned_ns = -REPLAN_EVERY_NS
+        self._planned_ns = 0
         self._held_ns = 0
         self._driven = 0.0
         self._at: SE2 | None = None
@@ -122,7 +121,11 @@ class GoalRunner:
     def _blocked(self, now_ns: int, pose: SE2) -> bool:
         """Whether live obstacles stand on the path ahead."""
         live = self.tools.live
-        if not live.marked or self._path is None or now_ns - self._planned_ns < REPLAN_EVERY_NS:
+        if (
+            not live.marked
+            or self._path is None
+            or now_ns - self._planned_ns < self.tools.plan.replan_period * 1e9
+        ):
             return False
         costmap = live.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ self._path.poses).xyt)

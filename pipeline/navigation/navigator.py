@@ -1,4 +1,7 @@
-"""The driver of `goal` and `patrol`: localises, asks the task where to go, runs goal after goal."""
+"""The driver of `goal` and `patrol`: localises, asks the task where to go, runs goal after goal.
+
+Without a localiser (mapless goals) it trusts odometry: goals and costmap are in the odometry frame.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class NavigationDriver:
         self,
         tools: Tools,
         sensing: Sensing,
-        localiser: Localiser,
+        localiser: Localiser | None,
         sequence: GoalSequence,
         publisher: Publisher,
         plan_seed: int,
@@ -36,40 +39,50 @@ class NavigationDriver:
         self._runner: GoalRunner | None = None
         self._last = Twist()
         self._now = 0
+        self._seen_ns = -(10**9)
 
     def step(self, observation: Observation) -> Twist:
         """Localise, ask the task for the goal, pursue it."""
         now = self._now = observation.stamp_ns
         sight = self.sensing.observe(observation)
-        self.localiser.observe(observation)
-        self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
-        if sight is not None:
-            self._see(sight)
-        if not self.localiser.amcl.initialised:
+        T_frame_odom = self._localise(observation)
+        if self.localiser is not None and not self.localiser.amcl.initialised:
             self.sequence.reject_all("no initial pose", now)
             return self._stop("no_pose", finished=True)
+        if sight is not None and T_frame_odom is not None:
+            self._see(sight, T_frame_odom)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
             return self._stop("done", finished=abs(self._last.v) < 1e-3)
-        if goal is None or self.estimate is None:
+        if goal is None or T_frame_odom is None:
             self._runner = None
             return self._stop("wait")
         if self._runner is None or goal is not self._runner.goal:
             self._runner = self._start(goal, now)
             if self._runner is None:
                 return self._stop("wait")
-        return self._pursue(self._runner, observation, self.estimate, sight is not None)
+        pose = T_frame_odom @ observation.odometry.T_odom_base
+        return self._pursue(self._runner, observation, pose, sight is not None)
 
-    def _see(self, sight: Sight) -> None:
-        T_map_odom = self.localiser.T_map_odom
-        if T_map_odom is not None:
-            self.tools.live.update(
-                sight.stamp_ns * 1e-9,
-                T_map_odom @ sight.T_odom_lidar,
-                T_map_odom @ sight.hits_odom,
-                T_map_odom @ sight.passes_odom,
-            )
+    def _localise(self, observation: Observation) -> SE2 | None:
+        """Odometry's frame in the frame of goals and costmap; None while it is not known."""
+        if self.localiser is None:
+            return SE2.identity()
+        self.localiser.observe(observation)
+        self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
+        return self.localiser.T_map_odom
+
+    def _see(self, sight: Sight, T_frame_odom: SE2) -> None:
+        if sight.stamp_ns - self._seen_ns < self.tools.live.config.period * 1e9:
+            return
+        self._seen_ns = sight.stamp_ns
+        self.tools.live.update(
+            sight.stamp_ns * 1e-9,
+            T_frame_odom @ sight.T_odom_lidar,
+            T_frame_odom @ sight.hits_odom,
+            T_frame_odom @ sight.passes_odom,
+        )
 
     def _start(self, goal: SE2, now: int) -> GoalRunner | None:
         """A runner for a new goal; None when the goal is rejected, which is recorded."""
@@ -83,10 +96,10 @@ class NavigationDriver:
     def _publish_plan(self, poses: SE2) -> None:
         self._publisher.plan(self._now, poses)
 
-    def _pursue(self, runner: GoalRunner, observation: Observation, estimate: SE2, new_sweep: bool) -> Twist:
+    def _pursue(self, runner: GoalRunner, observation: Observation, pose: SE2, new_sweep: bool) -> Twist:
         now, odometry = observation.stamp_ns, observation.odometry
         points = self.sensing.points_base(odometry.T_odom_base)
-        self._last, verdict = runner.step(now, estimate, odometry.twist, self._last, points, new_sweep)
+        self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep)
         self.state = runner.state
         if verdict is not None:
             self.sequence.close(verdict.status, verdict.reason, now)

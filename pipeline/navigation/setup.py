@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
@@ -26,7 +28,7 @@ from planners.control.monitor import CollisionMonitor
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
 from planners.global_plan import fits
-from planners.live import LiveLayer
+from planners.live import LiveConfig, LiveLayer, empty_costmap
 from planners.tasks.guarded import Guard
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
@@ -75,9 +77,11 @@ def prepare(
     """
     if request.task == "avoid":
         return Mission(request, config, robot, None, None, ())
+    places = _places(request)
+    if request.map_path is None and request.task == "goal" and request.goal is not None:
+        return Mission(request, _with_options(config, request), robot, None, None, places.waypoints)
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
-    places = _places(request)
     grid = load_map(request.map_path)
     costmap = costmap_from_grid(grid, config.costmap, [*keepout, *places.keepout])
     if request.task == "goal":
@@ -130,27 +134,34 @@ def make_driver(
     request, config = mission.request, mission.config
     robot = mission.robot
     sensing = Sensing(robot.T_base_lidar)
-    if mission.grid is None or mission.costmap is None:
+    if request.task == "avoid":
         guard = Guard(robot.model, config.avoid, config.guard) if config.avoid.mode == "guarded" else None
         duration = request.duration_s or DEFAULT_DURATION_S
         return AvoidDriver(config.avoid, guard, robot.model, sensing, duration, say), None, None
-    localiser = _make_localiser(mission, mission.grid, sensing, publisher)
-    _tell_pose(localiser, request.initial_pose, first)
     sequence = GoalSequence(mission.waypoints, config.sequence)
-    publisher.map(first.stamp_ns, mission.grid)
     seed = int(stream(request.seed, "plan").integers(2**31))
-    tools = make_tools(robot, config, mission.costmap)
+    localiser = None
+    if mission.grid is not None and mission.costmap is not None:
+        localiser = _make_localiser(mission, mission.grid, sensing, publisher)
+        _tell_pose(localiser, request.initial_pose, first)
+        publisher.map(first.stamp_ns, mission.grid)
+        tools = make_tools(robot, config, mission.costmap, config.live)
+    else:
+        ends = [first.odometry.T_odom_base.xy]
+        ends += [point.T_map_goal.xy for point in mission.waypoints if point.T_map_goal is not None]
+        costmap = empty_costmap(np.stack(ends), config.mapless.margin, config.mapless.resolution)
+        tools = make_tools(robot, config, costmap, config.mapless.live)
     driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed)
     return driver, localiser, sequence
 
 
-def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap) -> Tools:
+def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap, live: LiveConfig) -> Tools:
     """Controller, monitor and live layer for a robot on a costmap."""
     return Tools(
         model=robot.model,
         controller=Pursuit(robot.model, config.pursuit, 1.0 / CONTROL_HZ),
         monitor=CollisionMonitor(robot.model, config.monitor),
-        live=LiveLayer(costmap, config.live),
+        live=LiveLayer(costmap, live),
         plan=config.plan,
         checker=config.goal_checker,
         recovery=config.recovery,

@@ -25,6 +25,8 @@ class GoalCheckerConfig(BaseModel):
     """Once inside, the tolerances are this much wider until the goal counts as reached."""
     hold: float = Field(default=0.3, ge=0.0)
     """Seconds it must stay so."""
+    stop: bool = True
+    """Whether the robot must stand still there; otherwise passing by is enough."""
     stopped_v: float = Field(default=0.01, gt=0.0)
     stopped_w: float = Field(default=0.06, gt=0.0)
 
@@ -49,7 +51,7 @@ class GoalChecker:
         near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy * slack
         turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw * slack
         still = abs(twist.v) <= self.config.stopped_v and abs(twist.w) <= self.config.stopped_w
-        if not (near and turned and still):
+        if not (near and turned and (still or not self.config.stop)):
             self._since_ns = None
             return False
         if self._since_ns is None:

@@ -21,8 +21,8 @@ class MonitorConfig(BaseModel):
     """The footprint is checked this much larger."""
     reaction: float = Field(default=0.1, ge=0.0)
     """Time at the commanded speed before braking is felt."""
-    braking: float = Field(default=0.8, gt=0.0)
-    """Deceleration counted on [m/s^2]."""
+    braking_share: float = Field(default=0.8, gt=0.0, le=1.0)
+    """Part of the robot's own braking that is counted on."""
     step: float = Field(default=0.01, gt=0.0)
     """Spacing of the poses checked along the way [m]."""
 
@@ -39,6 +39,7 @@ class CollisionMonitor:
         self._footprint = padded(model.footprint, config.padding)
         self._reach = model.circumscribed_radius + config.padding
         self._samples = sample_footprint(model, 0.03)
+        self._braking = config.braking_share * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:
         """Factor 0..1 for the command, from points (n, 2) in the base frame now.
@@ -49,8 +50,7 @@ class CollisionMonitor:
         if (v == 0.0 and w == 0.0) or len(points_base) == 0:
             return 1.0
         speed = max(abs(v), abs(w) * self._reach)
-        distance = speed * self.config.reaction + 0.5 * speed * speed / self.config.braking
-        horizon = distance / speed
+        horizon = self._stopping_distance(speed) / speed
         free = free_time(
             np.ascontiguousarray(points_base),
             self._footprint,
@@ -60,7 +60,15 @@ class CollisionMonitor:
             horizon,
             self.config.step / speed,
         )
-        return 1.0 if free >= horizon else max(0.0, free / horizon - 0.25)
+        if free >= horizon:
+            return 1.0
+        # The speed u from which it stops within the free way d: d = u t + u^2 / (2 b).
+        b, t = self._braking, self.config.reaction
+        allowed = -b * t + math.sqrt(b * b * t * t + 2.0 * b * free * speed)
+        return min(1.0, allowed / speed)
+
+    def _stopping_distance(self, speed: float) -> float:
+        return speed * self.config.reaction + 0.5 * speed * speed / self._braking
 
     def limit_on_map(
         self, command: Twist, field: Field32, resolution: float, x: float, y: float, yaw: float
@@ -70,7 +78,7 @@ class CollisionMonitor:
         speed = max(abs(v), abs(w) * self._reach)
         if speed == 0.0:
             return 1.0
-        horizon = (speed * self.config.reaction + 0.5 * speed * speed / self.config.braking) / speed
+        horizon = self._stopping_distance(speed) / speed
         s = self._samples
         here = footprint_clearance(field, resolution, s.points, s.inscribed, s.circumscribed, x, y, yaw)
         for part in (0.5, 1.0):

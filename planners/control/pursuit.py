@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.se2 import SE2
 from datasets.types import RobotModel, Twist
 from planners.control.interface import SpeedLimits, ramped
+from planners.control.profile import braked, curvature_along
 from planners.control.tracking import arc_lengths, point_at, project
 from planners.costmap import Costmap
 from planners.footprint import footprint_clearance, sample_footprint
@@ -20,11 +21,13 @@ class PursuitConfig(BaseModel):
     """SI units; angles in radians."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    max_v: float = Field(default=1.0, gt=0.0)
+    max_v: float = Field(default=2.0, gt=0.0)
     """Asked top speed; the robot's own limit is kept anyway."""
     max_w: float = Field(default=1.4, gt=0.0)
-    max_dv: float = Field(default=0.8, gt=0.0)
-    """Acceleration and braking asked for; at or under the robot's own."""
+    acceleration_share: float = Field(default=0.8, gt=0.0, le=1.0)
+    """Part of the robot's own acceleration and braking that is asked for."""
+    max_lateral: float = Field(default=1.2, gt=0.0)
+    """Lateral acceleration in curves [m/s^2]."""
     lookahead_time: float = Field(default=1.3, gt=0.0)
     min_lookahead: float = Field(default=0.2, gt=0.0)
     max_lookahead: float = Field(default=0.6, gt=0.0)
@@ -52,13 +55,18 @@ class Pursuit:
     def __init__(self, model: RobotModel, config: PursuitConfig, period: float) -> None:
         self.config = config
         self.limits = SpeedLimits.of(
-            model, period, max_v=config.max_v, max_w=config.max_w, max_dv=config.max_dv
+            model,
+            period,
+            max_v=config.max_v,
+            max_w=config.max_w,
+            max_dv=config.acceleration_share * model.max_dv,
         )
         self.hardest = replace(self.limits, max_dv=model.max_dv)
         self.samples = sample_footprint(model, 0.03)
         self.state = "idle"
         self._points = np.zeros((0, 2))
         self._lengths = np.zeros(0)
+        self._speeds = np.zeros(0)
         self._goal = (0.0, 0.0, 0.0)
         self._s = 0.0
 
@@ -66,6 +74,10 @@ class Pursuit:
         """Follow a new path; where the robot is on it is looked for from its start."""
         self._points = np.ascontiguousarray(poses.xy)
         self._lengths = arc_lengths(self._points)
+        bends = curvature_along(self._points, self._lengths, 0.15)
+        limits = np.sqrt(self.config.max_lateral / np.maximum(bends, 1e-6))
+        limits = np.maximum(np.minimum(limits, self.limits.max_v), 0.1 * self.limits.max_v)
+        self._speeds = braked(limits, self._lengths, 0.6 * self.limits.max_dv)
         x, y, yaw = poses.xyt[-1].tolist()
         same_goal = self._goal == (x, y, yaw)
         self._goal = (x, y, yaw)
@@ -121,7 +133,10 @@ class Pursuit:
         self, x: float, y: float, yaw: float, curvature: float, remaining: float, costmap: Costmap
     ) -> float:
         c, top = self.config, self.limits.max_v
-        v = top
+        v = min(
+            float(np.interp(self._s, self._lengths, self._speeds)),
+            math.sqrt(c.max_lateral / max(abs(curvature), 1e-6)),
+        )
         if abs(curvature) * c.regulated_radius > 1.0:
             v = min(v, top / (abs(curvature) * c.regulated_radius))
         gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
@@ -136,8 +151,8 @@ class Pursuit:
             gyaw,
         )
         if room < c.near:
-            v *= max(c.slowest, room / c.near)
-        v = max(v, c.slowest * top * 0.5)
+            v = min(v, top * max(c.slowest, room / c.near))
+        v = max(v, min(c.slowest * top * 0.5, 0.1))
         return min(
             v,
             math.sqrt(2.0 * 0.6 * self.limits.max_dv * remaining),

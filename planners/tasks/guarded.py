@@ -19,12 +19,15 @@ from datasets.types import RobotModel, Twist
 from planners.control.monitor import CollisionMonitor, MonitorConfig
 from planners.tasks.avoid import AvoidConfig, Decision, Sectors
 
+POSSIBLE = 0.15
+"""A command of which the monitor passes no more than this part is not worth giving."""
+
 
 class GuardConfig(BaseModel):
     """Metres, seconds, radians."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    monitor: MonitorConfig = MonitorConfig(padding=0.03, reaction=0.15, braking=0.6)
+    monitor: MonitorConfig = MonitorConfig(padding=0.03, reaction=0.15, braking_share=0.6)
     side_room: float = Field(default=0.06, ge=0.0)
     """Half the corridor kept free ahead is half the robot's width and this."""
     nose_room: float = Field(default=0.2, gt=0.0)
@@ -158,7 +161,7 @@ class Guard:
         """The decision, or the nearest thing to it that touches nothing."""
         points = self.points_base(view)
         command = decision.command
-        if self.monitor.limit(command, points) > 0.0:
+        if self.monitor.limit(command, points) > POSSIBLE:
             return decision
         w = self.rule.turn_w
         first = math.copysign(w, command.w if command.w else self._turning or 1.0)
@@ -168,7 +171,7 @@ class Guard:
             ("back off", Twist(-self.config.back_off_v, 0.0)),
             ("creep", Twist(0.5 * self.rule.slow_v, 0.0)),
         ):
-            if self.monitor.limit(other, points) > 0.0:
+            if self.monitor.limit(other, points) > POSSIBLE:
                 if other.w:
                     self._turning = math.copysign(1.0, other.w)
                 return Decision(name, other)
