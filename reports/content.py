@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from reports.draw_localise import draw_localise, draw_plan
 from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
 from reports.metrics.recording import recording_metrics
@@ -14,7 +15,20 @@ from reports.numbers import GOAL_UNITS, Number, lookup, numbers_of, other_values
 from reports.pointer import PointerMap, pointer_map
 from reports.stages import Group, Stage
 
-TITLES = {"record": "Recording", "map": "Mapping", "navigate": "Navigation"}
+TITLES = {
+    "record": "Recording",
+    "map": "Mapping",
+    "localise": "Localisation",
+    "plan": "Planning",
+    "navigate": "Navigation",
+}
+DRAW = {
+    "record": draw_record,
+    "map": draw_map,
+    "localise": draw_localise,
+    "plan": draw_plan,
+    "navigate": draw_run,
+}
 GOOD, BAD, NEUTRAL = "good", "bad", "neutral"
 
 
@@ -93,9 +107,7 @@ def pointer_of(group: Group) -> PointerMap | None:
 def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:
     """The pictures of one stage, named by world and stage."""
     prefix = f"{slug(group.name)}-{slug(stage.label)}"
-    return {"record": draw_record, "map": draw_map, "navigate": draw_run}[stage.kind](
-        stage, group, album, prefix
-    )
+    return DRAW[stage.kind](stage, group, album, prefix)
 
 
 def stage_metrics(stage: Stage) -> dict[str, Any]:
@@ -121,6 +133,11 @@ def verdict(stage: Stage, metrics: Mapping[str, Any]) -> tuple[str, str]:
         return _run_verdict(stage.label, metrics)
     if stage.kind == "map":
         return _map_verdict(metrics)
+    if stage.kind == "localise":
+        return _localise_verdict(metrics)
+    if stage.kind == "plan":
+        found = metrics.get("success", True)
+        return (GOOD, "A path was found.") if found else (BAD, "No path was found.")
     drift = lookup(metrics, "odometry_ate_m.max")
     length, duration = metrics.get("distance_m"), metrics.get("duration_s")
     sentence = f"{metrics.get('scans', 'No')} scans over {shown(duration, 's')} and {shown(length, 'm')}"
@@ -152,6 +169,13 @@ def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     if relations is not None:
         return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
     return NEUTRAL, f"{scans} scans; no truth was given, so no error is known."
+
+
+def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
+    error = lookup(metrics, "localisation_error_m.rmse")
+    known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
+    status = str(metrics.get("status", "localised"))
+    return (GOOD if metrics.get("success", True) else BAD), f"{status.capitalize()}{known}."
 
 
 def collision_count(metrics: Mapping[str, Any]) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,11 @@ import numpy as np
 from datasets.bags.reader import read_particles, read_poses
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
 from datasets.recordings import load_recording
 from datasets.runlog import RunLog
 from datasets.se2 import SE2
 from datasets.types import Recording, Trajectory
+from reports.draw_localise import given_map
 from reports.figures import animation, maps, series
 from reports.figures.album import Album, Picture
 from reports.figures.graph import loops, pose_graph
@@ -184,15 +183,9 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
 
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
-    """The map the robot was given, else the one built beside it, else the true world."""
-    for path in stage.input_paths().values():
-        if path.suffix in (".yaml", ".yml") and path.is_file():
-            with suppress(InputError):
-                return load_map(path)
-    built = group.first("map")
-    if built is not None and built.map is not None and stage.metrics.get("localisation_error_m"):
-        return built.map
-    return stage.true_map
+    """The map a run that localised was given, else the true world."""
+    grid = given_map(stage, group) if stage.metrics.get("localisation_error_m") else None
+    return grid if grid is not None else stage.true_map
 
 
 def _particle_pictures(

@@ -215,8 +215,24 @@ RUN = (
     ),
 )
 
+LOCALISE = (
+    Spec("scans", "scans", "count", "Scans with a pose.", _TRAJECTORY),
+    Spec("updates", "filter updates", "count", "Scans the filter weighed its particles with."),
+    Spec(
+        "localisation_error_m.rmse",
+        "localisation error, RMSE",
+        "cm",
+        "Distance between the estimate and the true position at the scans.",
+        _TRAJECTORY,
+    ),
+    Spec("localisation_error_m.max", "localisation error, largest", "cm", "Largest of those.", _TRAJECTORY),
+    Spec(
+        "localisation_error_rad.rmse", "heading error, RMSE", "deg", "The same for the heading.", _TRAJECTORY
+    ),
+    Spec("converged.share", "time converged", "percent", "Share of the scans with one tight cloud."),
+)
 GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
-SPECS = {"record": RECORD, "map": MAP, "navigate": RUN}
+SPECS = {"record": RECORD, "map": MAP, "localise": LOCALISE, "plan": (), "navigate": RUN}
 
 
 @dataclass(frozen=True, eq=False)

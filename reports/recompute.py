@@ -20,7 +20,7 @@ from reports.metrics.map import map_metrics
 from reports.metrics.navigation import collisions, localisation_error, min_clearance, pose_error
 from reports.metrics.recording import recording_metrics
 from reports.metrics.relations import relations_metrics
-from reports.metrics.trajectory import associate, trajectory_metrics
+from reports.metrics.trajectory import associate, summary, trajectory_metrics
 from reports.numbers import leaves, lookup
 from reports.stages import Group, Stage
 
@@ -78,7 +78,21 @@ def recomputed(stage: Stage, group: Group) -> dict[str, Any]:
         return _record(stage)
     if stage.kind == "map":
         return _map(stage, group)
-    return _run(stage)
+    if stage.kind == "localise":
+        return _localise(stage, group)
+    return _run(stage) if stage.kind == "navigate" else {}
+
+
+def _localise(stage: Stage, group: Group) -> dict[str, Any]:
+    record = group.first("record")
+    if stage.trajectory is None:
+        return {}
+    found: dict[str, Any] = {"scans": len(stage.trajectory)}
+    if "localisation_error_m" in stage.metrics and record is not None and record.truth is not None:
+        pairs = associate(stage.trajectory, record.truth)
+        found["localisation_error_m"] = summary(pairs.position_errors())
+        found["localisation_error_rad"] = summary(pairs.yaw_errors())
+    return found
 
 
 def _record(stage: Stage) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from datasets.runlog import RunLog
 from datasets.trajectories import load_tum, stamp_text
 from datasets.types import Trajectory
 
-KINDS = ("record", "map", "navigate")
+KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
 LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2")
@@ -28,7 +28,7 @@ LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage output: `kind` is record, map or navigate; `label` names it within its group."""
+    """One stage output: `kind` is one of KINDS; `label` names it within its group."""
 
     folder: Path
     kind: str
@@ -177,7 +177,7 @@ def load_stage(folder: Path) -> Stage:
 
 def _manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder (expected an output of record, map or navigate)")
+        raise InputError(f"{folder}: no such folder (expected the output of a stage)")
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is no finished output of any stage")

@@ -185,3 +185,26 @@ def fake_run(folder: Path, map_folder: Path, *, task: str = "patrol", missed: bo
     inputs = {"map": map_folder / "map.yaml"}
     write_manifest(folder, stage="navigate", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
+
+
+def fake_localise(folder: Path, record: Path, map_folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    truth = load_tum(record / "truth/trajectory.tum")
+    save_tum(noisy(truth, 0.01), folder / "trajectory.tum")
+    error = localisation_error(load_tum(folder / "trajectory.tum"), truth)
+    metrics = {"scans": 150, "success": True, "status": "localised", "localisation_error_m": error}
+    write_json(folder / "metrics.json", metrics)
+    command = ["turtlebag", "localise", str(record), "--map", f"{map_folder}/map.yaml", "--out", str(folder)]
+    inputs = {"bag": record, "map": map_folder / "map.yaml"}
+    write_manifest(folder, stage="localise", command=command, inputs=inputs, seed=1, wall_s=1.0)
+    return folder
+
+
+def fake_plan(folder: Path, map_folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "path.csv").write_text("x,y,yaw\n-2,-1.5,0\n0,-1.5,0\n2,-1.5,0\n")
+    write_json(folder / "metrics.json", {"success": True, "length_m": 4.0})
+    command = ["turtlebag", "plan", "--map", f"{map_folder}/map.yaml", "--out", str(folder)]
+    inputs = {"map": map_folder / "map.yaml"}
+    write_manifest(folder, stage="plan", command=command, inputs=inputs, seed=1, wall_s=1.0)
+    return folder

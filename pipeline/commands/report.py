@@ -14,7 +14,11 @@ EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag report`."""
     parser.add_argument(
-        "folders", nargs="+", type=Path, metavar="DIR", help="outputs of record, map and navigate"
+        "folders",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="outputs of record, map, localise, plan and navigate",
     )
     parser.add_argument("--paper", action="store_true", help="each figure as PDF and SVG too")
     parser.add_argument(

@@ -29,6 +29,7 @@ LINES: dict[str, dict[str, Any]] = {
     "odometry": {"color": ODOMETRY, "linewidth": 1.3, "linestyle": (0, (4, 2)), "label": "odometry"},
     "slam": {"color": SLAM, "linewidth": 1.3, "linestyle": "-", "label": "SLAM"},
     "amcl": {"color": AMCL, "linewidth": 1.3, "linestyle": "-", "label": "estimate"},
+    "plan": {"color": SLAM, "linewidth": 1.6, "linestyle": "-", "label": "plan"},
 }
 
 STYLE: dict[Any, Any] = {

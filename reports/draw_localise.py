@@ -1,0 +1,74 @@
+"""Pictures of the stages that only use a map: offline localisation and planning."""
+
+from __future__ import annotations
+
+import csv
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.maps import load_map
+from datasets.se2 import SE2
+from datasets.types import Trajectory
+from reports.figures import maps, series
+from reports.figures.album import Album, Picture
+from reports.figures.style import styled
+from reports.metrics.trajectory import associate
+from reports.stages import Group, Stage
+
+
+def given_map(stage: Stage, group: Group) -> OccupancyGrid | None:
+    """The map a stage was given while its file is there, else the one built beside it."""
+    for path in stage.input_paths().values():
+        if path.suffix in (".yaml", ".yml") and path.is_file():
+            with suppress(InputError):
+                return load_map(path)
+    built = group.first("map")
+    return built.map if built is not None else None
+
+
+def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+    """Where the filter took the robot to be, and how far that was from the truth."""
+    estimate = stage.trajectory
+    if estimate is None:
+        return []
+    grid = given_map(stage, group)
+    record = group.first("record")
+    truth = record.truth if record is not None else None
+    with styled():
+        caption = "Where AMCL took the robot to be" + (", over the truth." if truth is not None else ".")
+        figure = maps.trajectories(grid, {"truth": truth, "amcl": estimate})
+        pictures = [album.add(f"{prefix}-path", "Localised path", caption, figure)]
+        if truth is not None:
+            pairs = associate(estimate, truth)
+            figure = series.localisation(pairs, int(truth.stamps_ns[0]), [], [])
+            caption = "Estimate against truth at the scans."
+            pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, figure))
+    return pictures
+
+
+def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+    """The planned path on its map."""
+    path = stage.folder / "path.csv"
+    if not path.is_file():
+        return []
+    poses = read_path(path)
+    with styled():
+        plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
+        figure = maps.trajectories(given_map(stage, group), {"plan": plan})
+        return [album.add(f"{prefix}-path", "Plan", "The planned path; the arrow is the start.", figure)]
+
+
+def read_path(path: Path) -> SE2:
+    """Poses (n,) of a `path.csv` with columns x, y, yaw; InputError when it is not one."""
+    with path.open(newline="") as file:
+        try:
+            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in csv.DictReader(file)]
+        except (KeyError, TypeError, ValueError):
+            raise InputError(f"{path}: not a path (expected columns x,y,yaw)") from None
+    if not rows:
+        raise InputError(f"{path}: holds no poses")
+    return SE2.from_array(np.array(rows))
