@@ -21,7 +21,7 @@ from reports.metrics.navigation import collisions, localisation_error, min_clear
 from reports.metrics.recording import recording_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import associate, summary, trajectory_metrics
-from reports.numbers import leaves, lookup
+from reports.numbers import leaves
 from reports.stages import Group, Stage
 
 # Files hold poses with 9 decimals and run logs with 6; metrics were made from unrounded ones.
@@ -55,21 +55,10 @@ def same(a: Any, b: Any) -> bool:
 def checks(stage: Stage, group: Group, reported: Mapping[str, Any]) -> Iterator[Check]:
     """Compare everything that can be computed again with what was reported."""
     prefix = f"{group.name}/{stage.label}:"
+    told = dict(leaves(reported))
     for path, found in leaves(recomputed(stage, group)):
-        if path.startswith("goals.") or lookup(reported, path) is not None or found is not None:
-            yield Check(prefix + path, _lookup(reported, path), found)
-
-
-def _lookup(metrics: Mapping[str, Any], path: str) -> Any:
-    node: Any = metrics
-    for part in path.split("."):
-        if isinstance(node, list) and part.isdigit() and int(part) < len(node):
-            node = node[int(part)]
-        elif isinstance(node, Mapping) and part in node:
-            node = node[part]
-        else:
-            return None
-    return node
+        if path in told:
+            yield Check(prefix + path, told[path], found)
 
 
 def recomputed(stage: Stage, group: Group) -> dict[str, Any]:
