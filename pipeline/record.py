@@ -83,7 +83,8 @@ def record(
 ) -> int:
     """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
-    0 done, 1 the robot got stuck, 130 interrupted; what was recorded until then is complete and kept.
+    0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
+    complete and kept.
     """
     scene = Scene.load(world, robot, seed, sim, start)
     if is_recording(teleop):
@@ -177,7 +178,7 @@ def record_drive(
     log.info("recorded %.1f s in %.1f s (%.0f x real time): %s", duration, wall, duration / wall, out)
     if stuck:
         log.error("the drive ended early: %s", stuck)
-    return 130 if interrupted else int(stuck is not None)
+    return 128 + interrupted[0] if interrupted else int(stuck is not None)
 
 
 def _check_left_over(out: Path, *, force: bool) -> None:
@@ -240,18 +241,19 @@ def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, flo
 
 @contextmanager
 def deferred_interrupt() -> Iterator[list[int]]:
-    """Ctrl-C within fills the list instead of raising, so that no message is cut in the middle."""
+    """Ctrl-C or SIGTERM within is put in the list instead of raising: no message is cut in the middle."""
     received: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         received.append(number)
 
     try:
-        before = signal.signal(signal.SIGINT, note)
-    except ValueError:  # not in the main thread: Ctrl-C is not ours to catch
+        before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not in the main thread: signals are not ours to catch
         yield received
         return
     try:
         yield received
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
@@ -72,8 +73,11 @@ class Physics:
         """Bullet's client id."""
         return self._client
 
-    def reset(self, T_world_base: SE2) -> None:
-        """Build everything anew with the robot at a pose, and let it settle on its wheels."""
+    def reset(self, T_world_base: SE2, moving_xy: Sequence[Array] = ()) -> None:
+        """Build everything anew with the robot at a pose, and let it settle on its wheels.
+
+        `moving_xy` says where the moving solids stand meanwhile, (2,) each.
+        """
         client = self._client
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
@@ -96,6 +100,8 @@ class Physics:
         self._solid_of = {body: number for number, body in self._body_of.items()}
         for group in groups(self._solids[: self._n_standing], reachable, self._robot.lidar_height):
             self._solid_of[create_compound([self._solids[n] for n in group], client)] = group[0]
+        for number, xy in enumerate(moving_xy):
+            self.place(number, xy, np.zeros(2))
         self._load_robot(T_world_base)
         for _ in range(round(0.5 / self._dt)):
             self.step(0.0, 0.0)

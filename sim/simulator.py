@@ -23,6 +23,8 @@ from sim.wheels import Calibration, Motors, OdometryConfig, WheelOdometry
 from sim.worlds import World
 
 CONTROL_HZ = 30
+OUTSIDE_M = 5.0
+"""How far outside the world's bounds a robot may be put down."""
 CONTACT_REACH_M = 0.05
 """Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
 
@@ -114,7 +116,7 @@ class Simulator:
             MovingSolid(mover, self._standing, self._radius, stream(self.seed, f"mover {number}"))
             for number, mover in enumerate(self.world.movers)
         ]
-        self._physics.reset(start)
+        self._physics.reset(start, [one.position for one in self._moving])
         self._place_movers(first=True)
         self._step = 0
         self._sweep = np.zeros((self._steps_per_scan + 1, 3))
@@ -199,15 +201,19 @@ class Simulator:
         return any(touched), not all(touched)
 
     def _check_free(self, start: SE2) -> None:
+        x, y = float(start.x), float(start.y)
+        x_min, x_max, y_min, y_max = self.world.bounds
+        beyond = max(x_min - x, x - x_max, y_min - y, y - y_max)
+        if not beyond <= OUTSIDE_M:  # also when it is not a number
+            raise InputError(f"start pose {x:g}, {y:g}: outside of world {self.world.name}")
         footprint = start @ self._footprint
         standing = self._standing
         solids = self.world.below(self.robot.height)
         if (
-            not np.all(np.isfinite(start.xyt))
+            not np.isfinite(start.yaw)
             or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0
             or contains(solids, self.robot.lidar_height, start.xy[None])[0]
         ):
-            x, y = float(start.x), float(start.y)
             raise InputError(
                 f"start pose {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
             )

@@ -99,11 +99,12 @@ def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_
     assert hashes(tmp_path / "c")["bag/bag_0.mcap"] != hashes(recorded)["bag/bag_0.mcap"]
 
 
-def test_interrupt_closes_the_bag_and_keeps_it(tmp_path):
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, number, code):
     out = tmp_path / "rec"
-    threading.Timer(1.5, lambda: signal.raise_signal(signal.SIGINT)).start()
+    threading.Timer(1.5, lambda: signal.raise_signal(number)).start()
     started = time.monotonic()
-    assert record("turtlebot3_world", None, "tour", 1, out, sim=SimConfig(physics={"substeps": 80})) == 130
+    assert record("turtlebot3_world", None, "tour", 1, out, sim=SimConfig(physics={"substeps": 80})) == code
     assert time.monotonic() - started < 20.0
     log = load_recording(out)
     assert len(log) == len(load_tum(out / "truth" / "trajectory.tum")) > 0

@@ -145,7 +145,7 @@ def test_odometry_starts_at_the_start_pose():
 
 def test_a_start_in_an_obstacle_is_refused():
     with Simulator(WORLD, BURGER, SimConfig(), 0) as simulator:
-        for x, y in ((0.0, 0.0), (0.0, 2.5), (np.nan, 0.0)):
+        for x, y in ((0.0, 0.0), (0.0, 2.5), (np.nan, 0.0), (1e300, 0.0), (0.0, -1e9)):
             with pytest.raises(InputError, match="start pose"):
                 simulator.reset(SE2.from_xyt(x, y, 0.0))
 
