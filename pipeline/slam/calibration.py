@@ -1,31 +1,52 @@
-"""What the scans teach about the odometry: its systematic errors, learnt where scans see everything.
+"""What the scans teach about the odometry: its systematic errors, and how noisy the rest is.
 
-In a bare corridor odometry alone measures the way along it, and a wheel radius wrong by 1 % is 20 cm
-on 20 m. Where the scans do see all directions (rooms, corners) they measure that error; corrected
-odometry then carries through the blind stretches (Censi et al. 2013 calibrate from the same evidence).
+Wheels are not quite as large nor as far apart as the robot believes, so odometry is wrong by nearly
+constant shares (Censi et al. 2013). Where scans see all directions they tell these shares; where they
+are blind - a bare corridor longer than the lidar's range - odometry alone is left, and is then the
+better for it: 1 % of wheel radius is 10 cm on 10 m.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array, wrap
+from datasets.se2 import SE2, Array
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.refine import linearise_pairs
 
-PRIOR_SCALE, PRIOR_TURN_SCALE, PRIOR_TURN_PER_M = 0.03, 0.03, 0.02
-NOISE_M, NOISE_RAD = 0.01, 0.008
-LIMIT = 0.2
+# Key scans are compared over this much driving or turning: far enough for shares to stand out of the
+# noise of a match, near enough for the views to overlap.
+BASELINE_M, BASELINE_RAD = 1.5, 1.0
+MIN_OVERLAP = 0.5
+GATES_M = (0.2, 0.1, 0.1)
+SIGMA_M = 0.03
+# Neighbouring beams err together: the information of a match is worth this much less.
+INFLATION = 50.0
+# What odometry may be wrong by before anything is known: shares of distance and turn, radian per metre.
+PRIOR = np.array([0.05, 0.05, 0.02])
+# Standard deviations over one baseline before anything is known: x, y [m] and yaw [rad].
+USUAL_NOISE = np.array([0.03, 0.03, 0.015])
+LEAST_NOISE = np.array([0.003, 0.003, 0.002])
+CAUCHY = 2.0
+ENOUGH = 30.0
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Corrected step = (scale * x, scale * y, turn_scale * yaw + turn_per_m * distance)."""
+    """True step = scale x distance, turn_scale x turn + turn_per_m x distance [rad/m].
+
+    `noise` are standard deviations (x, y [m], yaw [rad]) of what is left over one baseline of driving;
+    `pairs` is how many pairs of key scans agreed on it.
+    """
 
     scale: float = 1.0
     turn_scale: float = 1.0
     turn_per_m: float = 0.0
+    noise: Array = field(default_factory=lambda: USUAL_NOISE)
+    pairs: int = 0
 
     def corrected(self, steps: Array) -> Array:
         """Odometry steps (..., 3) with the systematic error taken out."""
@@ -35,38 +56,111 @@ class Calibration:
         out[..., 2] = self.turn_scale * steps[..., 2] + self.turn_per_m * steps[..., 0]
         return out
 
+    def information(self, steps: Array) -> Array:
+        """Information (..., 3, 3) of corrected steps (..., 3), errors growing as a random walk."""
+        sigma = self.noise * np.sqrt(_baselines(steps))[..., None] + 0.3 * LEAST_NOISE
+        return np.eye(3) * sigma[..., None, :] ** -2.0
 
-def calibrate(odometry: Array, matched: Array, trusted: NDArray[np.bool_]) -> Calibration:
-    """Fit to steps (n, 3) of odometry and of scan matching; only `trusted` steps (n,) count.
 
-    Ridge regression towards a perfect odometry, reweighted (Cauchy) so that stretches where the
-    odometry lies do not bend the fit.
+def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_keys: SE2) -> Calibration:
+    """Systematic errors of odometry, from key scans matched with each other without its help.
+
+    `T_map_keys` (n,) only start the matches. Each pair counts in the directions its scans see;
+    stretches where odometry lies are outvoted (Cauchy weights).
     """
-    use = trusted & (np.hypot(odometry[:, 0], odometry[:, 1]) + np.abs(odometry[:, 2]) > 0.02)
-    o, m = odometry[use], matched[use]
-    if len(o) == 0:
+    steps = (T_odom_keys[:-1].inverse() @ T_odom_keys[1:]).xyt
+    pairs = _baseline_pairs(steps)
+    if len(pairs) == 0:
         return Calibration()
-    scale = _fit(o[:, :1], m[:, 0], np.array([1.0]), np.array([PRIOR_SCALE]), NOISE_M)
-    turn = _fit(
-        np.stack([o[:, 2], o[:, 0]], axis=1),
-        # the turn itself is small between key scans, its difference to odometry smaller still
-        o[:, 2] + wrap(m[:, 2] - o[:, 2]),
-        np.array([1.0, 0.0]),
-        np.array([PRIOR_TURN_SCALE, PRIOR_TURN_PER_M]),
-        NOISE_RAD,
-    )
-    return Calibration(
-        float(np.clip(scale[0], 1.0 - LIMIT, 1.0 + LIMIT)),
-        float(np.clip(turn[0], 1.0 - LIMIT, 1.0 + LIMIT)),
-        float(np.clip(turn[1], -LIMIT, LIMIT)),
-    )
+    matched, information, overlap = _matched(clouds, keys, T_map_keys, pairs)
+    good = overlap >= MIN_OVERLAP
+    if not good.any():
+        return Calibration()
+    return _fit(steps, pairs[good], matched[good], information[good] / INFLATION)
 
 
-def _fit(a: Array, b: Array, prior: Array, prior_sigma: Array, noise: float) -> Array:
-    ridge = np.diag(prior_sigma**-2)
-    x: Array = prior
-    for _ in range(8):
-        residual = (b - a @ x) / noise
-        w = 1.0 / (1.0 + (residual / 2.0) ** 2) / noise**2
-        x = np.linalg.solve(a.T @ (w[:, None] * a) + ridge, a.T @ (w * b) + ridge @ prior)  # type: ignore[assignment]
-    return x
+def _baselines(steps: Array) -> Array:
+    return np.hypot(steps[..., 0], steps[..., 1]) / BASELINE_M + np.abs(steps[..., 2]) / BASELINE_RAD
+
+
+def _baseline_pairs(steps: Array) -> NDArray[np.int64]:
+    """Each key with the first one a baseline further on, (n, 2)."""
+    path = np.concatenate([[0.0], np.cumsum(_baselines(steps))])
+    j = np.searchsorted(path, path + 1.0)
+    i = np.flatnonzero(j < len(path))
+    return np.stack([i, j[i]], axis=1)
+
+
+def _matched(
+    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, pairs: NDArray[np.int64]
+) -> tuple[Array, Array, Array]:
+    """Per pair (i, j): T_i_j (n, 3) by its two scans alone, information (n, 3, 3), overlap (n,)."""
+    i, j = pairs[:, 0], pairs[:, 1]
+    T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
+    # every pair gets key scans of its own, so that each moves on by its own match
+    own_keys, own_pairs = keys[pairs].ravel(), np.arange(2 * len(pairs)).reshape(-1, 2)
+    for gate in GATES_M:
+        poses = np.zeros((2 * len(pairs), 3))
+        poses[1::2] = T_i_j
+        T_i_j, information, overlap = linearise_pairs(
+            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
+            clouds.origin, own_keys, poses, own_pairs, gate, SIGMA_M,
+        )  # fmt: skip
+    return T_i_j, information, overlap
+
+
+def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Array) -> Calibration:
+    """Ridge regression of the shares, reweighted; noise from what is left, then once more with it."""
+    odometry = _chained(steps, pairs)
+    error = (SE2(odometry).inverse() @ SE2(matched)).xyt
+    jacobian = _jacobian(steps, pairs, odometry)
+    noise, shares = USUAL_NOISE, np.zeros(3)
+    for _ in range(3):
+        weight = _joint(information, noise)
+        for _ in range(8):
+            left = error - np.einsum("nij,j->ni", jacobian, shares)
+            trust = 1.0 / (1.0 + np.einsum("ni,nij,nj->n", left, weight, left) / CAUCHY**2)
+            a = np.einsum("n,nia,nij,njb->ab", trust, jacobian, weight, jacobian) + np.diag(PRIOR**-2)
+            b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
+            shares = np.linalg.solve(a, b)
+        noise = _noise(left, information)
+    pairs_used = int(np.count_nonzero(trust > 0.5))
+    return Calibration(float(1.0 + shares[0]), float(1.0 + shares[1]), float(shares[2]), noise, pairs_used)
+
+
+def _joint(information: Array, noise: Array) -> Array:
+    """Information of a match seen through odometry's noise: (H^-1 + S)^-1, H may be singular."""
+    inverse = np.diag(noise**-2.0)
+    return information @ np.linalg.solve(information + inverse, np.broadcast_to(inverse, information.shape))
+
+
+def _noise(left: Array, information: Array) -> Array:
+    """Standard deviations by the median of what is left, pulled to the usual ones when few pairs tell."""
+    sees = np.stack([information[:, k, k] * USUAL_NOISE[k] ** 2 > 0.25 for k in range(3)], axis=1)
+    out = USUAL_NOISE.copy()
+    for k in range(3):
+        n = np.count_nonzero(sees[:, k])
+        if n > 0:
+            measured = 1.4826 * np.median(np.abs(left[sees[:, k], k]))
+            share = n / (n + ENOUGH)
+            out[k] = max(share * measured + (1.0 - share) * USUAL_NOISE[k], LEAST_NOISE[k])
+    return out
+
+
+def _jacobian(steps: Array, pairs: NDArray[np.int64], odometry: Array) -> Array:
+    """Effect of each share on a pair's end pose, (n, 3, 3), by difference."""
+    h = 1e-4
+    out = np.zeros((len(pairs), 3, 3))
+    for k, moved in enumerate((Calibration(1.0 + h), Calibration(1.0, 1.0 + h), Calibration(1.0, 1.0, h))):
+        end = _chained(moved.corrected(steps), pairs)
+        out[:, :, k] = (SE2(odometry).inverse() @ SE2(end)).xyt / h
+    return out
+
+
+def _chained(steps: Array, pairs: NDArray[np.int64]) -> Array:
+    """Motion (n, 3) over each pair of keys, composed of steps."""
+    yaw = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    c, s = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    move = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    T = SE2.from_array(np.column_stack([np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)]), yaw]))
+    return (T[pairs[:, 0]].inverse() @ T[pairs[:, 1]]).xyt

@@ -137,6 +137,6 @@ def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
         constraints.append(Constraint(k, k + 1, step, seen, "step"))
         if track.odometry_steps is not None:
             odometry = track.odometry_steps[k]
-            information = config.odometry.information(odometry)
+            information = track.calibration.information(odometry)
             constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
     return constraints

@@ -51,6 +51,7 @@ class TrackingConfig(BaseModel):
     key_distance_m: float = Field(default=0.3, gt=0.0)
     key_turn_rad: float = Field(default=0.4, gt=0.0)
     reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
+    most_points: int = Field(default=200, gt=0, description="points of a scan that are aligned")
     field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
     field_resolution_m: float = Field(default=0.1, gt=0.0)
     field_sigma_m: float = Field(default=0.12, gt=0.0)
@@ -88,7 +89,8 @@ class Track:
 
 # Fewer points with a surface line than this place nothing.
 MIN_LINES = 8
-CALIBRATE_EVERY = 25
+# Odometry is calibrated anew whenever the key scans have doubled since this many.
+FIRST_CALIBRATION = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 
 
@@ -103,8 +105,7 @@ class Tracker:
         self.key_poses: list[Array] = []
         self.velocity = np.zeros(3)
         self.calibration = Calibration()
-        self.fully_seen: list[bool] = []
-        self._seen = True
+        self._next_calibration = FIRST_CALIBRATION
         self._has_reference = False
         self._usual_cost = 0.3
 
@@ -142,7 +143,6 @@ class Tracker:
         else:
             result, source = best[0], best[1]
             self._usual_cost += 0.02 * (best[2] - self._usual_cost)
-        self._seen = self._seen and source < 3 and sees_everything(result.information)
         new = result.T_map_base.xyt
         self.velocity = between(self.pose, new)
         self.pose = new
@@ -172,12 +172,11 @@ class Tracker:
         return (T[:-1].inverse() @ T[1:]).xyt
 
     def calibrated(self) -> Calibration:
-        """The odometry's systematic errors as far as the track shows them."""
+        """The odometry's systematic errors as far as the key scans show them."""
         if self.odometry is None or len(self.keys) < 2:
             return Calibration()
-        T = SE2(np.array(self.key_poses))
-        matched = (T[:-1].inverse() @ T[1:]).xyt
-        return calibrate(self.key_odometry(), matched, np.array(self.fully_seen[1:]))
+        keys = np.array(self.keys)
+        return calibrate(self.clouds, keys, SE2(np.array(self.key_poses)), SE2(self.odometry[keys]))
 
     def _best(
         self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
@@ -208,10 +207,11 @@ class Tracker:
                 prior=prior,
                 prior_information=information,
                 prior_soft=config.odometry.soft,
+                most_points=config.most_points,
             )
             e = between(prior, result.T_map_base.xyt)
             surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
-            cost = result.cost / usable + 0.01 * float(surprise)
+            cost = result.cost + 0.01 * float(surprise)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
@@ -241,10 +241,9 @@ class Tracker:
         self.keys.append(scan)
         self.key_poses.append(self.pose)
         self._has_reference = self._has_reference or self.clouds.lines(scan) >= MIN_LINES
-        self.fully_seen.append(self._seen)
-        self._seen = True
-        if len(self.keys) % CALIBRATE_EVERY == 0:
+        if len(self.keys) == self._next_calibration:
             self.calibration = self.calibrated()
+            self._next_calibration *= 2
         n, config = self.config.field_keys, self.config
         self.field = make_field(
             self.clouds,
