@@ -45,12 +45,12 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
     streams.follow_tf()
     for (parent, child), moving in streams.frames.moving.items():
-        if parent == "odom" and (child == scan_frame or streams.frames.lookup(child, scan_frame) is not None):
+        if "odom" in parent and (child == scan_frame or streams.frames.lookup(child, scan_frame) is not None):
             notes.append(f"odometry from /tf ({parent} -> {child})")
             stamps = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
             rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
             return OdometrySource(child, _increasing(stamps, rows, "/tf", notes))
-    notes.append("no odometry: neither /odom nor odom -> base in /tf")
+    notes.append("no odometry: neither an Odometry topic nor odom -> base in /tf")
     return OdometrySource(base_of(streams.frames))
 
 

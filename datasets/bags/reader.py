@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from datasets.bags import decode
+from datasets.bags.decode import BadMessage, Cursor
 from datasets.bags.source import open_bag
 from datasets.bags.storage import Topic
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.types import Stamps, Trajectory
+
+Decoded = TypeVar("Decoded")
 
 _POSES = {
     "nav_msgs/msg/Odometry": decode.odometry,
@@ -76,60 +82,47 @@ class BagInfo:
 def read_poses(path: Path, topic: str) -> Trajectory:
     """Poses of an Odometry, PoseStamped or PoseWithCovarianceStamped topic, by header stamp, in file order.
 
-    InputError when the topic is not there or of another type.
+    Damaged messages are left out. InputError when the topic is not there or of another type.
     """
-    bag = open_bag(path)
-    found: list[decode.RawPose] = []
-    seen: dict[str, str] = {}
-
-    def wanted(candidate: Topic) -> bool:
-        seen[candidate.name] = candidate.msgtype
-        return candidate.name == topic and candidate.msgtype in _POSES
-
-    for message in bag.messages(wanted):
-        found.append(_POSES[message.topic.msgtype](bag.cursor(message.data)))
-    if not found:
-        raise InputError(f"{path}: {_missing(topic, seen, 'poses')}")
+    found = [pose for _, pose in _decoded(path, topic, _POSES, "poses")]
     stamps = np.array([pose.stamp_ns for pose in found], dtype=np.int64)
     return Trajectory(stamps, SE2.from_array(np.array([pose[3:6] for pose in found])))
 
 
 def read_commands(path: Path, topic: str = "/cmd_vel") -> tuple[Stamps, Array, Array]:
     """Log times [ns], forward [m/s] and yaw speeds [rad/s] of /cmd_vel (Twist or TwistStamped)."""
-    bag = open_bag(path)
-    stamps: list[int] = []
-    speeds: list[tuple[float, float]] = []
-    seen: dict[str, str] = {}
-
-    def wanted(candidate: Topic) -> bool:
-        seen[candidate.name] = candidate.msgtype
-        return candidate.name == topic and candidate.msgtype in _TWISTS
-
-    for message in bag.messages(wanted):
-        stamps.append(message.log_time_ns)
-        speeds.append(_TWISTS[message.topic.msgtype](bag.cursor(message.data)))
-    if not stamps:
-        raise InputError(f"{path}: {_missing(topic, seen, 'commands')}")
-    v, w = np.array(speeds).T
-    return np.array(stamps, dtype=np.int64), v, w
+    found = _decoded(path, topic, _TWISTS, "commands")
+    v, w = np.array([speeds for _, speeds in found]).T
+    return np.array([time for time, _ in found], dtype=np.int64), v, w
 
 
 def read_particles(path: Path, topic: str = "/particlecloud") -> list[tuple[int, SE2]]:
     """(stamp [ns], poses (n,)) of each PoseArray message; empty when there is none."""
-    return _read_arrays(path, topic)
+    return [(stamp, SE2.from_array(rows)) for _, (stamp, rows) in _decoded(path, topic, _ARRAYS)]
 
 
 def read_plans(path: Path, topic: str = "/plan") -> list[tuple[int, SE2]]:
     """(stamp [ns], poses (n,)) of each Path message; empty when there is none."""
-    return _read_arrays(path, topic)
+    return read_particles(path, topic)
 
 
-def _read_arrays(path: Path, topic: str) -> list[tuple[int, SE2]]:
+def _decoded(
+    path: Path, topic: str, decoders: Mapping[str, Callable[[Cursor], Decoded]], needed: str = ""
+) -> list[tuple[int, Decoded]]:
+    """(log time, content) of a topic's intact messages; InputError without one where it is `needed`."""
     bag = open_bag(path)
+    seen: dict[str, str] = {}
+
+    def wanted(candidate: Topic) -> bool:
+        seen[candidate.name] = candidate.msgtype
+        return candidate.name == topic and candidate.msgtype in decoders
+
     found = []
-    for message in bag.messages(lambda candidate: candidate.name == topic and candidate.msgtype in _ARRAYS):
-        stamp, rows = _ARRAYS[message.topic.msgtype](bag.cursor(message.data))
-        found.append((stamp, SE2.from_array(rows)))
+    for message in bag.messages(wanted):
+        with suppress(BadMessage):
+            found.append((message.log_time_ns, decoders[message.topic.msgtype](bag.cursor(message.data))))
+    if needed and not found:
+        raise InputError(f"{path}: {_missing(topic, seen, needed)}")
     return found
 
 
