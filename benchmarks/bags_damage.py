@@ -82,6 +82,7 @@ def judge_unprotected(path: Path) -> str:
     """Formats without checksums can only promise to end in data or in one clear error."""
     try:
         count = sum(1 for _ in open_bag(path).messages())
+        load_recording(path)
     except InputError as error:
         return one_clear_line(error)
     return "some data" if count else "no data"
