@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,9 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from datasets.bags.writer import BagWriter
-from datasets.errors import InputError
 from datasets.maps import save_map
-from datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
+from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_manifest
 from datasets.se2 import SE2
 from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist, seconds
@@ -151,7 +151,8 @@ def record_drive(
     `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
     """
     timer = Stopwatch()
-    _check_left_over(out, force=force)
+    check_free(out, force=force)
+    _set_aside(out)
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
     with deferred_interrupt() as interrupted, staged_output(out, force=force) as folder:
@@ -181,14 +182,17 @@ def record_drive(
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
 
 
-def _check_left_over(out: Path, *, force: bool) -> None:
-    """InputError when a killed recording lies where this one would grow."""
+def _set_aside(out: Path) -> None:
+    """Move what a killed recording left where this one will grow: it can still be recovered."""
     partial = out.with_name(out.name + ".partial")
-    if not force and any((partial / "bag").glob("*.mcap")):
-        raise InputError(
-            f"{partial}: an unfinished recording is in the way; save it with "
-            f"`turtlebag bag recover {partial} --out DIR`, or pass --force"
-        )
+    if not any((partial / "bag").glob("*.mcap")):
+        return
+    names = (f"{out.name}.unfinished{'' if n == 1 else f'-{n}'}" for n in itertools.count(1))
+    aside = next(path for name in names if not (path := out.with_name(name)).exists())
+    partial.rename(aside)
+    log.warning(
+        "an unfinished recording is now %s; `turtlebag bag recover %s --out DIR` saves it", aside, aside
+    )
 
 
 def _drive(

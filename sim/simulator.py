@@ -12,6 +12,7 @@ from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
 from datasets.types import Joints, Observation, Odometry, Scan, Twist
+from sim.faults import FaultConfig, Faults
 from sim.imu import ImuConfig, ImuSensor
 from sim.lidar import Lidar, LidarConfig
 from sim.movers import MovingSolid, outlines
@@ -37,6 +38,7 @@ class SimConfig(BaseModel):
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
     imu: ImuConfig = ImuConfig()
+    faults: FaultConfig = FaultConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +112,7 @@ class Simulator:
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
+        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
         self._moving = [
@@ -131,7 +134,7 @@ class Simulator:
             for one in self._moving:
                 one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
             self._place_movers(first=self._step % self._steps_per_scan == 0)
-        self._physics.step(*self._motors.step(command))
+        self._physics.step(*self._motors.step(self._faults.command(command)))
         self._step += 1
         return self._observe()
 
@@ -142,7 +145,7 @@ class Simulator:
 
     @property
     def scan_truth(self) -> SE2:
-        """True base pose at the stamp of the last completed scan."""
+        """True base pose at the stamp of the scan that was delivered last."""
         return self._scan_truth
 
     def clearance(self) -> float:
@@ -173,25 +176,28 @@ class Simulator:
             Odometry(stamp, *self._odometry.update(left, right)),
             Joints(stamp, (left, right), (left_speed, right_speed)),
             self._sweep_on(pose, stamp),
-            self._imu.samples(self._step, twist),
+            self._faults.imu(self._imu.samples(self._step, twist)),
         )
 
     def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:
-        """Collect poses; the scan when its sweep ends in this step."""
-        place = self._step % self._steps_per_scan
+        """Collect poses; the scan that is delivered in this step, usually the one whose sweep ends."""
+        scan, place = None, self._step % self._steps_per_scan
+        first = pose
         if not self.config.lidar.turning:
-            if place:
-                return None
-            self._scan_truth = SE2(pose)
-            return Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
-        if self._step == 0 or place:
+            if place == 0:
+                scan = Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
+        elif self._step == 0 or place:
             self._sweep[place] = pose
-            return None
-        self._sweep[-1] = pose
-        ranges = self._lidar.measure(self._sweep)
-        self._scan_truth = SE2(self._sweep[0].copy())
-        self._sweep[0] = pose
-        return Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
+        else:
+            self._sweep[-1] = pose
+            ranges = self._lidar.measure(self._sweep)
+            first = self._sweep[0].copy()
+            self._sweep[0] = pose
+            scan = Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
+        delivered, truth = self._faults.scan(self._step, scan, SE2(first))
+        if delivered is not None:
+            self._scan_truth = truth
+        return delivered
 
     def _contacts(self, x: float, y: float) -> tuple[bool, bool]:
         near = self._touchable

@@ -204,14 +204,15 @@ def test_a_robot_that_gets_stuck_ends_the_recording_with_complete_outputs(tmp_pa
     assert len(load_recording(tmp_path / "rec")) > 20
 
 
-def test_an_unfinished_recording_is_not_overwritten_unasked(tmp_path, script):
-    left_over = tmp_path / "rec.partial" / "bag" / "bag_0.mcap"
-    left_over.parent.mkdir(parents=True)
-    left_over.write_bytes(b"what a killed process left")
-    with pytest.raises(InputError, match="bag recover"):
-        record("turtlebot3_world", None, script, 1, tmp_path / "rec")
-    assert left_over.is_file()
-    assert record("turtlebot3_world", None, script, 1, tmp_path / "rec", force=True) == 0
+def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes(tmp_path, script):
+    for number in range(2):
+        left_over = tmp_path / "rec.partial" / "bag" / "bag_0.mcap"
+        left_over.parent.mkdir(parents=True)
+        left_over.write_bytes(b"what a killed process left %d" % number)
+        assert record("turtlebot3_world", None, script, 1, tmp_path / "rec", force=True) == 0
+    assert (tmp_path / "rec.unfinished" / "bag" / "bag_0.mcap").read_bytes().endswith(b"0")
+    assert (tmp_path / "rec.unfinished-2" / "bag" / "bag_0.mcap").read_bytes().endswith(b"1")
+    assert not (tmp_path / "rec.partial").exists()
 
 
 def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
