@@ -21,6 +21,7 @@ def test_info_prints_each_topic_with_count_and_rate(drive, capsys):
     lines = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line}
     assert lines["/scan"][1:4] == ["sensor_msgs/msg/LaserScan", "20", "5.00"]
     assert lines["/odom"][2:4] == ["120", "30.00"]
+    assert lines["seed"] == ["seed", "7"]
 
 
 def test_info_of_no_bag_is_one_line_and_exit_2(tmp_path, capsys):

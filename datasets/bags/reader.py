@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -58,6 +58,7 @@ class BagInfo:
     files: tuple[Path, ...]
     topics: tuple[TopicInfo, ...]
     notes: tuple[str, ...]
+    custom: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -143,4 +144,4 @@ def bag_info(path: Path) -> BagInfo:
         ordered = np.sort(np.array(stamps, dtype=np.int64))
         gap = int(np.diff(ordered).max(initial=0))
         topics.append(TopicInfo(name, msgtype, len(stamps), int(ordered[0]), int(ordered[-1]), gap))
-    return BagInfo(path, bag.kind, tuple(bag.files), tuple(topics), tuple(bag.notes))
+    return BagInfo(path, bag.kind, tuple(bag.files), tuple(topics), tuple(bag.notes), bag.custom_data())
