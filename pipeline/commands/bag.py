@@ -110,7 +110,9 @@ def _print_info(info: BagInfo) -> None:
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
     )
     if info.custom:
-        console.print(", ".join(f"{key} {value}" for key, value in info.custom.items()), markup=False)
+        console.print(
+            ", ".join(f"{key} {value}" for key, value in info.custom.items()), markup=False, soft_wrap=True
+        )
     table = Table(box=None, pad_edge=False)
     for name in ("topic", "type"):
         table.add_column(name, overflow="fold")
