@@ -6,12 +6,15 @@ from planning_room import BURGER, room
 
 from datasets.se2 import SE2, wrap
 from datasets.types import Twist
+from planners.control.dwa import Dwa, DwaConfig
 from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from planners.control.interface import SpeedLimits, ramped
 from planners.control.monitor import CollisionMonitor, MonitorConfig, depth_inside, free_time, moved, padded
+from planners.control.profile import braked, curvature_along
 from planners.control.pursuit import Pursuit, PursuitConfig
 from planners.control.tracking import arc_lengths, point_at, project
 from planners.costmap import CostmapConfig, costmap_from_grid
+from planners.smoothing import densify, with_headings
 
 DT = 1.0 / 30.0
 LIMITS = SpeedLimits(0.22, 1.5, 0.8, 3.0, DT)
@@ -40,14 +43,14 @@ def big_room():
 def test_pursuit_settles_on_position_and_heading(goal_yaw):
     costmap = big_room()
     corner = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 2.5]])
-    path = SE2.from_xyt(corner[:, 0], corner[:, 1], [0.0, math.pi / 2, goal_yaw])
+    path = with_headings(densify(corner, 0.05), 0.0, goal_yaw)
     poses, commands = follow(
         Pursuit(BURGER, PursuitConfig(), DT), SE2.from_xyt(1.0, 1.0, 2.0), path, 60.0, costmap
     )
     assert np.linalg.norm(poses[-1, :2] - [3.0, 2.5]) < 0.03
     assert abs(wrap(poses[-1, 2] - goal_yaw)) < 0.03
     assert np.abs(commands[:, 0]).max() <= BURGER.max_v + 1e-9
-    assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= PursuitConfig().max_dv * DT + 1e-9
+    assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= 0.8 * BURGER.max_dv * DT + 1e-9
     # It cuts the corner by less than its least look-ahead.
     d = np.minimum(np.abs(poses[:, 1] - 1.0), np.abs(poses[:, 0] - 3.0))
     assert d.max() < 0.2
@@ -147,3 +150,36 @@ def test_the_goal_checker_wants_position_heading_standstill_and_time():
 def test_the_tutorials_tolerances_are_a_preset():
     checker = GoalChecker(GoalCheckerConfig(preset="tutorial", hold=0.0), SE2.from_xyt(0.0, 0.0, 0.0))
     assert checker.reached(0, SE2.from_xyt(0.045, 0.0, 0.16), Twist())
+
+
+@pytest.mark.parametrize("goal_yaw", [-1.5, 3.1])
+def test_dwa_goes_round_a_block_that_the_path_does_not_know_and_settles(goal_yaw):
+    costmap = big_room()
+    block = np.zeros_like(costmap.lethal)
+    block[95:105, 75:85] = True
+    costmap = costmap.with_lethal(block)
+    # The straight path leads through the block at x = 2.75..3.25, y = 4.25..4.75 (map frame).
+    line = densify(np.array([[1.0, 4.4], [5.0, 4.4]]), 0.05)
+    assert costmap.clearance_at(line).min() == 0.0
+    controller = Dwa(BURGER, DwaConfig(), PursuitConfig(), DT)
+    poses, commands = follow(
+        controller, SE2.from_xyt(1.0, 4.4, 0.0), with_headings(line, 0.0, goal_yaw), 90.0, costmap
+    )
+    assert np.linalg.norm(poses[-1, :2] - [5.0, 4.4]) < 0.03
+    assert abs(wrap(poses[-1, 2] - goal_yaw)) < 0.03
+    assert costmap.clearance_at(poses[:, :2]).min() > 0.105
+    assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= 0.8 * BURGER.max_dv * DT + 1e-9
+
+
+def test_curvature_of_a_circle_and_braking_before_a_slow_place():
+    angle = np.linspace(0.0, 3.0, 120)
+    circle = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)], axis=1)
+    bends = curvature_along(circle, arc_lengths(circle), 0.15)
+    np.testing.assert_allclose(bends[20:-20], 2.0, rtol=0.02)
+    lengths = np.linspace(0.0, 2.0, 41)
+    limits = np.ones(41)
+    limits[20] = 0.2
+    speeds = braked(limits, lengths, 0.5)
+    assert speeds[20] == 0.2
+    assert speeds[10] == pytest.approx(math.sqrt(0.04 + 2.0 * 0.5 * 0.5))
+    assert speeds[21] == 1.0

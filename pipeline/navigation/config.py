@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.localisation.parameters import AmclConfig
+from planners.control.dwa import DwaConfig
 from planners.control.goal_checker import GoalCheckerConfig
 from planners.control.monitor import MonitorConfig
 from planners.control.pursuit import PursuitConfig
@@ -17,6 +20,8 @@ from planners.tasks.recovery import RecoveryConfig
 from planners.tasks.sequence import SequenceConfig
 from sim.simulator import SimConfig
 
+ControllerName = Literal["pursuit", "dwa"]
+
 
 class MaplessConfig(BaseModel):
     """Goals without a map: the costmap holds what the scans showed since the start."""
@@ -25,6 +30,10 @@ class MaplessConfig(BaseModel):
     margin: float = Field(default=8.0, gt=0.0)
     """Room about start and goal that the costmap covers [m]."""
     resolution: float = Field(default=0.05, gt=0.0)
+    controller: ControllerName = "dwa"
+    replan_period: float = Field(default=0.3, ge=0.0)
+    """Takes the place of plan.replan_period: there is always something new to see."""
+    preferred_clearance: float = Field(default=0.6, ge=0.0)
     live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
 
 
@@ -38,6 +47,8 @@ class NavigateConfig(BaseModel):
     live: LiveConfig = LiveConfig()
     mapless: MaplessConfig = MaplessConfig()
     plan: PlanConfig = PlanConfig()
+    controller: ControllerName = "pursuit"
+    dwa: DwaConfig = DwaConfig()
     pursuit: PursuitConfig = PursuitConfig()
     monitor: MonitorConfig = MonitorConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()

@@ -24,6 +24,8 @@ from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.recorder import Bag
 from pipeline.navigation.sensing import Sensing
+from planners.control.dwa import Dwa
+from planners.control.interface import Controller
 from planners.control.monitor import CollisionMonitor
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
@@ -150,22 +152,37 @@ def make_driver(
         ends = [first.odometry.T_odom_base.xy]
         ends += [point.T_map_goal.xy for point in mission.waypoints if point.T_map_goal is not None]
         costmap = empty_costmap(np.stack(ends), config.mapless.margin, config.mapless.resolution)
-        tools = make_tools(robot, config, costmap, config.mapless.live)
+        tools = make_tools(robot, _mapless(config), costmap, config.mapless.live)
     driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed)
     return driver, localiser, sequence
+
+
+def _mapless(config: NavigateConfig) -> NavigateConfig:
+    """The configuration with the section `mapless` in force."""
+    m = config.mapless
+    plan = {"replan_period": m.replan_period, "preferred_clearance": m.preferred_clearance}
+    return config.model_copy(update={"controller": m.controller, "plan": config.plan.model_copy(update=plan)})
 
 
 def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap, live: LiveConfig) -> Tools:
     """Controller, monitor and live layer for a robot on a costmap."""
     return Tools(
         model=robot.model,
-        controller=Pursuit(robot.model, config.pursuit, 1.0 / CONTROL_HZ),
+        controller=make_controller(robot, config),
         monitor=CollisionMonitor(robot.model, config.monitor),
         live=LiveLayer(costmap, live),
         plan=config.plan,
         checker=config.goal_checker,
         recovery=config.recovery,
     )
+
+
+def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
+    """The local controller that the configuration names."""
+    period = 1.0 / CONTROL_HZ
+    if config.controller == "dwa":
+        return Dwa(robot.model, config.dwa, config.pursuit, period)
+    return Pursuit(robot.model, config.pursuit, period)
 
 
 def _make_localiser(mission: Mission, grid: OccupancyGrid, sensing: Sensing, publisher: Bag) -> Localiser:

@@ -82,6 +82,9 @@ class Pursuit:
         same_goal = self._goal == (x, y, yaw)
         self._goal = (x, y, yaw)
         self._s = 0.0
+        if same_goal and self.state == "follow":
+            # A new path under way: no stop, unless it leads elsewhere.
+            return
         if not (same_goal and self.state in ("settle", "align", "arrived")):
             self.state = "turn"
 
@@ -115,7 +118,10 @@ class Pursuit:
         if remaining < c.settle_distance:
             self.state = "settle"
             return self._onto_goal(x, y, yaw, last)
+        room = self._room(x, y, yaw, costmap)
         reach = min(max(abs(last.v) * c.lookahead_time, c.min_lookahead), c.max_lookahead)
+        # Near obstacles it must not cut corners.
+        reach = max(min(reach, c.min_lookahead + 2.0 * max(room, 0.0)), c.min_lookahead)
         px, py = point_at(self._points, self._lengths, self._s + reach)
         bearing = _wrap(math.atan2(py - y, px - x) - yaw)
         if self.state == "follow" and abs(bearing) > c.turn_first:
@@ -126,12 +132,24 @@ class Pursuit:
             self.state = "follow"
         distance = max(math.hypot(px - x, py - y), 0.05)
         curvature = 2.0 * math.sin(bearing) / distance
-        v = self._regulated_speed(x, y, yaw, curvature, remaining, costmap)
+        v = self._regulated_speed(room, curvature, remaining)
         return Twist(v, curvature * v)
 
-    def _regulated_speed(
-        self, x: float, y: float, yaw: float, curvature: float, remaining: float, costmap: Costmap
-    ) -> float:
+    def _room(self, x: float, y: float, yaw: float, costmap: Costmap) -> float:
+        gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
+        s = self.samples
+        return footprint_clearance(
+            costmap.clearance,
+            costmap.resolution,
+            s.points,
+            s.inscribed,
+            s.circumscribed,
+            gx,
+            gy,
+            gyaw,
+        )
+
+    def _regulated_speed(self, room: float, curvature: float, remaining: float) -> float:
         c, top = self.config, self.limits.max_v
         v = min(
             float(np.interp(self._s, self._lengths, self._speeds)),
@@ -139,17 +157,6 @@ class Pursuit:
         )
         if abs(curvature) * c.regulated_radius > 1.0:
             v = min(v, top / (abs(curvature) * c.regulated_radius))
-        gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
-        room = footprint_clearance(
-            costmap.clearance,
-            costmap.resolution,
-            self.samples.points,
-            self.samples.inscribed,
-            self.samples.circumscribed,
-            gx,
-            gy,
-            gyaw,
-        )
         if room < c.near:
             v = min(v, top * max(c.slowest, room / c.near))
         v = max(v, min(c.slowest * top * 0.5, 0.1))
