@@ -129,10 +129,10 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         )
     for path, label, unit, worst in (
         ("ate_m.rmse", "map trajectory error", "cm", max),
-        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min),
         ("relations.trans_m.mean", "relations error", "m4", max),
         ("localisation_error_m.rmse", "localisation error", "cm", max),
         ("min_clearance_m", "least clearance", "cm", min),
+        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min),
         ("scans", "scans", "count", max),
     ):
         values = [
@@ -144,7 +144,7 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
             value, name = worst(values)
             note = f"worst of {len(values)}: {name}" if len(values) > 1 else name
             found.append(Tile(label, shown(value, unit), note))
-    return found[:6]
+    return found[:5]
 
 
 def _tasks(runs: Sequence[Part]) -> str:

@@ -71,6 +71,16 @@ def test_the_grid_has_every_combination_once(tmp_path):
     assert strange.commands["check"][-1] == "{make}/metrics.json"
 
 
+def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
+    text = CAMPAIGN.replace(
+        "\"--odd 'two words'\"", '"--a={size:1-0.25*x} --b={size:0.1*x} --c={size:-2+0.5*x}"'
+    )
+    strange = next(case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange")
+    assert strange.commands["make"][-3:] == ["--a=0.75", "--b=0.1", "--c=-1.5"]
+    with pytest.raises(InputError, match="not of the form"):
+        cases(load(tmp_path, text.replace("0.1*x", "x*x")))
+
+
 def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
     text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
     with pytest.raises(InputError, match="needs `sample`"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import re
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from datasets.seeds import stream
 from datasets.yaml_files import checked, find_named, read_mapping
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
+LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
 Scalar = bool | int | float | str
 
 
@@ -56,9 +58,10 @@ class Campaign(BaseModel):
     """The campaign file.
 
     `factors`: a list of values, `{first, last}` for whole numbers, `{low, high}` to draw from, or named
-    levels whose text is put into the command as several words. `stages`: command lines without `--out`,
-    with `{factor}` and `{stage}` (an earlier stage's folder) in braces. `results`: name -> `stage:path`
-    in that stage's metrics.json. `against`: the level that `compare`'s other levels are paired with.
+    levels whose text is put into the command as several words and may name other factors. `stages`:
+    command lines without `--out`, with `{factor}` and `{stage}` (an earlier stage's folder) in braces;
+    `{factor:1-0.5*x}` is a number computed from the level x. `results`: name -> `stage:path` in that
+    stage's metrics.json. `against`: the level that `compare`'s other levels are paired with.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -142,22 +145,41 @@ def _levels(levels: Levels) -> list[Scalar]:
     return list(levels)
 
 
+class LevelText(str):
+    """A level as it stands in a command; `{level:A+B*x}` puts in a linear function of it instead."""
+
+    __slots__ = ()
+
+    def __format__(self, spec: str) -> str:
+        if not spec:
+            return str(self)
+        found = LINEAR.fullmatch(spec)
+        if found is None:
+            raise ValueError(f"'{spec}' is not of the form A+B*x")
+        sign = -1.0 if found["sign"] == "-" else 1.0
+        value = float(found["a"] or 0.0) + sign * float(found["b"]) * float(self)
+        return f"{value:.6g}"
+
+
 def _case(campaign: Campaign, index: int, chosen: dict[str, Scalar]) -> Case:
-    texts = {}
-    for name, level in chosen.items():
-        levels = campaign.factors[name]
-        texts[name] = levels[str(level)] if isinstance(levels, dict) else str(level)
+    texts: dict[str, str] = {name: LevelText(level) for name, level in chosen.items()}
+    for name, levels in campaign.factors.items():
+        if isinstance(levels, dict):
+            others = {other: text for other, text in texts.items() if other != name}
+            texts[name] = _filled(levels[str(chosen[name])], others, f"{name}.{chosen[name]}")
     commands: dict[str, list[str]] = {}
     for stage, line in campaign.stages.items():
         # Folders of earlier stages stay in braces: they depend on where the campaign is written.
         places = {earlier: "{" + earlier + "}" for earlier in commands}
-        commands[stage] = shlex.split(_filled(line, {**texts, **places}, stage))
+        commands[stage] = shlex.split(_filled(line, {**texts, **places}, f"stages.{stage}"))
     digest = hashlib.sha256(json.dumps(commands).encode()).hexdigest()
     return Case(index, digest[:12], chosen, commands)
 
 
-def _filled(line: str, values: dict[str, Any], stage: str) -> str:
+def _filled(line: str, values: dict[str, Any], where: str) -> str:
     try:
         return line.format(**values)
-    except (KeyError, IndexError, ValueError) as error:
-        raise InputError(f"stages.{stage}: {{{error}}} is neither a factor nor an earlier stage") from None
+    except (KeyError, IndexError) as error:
+        raise InputError(f"{where}: {{{error}}} is neither a factor nor an earlier stage") from None
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
