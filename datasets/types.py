@@ -111,7 +111,8 @@ class Observation:
     """What the robot itself knows after one control period. Truth never enters here.
 
     `scan` is the sweep that was completed within the period, if one was: with a turning lidar
-    its stamp lies up to one scan time before `stamp_ns`.
+    its stamp lies up to one scan time before `stamp_ns`. `cloud` is the same of a 3D lidar, with
+    the stamp of its first beam [ns].
     """
 
     stamp_ns: int
@@ -119,6 +120,7 @@ class Observation:
     joints: Joints
     scan: Scan | None = None
     imu: tuple[Imu, ...] = ()
+    cloud: tuple[int, Cloud] | None = None
 
 
 @dataclass(frozen=True, eq=False)

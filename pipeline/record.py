@@ -211,6 +211,8 @@ def _drive(
     stuck = None
     while True:
         bag.observation(observation)
+        if observation.cloud is not None:
+            bag.cloud(observation.stamp_ns, *observation.cloud, "lidar_3d")
         truth.add(observation, simulator)
         if watch is not None:
             watch(observation)
@@ -236,11 +238,15 @@ def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, flo
     x, y, yaw = robot.lidar.pose
     axle = robot.axle_height
     ix, iy, iz = robot.imu.position
-    return [
+    links = [
         ("base_footprint", "base_link", (0.0, 0.0, axle), 0.0),
         ("base_link", "base_scan", (x, y, robot.lidar.height - axle), yaw),
         ("base_link", "imu_link", (ix, iy, iz - axle), 0.0),
     ]
+    if robot.lidar3d is not None:
+        px, py, pz = robot.lidar3d.position
+        links.append(("base_link", "lidar_3d", (px, py, pz - axle), 0.0))
+    return links
 
 
 @contextmanager

@@ -116,6 +116,18 @@ class Lidar(_Spec):
         )
 
 
+class Lidar3dMount(_Spec):
+    """A turning 3D lidar at `position` in base_footprint: rings at even elevations."""
+
+    position: Vector
+    n_rings: int = Field(gt=1)
+    elevation_deg: tuple[Finite, Finite]
+    n_azimuths: int = Field(gt=0)
+    range_min: Positive
+    range_max: Positive
+    rate_hz: Positive
+
+
 class ImuMount(_Spec):
     """Where the IMU sits in base_footprint."""
 
@@ -135,6 +147,7 @@ class RobotSpec(_Spec):
     wheels: Wheels
     lidar: Lidar
     imu: ImuMount
+    lidar3d: Lidar3dMount | None = None
 
     @property
     def T_base_lidar(self) -> SE2:
@@ -165,6 +178,8 @@ def load_robot(name_or_path: str) -> RobotSpec:
     path = find_named(name_or_path, FOLDER, "robot")
     spec = load_model(RobotSpec, path)
     check_rate(spec.lidar.rate_hz, str(path))
+    if spec.lidar3d is not None:
+        check_rate(spec.lidar3d.rate_hz, str(path))
     return spec
 
 

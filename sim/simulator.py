@@ -11,10 +11,11 @@ from pydantic import BaseModel, ConfigDict
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
-from datasets.types import Joints, Observation, Odometry, Scan, Twist
+from datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
 from sim.faults import FaultConfig, Faults
 from sim.imu import ImuConfig, ImuSensor
 from sim.lidar import Lidar, LidarConfig
+from sim.lidar3d import Lidar3d
 from sim.movers import MovingSolid, outlines
 from sim.physics import Physics, PhysicsConfig
 from sim.raycast import distance_to_outlines, distance_to_point
@@ -112,6 +113,11 @@ class Simulator:
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
+        self._lidar3d, mount = None, self.robot.lidar3d
+        if mount is not None:
+            sigma = 0.0 if self.config.lidar.noise == "none" else self.config.lidar.sigma
+            self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"))
+            self._sweep3d = np.zeros((round(CONTROL_HZ / mount.rate_hz) + 1, 3))
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
@@ -177,6 +183,7 @@ class Simulator:
             Joints(stamp, (left, right), (left_speed, right_speed)),
             self._sweep_on(pose, stamp),
             self._faults.imu(self._imu.samples(self._step, twist)),
+            self._cloud_on(pose),
         )
 
     def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:
@@ -198,6 +205,22 @@ class Simulator:
         if delivered is not None:
             self._scan_truth = truth
         return delivered
+
+    def _cloud_on(self, pose: Array) -> tuple[int, Cloud] | None:
+        """Collect poses for the 3D lidar, if there is one; stamp and cloud when its sweep ends."""
+        if self._lidar3d is None:
+            return None
+        steps, turning = len(self._sweep3d) - 1, self.config.lidar.turning
+        place = self._step % steps
+        if place or (turning and self._step == 0):
+            self._sweep3d[place] = pose
+            return None
+        if not turning:
+            return stamp_of(self._step), self._lidar3d.measure(pose[None])
+        self._sweep3d[-1] = pose
+        cloud = self._lidar3d.measure(self._sweep3d)
+        self._sweep3d[0] = pose
+        return stamp_of(self._step - steps), cloud
 
     def _contacts(self, x: float, y: float) -> tuple[bool, bool]:
         near = self._touchable
