@@ -45,7 +45,9 @@ class LoopConfig(BaseModel):
     max_rmse_m: float = Field(default=0.06, gt=0.0)
     rival_m: float = Field(default=0.6, gt=0.0, description="a second peak at least this far away")
     rival_share: float = Field(default=0.9, gt=0.0, description="of the best score: the place is ambiguous")
-    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width, in standard deviations")
+    soft: float = Field(
+        default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
+    )
     inflation: float = Field(default=50.0, gt=0.0)
     open3d: bool = Field(default=True, description="verify with Open3D's ICP")
 

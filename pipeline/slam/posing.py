@@ -18,6 +18,7 @@ class PosingConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     neighbours: int = Field(default=6, gt=0, description="key scans a scan is aligned with")
+    most_points: int = Field(default=400, gt=0, description="points of a scan that are aligned")
     gate_m: float = Field(default=0.15, gt=0.0)
     sigma_m: float = Field(default=0.03, gt=0.0)
     carried_m: float = Field(default=0.003, gt=0.0, description="standard deviation of the carried pose")
@@ -58,7 +59,8 @@ def pose_all_scans(clouds: Clouds, track: Track, T_map_keys: SE2, config: Posing
             T_map_keys.xyt[near[scan]],
             gate=config.gate_m,
             sigma=config.sigma_m,
-            iterations=6,
+            iterations=5,
+            most_points=config.most_points,
             prior=poses[scan],
             prior_information=information,
         )

@@ -34,7 +34,9 @@ class RefineConfig(BaseModel):
     sigma_m: float = Field(default=0.06, gt=0.0, description="kernel on point-to-line distances, first round")
     last_sigma_m: float = Field(default=0.03, gt=0.0)
     min_overlap: float = Field(default=0.3, gt=0.0, le=1.0, description="of a pair, to count")
-    soft: float = Field(default=3.0, gt=0.0, description="Cauchy width of a pair, in standard deviations")
+    soft: float = Field(
+        default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
+    )
     inflation: float = Field(default=10.0, gt=0.0, description="how much a pair's information is divided by")
 
 

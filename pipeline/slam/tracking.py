@@ -51,7 +51,7 @@ class TrackingConfig(BaseModel):
     key_distance_m: float = Field(default=0.3, gt=0.0)
     key_turn_rad: float = Field(default=0.4, gt=0.0)
     reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
-    most_points: int = Field(default=200, gt=0, description="points of a scan that are aligned")
+    most_points: int = Field(default=400, gt=0, description="points of a scan that are aligned")
     field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
     field_resolution_m: float = Field(default=0.1, gt=0.0)
     field_sigma_m: float = Field(default=0.12, gt=0.0)
