@@ -42,7 +42,7 @@ def ring(seed: int, range_max: float) -> Log:
     return make_log(f"ring-{range_max:.0f}m-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed)
 
 
-def hall(seed: int, **mishap: tuple[Lie, ...]) -> Log:
+def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Log:
     """Two rooms joined by 30 m of corridor without a feature (seen from 8 m), there and back."""
     plan = FloorPlan(46.0, 12.0)
     plan.carve(1.0, 2.0, 7.0, 10.0)
@@ -51,9 +51,9 @@ def hall(seed: int, **mishap: tuple[Lie, ...]) -> Log:
     plan.pillar(3.0, 8.0, 0.3)
     plan.turned_box(42.0, 2.5, 1.2, 0.6, 0.5)
     leg = [(3.0, 3.5), (5.5, 5.0), (41.0, 5.0), (43.0, 6.5), (43.5, 4.0), (41.0, 5.0), (5.5, 5.0), (3.0, 6.5)]
-    route = np.array([*leg, (2.0, 4.0), *leg])
-    sensor = Sensor(sick(180, 8.0), 0.2)
-    return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed, **mishap)
+    route = np.array(([*leg, (2.0, 4.0)] * tours)[:-1])
+    sensor = Sensor(sick(180, 8.0), period)
+    return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], lies=lies, seed=seed)
 
 
 def killian(seed: int) -> Log:
