@@ -21,15 +21,13 @@ LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
 
 
 class CostmapConfig(BaseModel):
-    """Names as in costmap_2d where the idea is the same; metres."""
+    """Which cells count as obstacles; areas in m^2."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     unknown: Literal["blocked", "free"] = "blocked"
     """Whether cells never seen stop the robot."""
     speck_area: float = Field(default=0.06, ge=0.0)
     """Unknown patches smaller than this [m^2] inside seen floor count as free."""
-    inflation_radius: float = Field(default=1.0, gt=0.0)
-    cost_scaling_factor: float = Field(default=3.0, gt=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +123,3 @@ def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
         crosses = (ay > y) != (by > y)
         inside ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
     return inside
-
-
-def inflated_costs(costmap: Costmap, inscribed_radius: float, config: CostmapConfig) -> NDArray[np.uint8]:
-    """costmap_2d's inflation: 254 lethal, 253 within the inscribed radius, exponential beyond."""
-    d = costmap.clearance
-    cost = (252.0 * np.exp(-config.cost_scaling_factor * (d - inscribed_radius))).astype(np.uint8)
-    cost[d <= inscribed_radius] = 253
-    cost[d > config.inflation_radius] = 0
-    cost[costmap.lethal] = 254
-    return cost

@@ -20,6 +20,9 @@ from planners.ompl_planner import OmplConfig, solve
 from planners.smoothing import densify, path_length, relax, shortcut, with_headings
 from planners.wavefront import descend, wave
 
+BAND_PULL, BAND_PUSH, BAND_SWEEPS = 0.5, 0.1, 60
+"""Weights and sweeps of the elastic band."""
+
 
 class PlanConfig(BaseModel):
     """Distances in metres."""
@@ -28,8 +31,10 @@ class PlanConfig(BaseModel):
     ompl: OmplConfig = OmplConfig()
     margins: tuple[float, ...] = (0.10, 0.04, 0.0)
     """Room kept round the robot's circumscribed circle, tried in this order."""
-    preferred_clearance: float = Field(default=0.35, ge=0.0)
-    """The elastic band moves the path this far from obstacles where that costs little length."""
+    inflation_radius: float = Field(default=0.35, gt=0.0)
+    """Obstacles push the path away as far as this, beyond the disc itself."""
+    cost_scaling_factor: float = Field(default=3.0, gt=0.0)
+    """How fast that push fades with distance, exp(-factor * d), as in costmap_2d."""
     spacing: float = Field(default=0.05, gt=0.0)
     """Distance between the path's poses."""
     replan_period: float = Field(default=1.0, ge=0.0)
@@ -192,9 +197,10 @@ class _Search:
             self.resolution,
             self.radius,
             dense,
-            max(self.config.preferred_clearance, self.radius),
-            0.5,
-            0.1,
-            60,
+            max(self.config.inflation_radius, self.radius),
+            self.config.cost_scaling_factor,
+            BAND_PULL,
+            BAND_PUSH,
+            BAND_SWEEPS,
         )
         return densify(band, 2.0 * self.config.spacing)

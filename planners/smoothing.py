@@ -65,15 +65,17 @@ def relax(
     resolution: float,
     radius: float,
     path: Array,
-    preferred: float,
+    reach: float,
+    fade: float,
     pull: float,
     push: float,
     sweeps: int,
 ) -> Array:
     """Elastic band (Quinlan and Khatib 1993) over a dense polyline (n, 2), its ends held.
 
-    Each point is drawn to its neighbours' middle (`pull`) and, nearer than `preferred` to an
-    obstacle, up the clearance's gradient (`push`); a move that brings it to `radius` is not made.
+    Each point is drawn to its neighbours' middle (`pull`) and, nearer than `reach` to an obstacle,
+    up the clearance's gradient (`push`) by the inflated cost exp(-fade * (d - radius)), measured
+    from its value at `reach`; a move that brings it to `radius` is not made.
     """
     out = path.copy()
     h = resolution
@@ -83,13 +85,14 @@ def relax(
             dx = pull * (0.5 * (out[k - 1, 0] + out[k + 1, 0]) - x)
             dy = pull * (0.5 * (out[k - 1, 1] + out[k + 1, 1]) - y)
             d = field_at(field, resolution, x, y)
-            if d < preferred:
+            if d < reach:
                 gx = field_at(field, resolution, x + h, y) - field_at(field, resolution, x - h, y)
                 gy = field_at(field, resolution, x, y + h) - field_at(field, resolution, x, y - h)
                 norm = math.hypot(gx, gy)
                 if norm > 1e-9:
-                    dx += push * (preferred - d) * gx / norm
-                    dy += push * (preferred - d) * gy / norm
+                    cost = (math.exp(-fade * (d - radius)) - math.exp(-fade * (reach - radius))) / fade
+                    dx += push * cost * gx / norm
+                    dy += push * cost * gy / norm
             moved = field_at(field, resolution, x + dx, y + dy)
             if moved > radius or moved > d:
                 out[k, 0], out[k, 1] = x + dx, y + dy

@@ -6,7 +6,7 @@ from planning_room import BURGER, room
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2
-from planners.costmap import Costmap, CostmapConfig, costmap_from_grid, inflated_costs, polygon_mask
+from planners.costmap import Costmap, CostmapConfig, costmap_from_grid, polygon_mask
 from planners.footprint import disc_segment_free, field_at, footprint_clearance, sample_footprint
 
 
@@ -44,16 +44,6 @@ def test_keepout_polygons_are_lethal_in_a_turned_map_too():
     assert mask.sum() == 20 * 40
     assert mask[20:60, 20:40].all()
     assert costmap.with_lethal(mask).clearance_at(T_map_grid @ np.array([1.5, 2.0])) == 0.0
-
-
-def test_inflation_follows_costmap_2d():
-    costmap = costmap_from_grid(room(), CostmapConfig())
-    cost = inflated_costs(costmap, 0.11, CostmapConfig(inflation_radius=0.5, cost_scaling_factor=3.0))
-    row = cost[20]
-    assert row[0] == 254
-    assert row[1] == row[2] == 253
-    assert row[4] == int(252.0 * math.exp(-3.0 * (0.2 - 0.11)))
-    assert row[11] == 0
 
 
 def test_the_field_is_bilinear_between_cell_centres_and_zero_outside():

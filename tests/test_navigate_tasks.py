@@ -57,6 +57,15 @@ def test_bad_entries_are_rejected_and_the_patrol_goes_on():
     assert sequence.finished
 
 
+def test_a_run_that_ends_closes_the_goals_still_open_as_timeouts():
+    entries = [*waypoints(2), Waypoint(None, "yaw is not a finite number")]
+    sequence = GoalSequence(entries, SequenceConfig(initial_wait=0.0))
+    sequence.update(0)
+    sequence.expire("the run ended", 5 * S)
+    assert [o.status for o in sequence.outcomes] == ["timeout", "timeout", "rejected"]
+    assert sequence.finished
+
+
 def test_laps_closed_laps_and_retries():
     def visited(config, miss=()):
         sequence = GoalSequence(waypoints(3), config)

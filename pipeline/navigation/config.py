@@ -33,7 +33,7 @@ class MaplessConfig(BaseModel):
     controller: ControllerName = "dwa"
     replan_period: float = Field(default=0.3, ge=0.0)
     """Takes the place of plan.replan_period: there is always something new to see."""
-    preferred_clearance: float = Field(default=0.6, ge=0.0)
+    inflation_radius: float = Field(default=0.6, gt=0.0)
     live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
 
 

@@ -12,11 +12,9 @@ from datasets.se2 import SE2, Array
 from datasets.types import Observation, Trajectory, Twist
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
-from pipeline.navigation.setup import Mission, make_driver
+from pipeline.navigation.setup import MAX_SIMULATED_S, Mission, make_driver
 from pipeline.record import static_transforms
 from sim.simulator import Simulator
-
-MAX_SIMULATED_S = 4 * 3600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,11 @@ def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str],
     while True:
         command = driver.step(observation)
         recorder.tick(observation, driver, command)
-        if driver.finished or observation.stamp_ns > MAX_SIMULATED_S * 1e9:
+        if driver.finished:
+            break
+        if observation.stamp_ns > MAX_SIMULATED_S * 1e9:
+            if sequence is not None:
+                sequence.expire(f"the run ended after {MAX_SIMULATED_S:g} s", observation.stamp_ns)
             break
         observation = simulator.step(command)
     estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)

@@ -40,6 +40,7 @@ from sim.simulator import CONTROL_HZ
 Task = Literal["goal", "patrol", "avoid"]
 TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid")
 DEFAULT_DURATION_S = 60.0
+MAX_SIMULATED_S = 4 * 3600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,8 @@ def prepare(
 
     `keepout` are the world's own outlines, (n, 2) each; those of the waypoints file come on top.
     """
+    if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
+        raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
     if request.task == "avoid":
         return Mission(request, config, robot, None, None, ())
     places = _places(request)
@@ -160,7 +163,7 @@ def make_driver(
 def _mapless(config: NavigateConfig) -> NavigateConfig:
     """The configuration with the section `mapless` in force."""
     m = config.mapless
-    plan = {"replan_period": m.replan_period, "preferred_clearance": m.preferred_clearance}
+    plan = {"replan_period": m.replan_period, "inflation_radius": m.inflation_radius}
     return config.model_copy(update={"controller": m.controller, "plan": config.plan.model_copy(update=plan)})
 
 

@@ -103,11 +103,26 @@ class GoalSequence:
 
     def reject_all(self, reason: str, now_ns: int) -> None:
         """Give every goal still to come the status `rejected`."""
+        self._close_rest("rejected", reason, now_ns)
+
+    def expire(self, reason: str, now_ns: int) -> None:
+        """Give every goal still to come the status `timeout`: the run is over."""
+        self._close_rest("timeout", reason, now_ns)
+
+    def _close_rest(self, status: Status, reason: str, now_ns: int) -> None:
         if self._active:
-            self.close("rejected", reason, now_ns)
+            self.close(status, reason, now_ns)
         while self.index + 1 < len(self._queue):
             self.index += 1
             waypoint = self._queue[self.index]
+            bad = waypoint.T_map_goal is None
             self.outcomes.append(
-                GoalOutcome(self.index, waypoint, "rejected", waypoint.reason or reason, now_ns, now_ns)
+                GoalOutcome(
+                    self.index,
+                    waypoint,
+                    "rejected" if bad else status,
+                    waypoint.reason or reason,
+                    now_ns,
+                    now_ns,
+                )
             )

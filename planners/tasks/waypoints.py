@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
+from datasets.yaml_files import parsed
 
 KEYS = {"waypoints", "keepout"}
 
@@ -41,18 +41,19 @@ class WaypointFile:
 def tutorial_patrol() -> WaypointFile:
     """The tutorial's eight waypoints."""
     text = resources.files("planners.tasks").joinpath("patrol.yaml").read_text()
-    return parse_waypoints(yaml.safe_load(text), "patrol.yaml")
+    return parse_waypoints(parsed(text, where="patrol.yaml"), "patrol.yaml")
 
 
 def load_waypoints(path: Path) -> WaypointFile:
     """Read a waypoints YAML; a bad entry becomes a Waypoint with a reason, a bad file an InputError."""
     if not path.is_file():
         raise InputError(f"--waypoints {path}: no such file")
+    where = f"--waypoints {path}"
     try:
-        data = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, UnicodeDecodeError):
-        raise InputError(f"--waypoints {path}: not valid YAML") from None
-    return parse_waypoints(data, f"--waypoints {path}")
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError):
+        raise InputError(f"{where}: cannot be read as text") from None
+    return parse_waypoints(parsed(text, where=where), where)
 
 
 def parse_waypoints(data: Any, where: str) -> WaypointFile:
