@@ -15,11 +15,12 @@ from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.generators import GENERATORS, LIMITS
+from sim.meshes import load_mesh
 from sim.movers import Mover
 from sim.rasterize import true_map
 from sim.raycast import distance_to_point
 from sim.sdf import load_sdf
-from sim.shapes import Sections, Solid, box, contains, cylinder, prism, sections
+from sim.shapes import Sections, Solid, box, contains, cylinder, mesh, prism, sections
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
@@ -34,12 +35,15 @@ class _Spec(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _ShapeSpec(_Spec):
+class _AnyShapeSpec(_Spec):
     name: str = ""
-    z: tuple[Finite, Finite]
     reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     when: dict[str, str] = {}
     """Options of the world under which it is there, e.g. `{gate: shut}`; none: always."""
+
+
+class _ShapeSpec(_AnyShapeSpec):
+    z: tuple[Finite, Finite]
 
 
 class BoxSpec(_ShapeSpec):
@@ -50,7 +54,7 @@ class BoxSpec(_ShapeSpec):
     size: tuple[Positive, Positive]
     yaw: Finite = 0.0
 
-    def solid(self) -> Solid:
+    def solid(self, folder: Path) -> Solid:
         """The solid it describes."""
         return box(self.name, self.center, self.size, self.yaw, self.z, self.reflectivity)
 
@@ -62,7 +66,7 @@ class CylinderSpec(_ShapeSpec):
     center: Point
     radius: Positive
 
-    def solid(self) -> Solid:
+    def solid(self, folder: Path) -> Solid:
         """The solid it describes."""
         return cylinder(self.name, self.center, self.radius, self.z, self.reflectivity)
 
@@ -73,12 +77,29 @@ class PrismSpec(_ShapeSpec):
     kind: Literal["prism"]
     polygon: list[Point] = Field(min_length=3)
 
-    def solid(self) -> Solid:
+    def solid(self, folder: Path) -> Solid:
         """The solid it describes."""
         return prism(self.name, np.array(self.polygon), self.z, self.reflectivity)
 
 
-ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec, Field(discriminator="kind")]
+class MeshSpec(_AnyShapeSpec):
+    """A closed mesh from an STL, OBJ or COLLADA file; `file` is relative to the world file."""
+
+    kind: Literal["mesh"]
+    file: str
+    position: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    yaw: Finite = 0.0
+    scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+
+    def solid(self, folder: Path) -> Solid:
+        """The solid it describes."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        triangles = load_mesh(folder / self.file) * np.array(self.scale) @ turn.T + np.array(self.position)
+        return mesh(self.name, triangles, self.reflectivity)
+
+
+ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec | MeshSpec, Field(discriminator="kind")]
 
 
 class MoverSpec(_Spec):
@@ -192,7 +213,7 @@ def load_world(name_or_path: str) -> World:
     options = _chosen(spec, settings)
     shapes = [shape for shape in spec.shapes if all(options.get(k) == v for k, v in shape.when.items())]
     try:
-        solids = tuple(shape.solid() for shape in shapes)
+        solids = tuple(shape.solid(path.parent) for shape in shapes)
         movers = tuple(mover.mover() for mover in spec.movers)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None

@@ -212,6 +212,16 @@ def test_noise_has_the_stated_deviation_and_keeps_to_the_limits():
     assert scans[finite].max() <= 3.5
 
 
+def test_datasheet_noise_is_a_third_of_the_stated_tolerance():
+    near, far = (cylinder("ring", (-0.032, 0.0), radius, (0.0, 1.0)) for radius in (0.4, 2.0))
+    for solid, sigma in ((near, 0.015 / 3.0), (far, 0.05 * 2.0 / 3.0)):
+        scans = [
+            lidar(LidarConfig(noise="datasheet"), [solid], k).measure(np.zeros((1, 3))) for k in range(30)
+        ]
+        errors = np.stack(scans).astype(np.float64) - solid.radius
+        assert errors.std() == pytest.approx(sigma, rel=0.05)
+
+
 def test_too_near_is_minus_infinity_and_nothing_in_reach_plus_infinity():
     near = lidar(solids=[box("wall", (0.1, 0.0), (0.04, 2.0), 0.0, (0.0, 1.0))])
     ranges = near.measure(np.array([[0.032, 0.0, 0.0]]))

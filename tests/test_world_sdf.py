@@ -115,6 +115,24 @@ def test_a_mesh_may_be_hollow_and_is_felt_by_lidar_and_wheels(tmp_path):
         assert float(sim.truth.T_world_base.x) == pytest.approx(1.5 - 0.038, abs=0.02)
 
 
+def test_a_world_file_may_hold_meshes(tmp_path):
+    ring_stl(tmp_path / "ring.stl")
+    path = tmp_path / "w.yaml"
+    path.write_text(
+        "name: w\nspawn: [1, 0, 0]\nshapes:\n"
+        "  - {kind: mesh, name: ring, file: ring.stl, position: [1, 0, 0], scale: [0.001, 0.001, 0.001]}\n"
+    )
+    world = load_world(str(path))
+    assert world.shapes[0].bounds() == pytest.approx((-1.0, 3.0, -2.0, 2.0))
+    grid = world.rasterize(0.18)
+    # Free inside, the wall's inner face occupied, and what lies behind it unknown.
+    values = grid.value_at(np.array([[1.0, 0.0], [2.501, 0.3], [2.75, 0.3], [3.2, 0.3]]))
+    assert values.tolist() == [0, 100, -1, -1]
+    path.write_text("name: w\nspawn: [1, 0, 0]\nshapes: [{kind: mesh, name: m, file: none.stl}]\n")
+    with pytest.raises(InputError, match=r"none\.stl"):
+        load_world(str(path))
+
+
 COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"><asset><unit meter="0.0254"/>
 <up_axis>Y_UP</up_axis></asset><library_geometries><geometry id="g"><mesh><source id="p">
 <float_array id="pa" count="9">0 0 0 100 0 0 0 100 50</float_array></source>
