@@ -26,6 +26,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "map": ("map", "build a map from a bag or log"),
     "localise": ("localise", "find where a recorded robot was on a map"),
     "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
+    "plan": ("plan", "plan a path over a map"),
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),
     "sweep": ("sweep", "run a campaign of many cases, resumable, on all cores"),

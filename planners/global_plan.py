@@ -17,6 +17,7 @@ from datasets.types import RobotModel
 from planners.costmap import Costmap
 from planners.footprint import footprint_clearance, sample_footprint
 from planners.ompl_planner import OmplConfig, solve
+from planners.pose_planner import solve_poses
 from planners.smoothing import densify, path_length, relax, shortcut, with_headings
 from planners.wavefront import descend, wave
 
@@ -82,6 +83,8 @@ def plan_path(
     start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
+    if config.ompl.space != "disc":
+        return _plan_poses(costmap, model, start, goal, config, seed)
     reason = "the goal is too near an obstacle"
     for margin in config.margins:
         radius = model.circumscribed_radius + margin
@@ -102,6 +105,25 @@ def plan_path(
         poses = with_headings(points, float(start.yaw), float(goal.yaw))
         return Plan(costmap.T_map_grid @ poses, path_length(points), margin, config.ompl.planner, attempts)
     raise NoPath(reason)
+
+
+def _plan_poses(
+    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
+) -> Plan:
+    """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
+    if not fits(costmap, model, costmap.T_map_grid @ start):
+        raise NoPath("the robot stands in an obstacle or off the map")
+    search = _Search(costmap, model.inscribed_radius, config)
+    ends = search.entry(start.xy), search.entry(goal.xy)
+    if ends[0] is None or ends[1] is None or not search.connected(ends[0], ends[1]):
+        raise NoPath("no way leads there")
+    samples = sample_footprint(model, costmap.resolution / 2.0)
+    for attempt in range(config.ompl.restarts):
+        poses = solve_poses(costmap, samples, start, goal, config.ompl, config.spacing, seed + attempt)
+        if poses is not None:
+            name = f"{config.ompl.planner} in {config.ompl.space}"
+            return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name, attempt + 1)
+    raise NoPath(f"{config.ompl.planner} found no path within its iterations")
 
 
 def _without_repeats(points: Array) -> Array:
@@ -150,6 +172,10 @@ class _Search:
         if gap[best] * self.resolution > self.config.snap:
             return None
         return int(cells[best, 0]), int(cells[best, 1])
+
+    def connected(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
+        """Whether the floor of this radius joins two cells."""
+        return bool(np.isfinite(wave(self.free, a[0], a[1], np.inf)[b]))
 
     def center(self, cell: tuple[int, int]) -> Array:
         return (np.array([cell[1], cell[0]], dtype=np.float64) + 0.5) * self.resolution

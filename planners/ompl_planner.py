@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.se2 import Array
 from planners.footprint import Field32, disc_segment_free
 
+# PRM and PRMstar are bound too, but wait for a thread that waits for Python: they never return.
 PlannerName = Literal[
     "RRTConnect",
     "RRT",
@@ -25,8 +26,6 @@ PlannerName = Literal[
     "BITstar",
     "FMT",
     "BFMT",
-    "PRM",
-    "PRMstar",
     "KPIECE1",
     "BKPIECE1",
     "LBKPIECE1",
@@ -38,6 +37,10 @@ class OmplConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     planner: PlannerName = "RRTConnect"
+    space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
+    """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""
+    turning_radius: float = Field(default=0.3, gt=0.0)
+    """Least radius of curves in reeds_shepp and dubins [m]."""
     iterations: int = Field(default=4000, gt=0)
     """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
     restarts: int = Field(default=12, gt=0)

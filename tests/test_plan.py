@@ -151,3 +151,16 @@ def test_densify_keeps_corners_and_spacing():
     assert np.linalg.norm(np.diff(dense, axis=0), axis=1).max() <= 0.1 + 1e-12
     assert path_length(dense) == pytest.approx(path_length(corners))
     assert any(np.allclose(point, [1.0, 0.0]) for point in dense)
+
+
+@pytest.mark.parametrize("space", ["se2", "reeds_shepp", "dubins"])
+def test_spaces_with_headings_keep_the_whole_footprint_free(space):
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    config = PlanConfig(ompl=OmplConfig(space=space, iterations=20000, restarts=3))
+    plan = plan_path(costmap, BURGER, START, GOAL, config, seed=2)
+    np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [START.xyt, GOAL.xyt], atol=1e-6)
+    assert all(fits(costmap, BURGER, pose) for pose in (plan.poses[k] for k in range(len(plan.poses))))
+    if space == "dubins":
+        steps = np.diff(plan.poses.xy, axis=0)
+        ahead = np.cos(plan.poses.yaw[:-1]) * steps[:, 0] + np.sin(plan.poses.yaw[:-1]) * steps[:, 1]
+        assert ahead.min() >= -1e-6

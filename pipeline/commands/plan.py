@@ -1,0 +1,48 @@
+"""`turtlebag plan`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import get_args
+
+from pipeline.commands.arguments import add_config, add_output, pose, seed
+from planners.ompl_planner import PlannerName
+
+EXAMPLE = (
+    "turtlebag plan --map data/maps/map_world.yaml --robot burger --start=-2,-0.5,0 --goal 1.5,1.5,0 "
+    "--out data/plans/first"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--map", type=Path, required=True, metavar="MAP.yaml", help="map to plan on")
+    parser.add_argument("--robot", default="burger", help="robot name or file (default: burger)")
+    parser.add_argument("--start", required=True, metavar="X,Y,YAW")
+    parser.add_argument("--goal", required=True, metavar="X,Y,YAW")
+    parser.add_argument("--planner", choices=get_args(PlannerName), help="planner of OMPL, by its name")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N")
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code."""
+    from pipeline.config import load_config
+    from pipeline.plan import PlanStageConfig, plan
+
+    settings = list(args.settings)
+    if args.planner is not None:
+        settings.append(f"plan.ompl.planner={args.planner}")
+    return plan(
+        args.map,
+        args.robot,
+        pose(args.start, "--start"),
+        pose(args.goal, "--goal"),
+        args.out,
+        seed=args.seed,
+        config=load_config(PlanStageConfig, args.config, settings),
+        force=args.force,
+        command_line=args.command_line,
+    )

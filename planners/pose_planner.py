@@ -1,0 +1,81 @@
+"""Planning in position and heading with the whole footprint: SE2, Reeds-Shepp and Dubins spaces of OMPL."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from datasets.se2 import SE2
+from planners.costmap import Costmap
+from planners.footprint import FootprintSamples, footprint_clearance
+from planners.ompl_planner import OmplConfig, iteration_limit, make_planner
+
+SIMPLIFY_CALLS = 400
+
+
+def solve_poses(
+    costmap: Costmap,
+    samples: FootprintSamples,
+    T_grid_start: SE2,
+    T_grid_goal: SE2,
+    config: OmplConfig,
+    spacing: float,
+    seed: int,
+) -> SE2 | None:
+    """Poses (n,) of an exact, shortened path in the grid frame, or None within the budget.
+
+    In Reeds-Shepp and Dubins spaces curves have the radius `config.turning_radius` at least.
+    """
+    from ompl import base as ob
+    from ompl import geometric as og
+    from ompl import util as ou
+
+    ou.noOutputHandler()
+    ou.RNG.setSeed(seed % (2**32 - 1) + 1)
+    space = _space(ob, config)
+    bounds = ob.RealVectorBounds(2)
+    for axis, extent in enumerate(costmap.size):
+        bounds.setLow(axis, 0.0)
+        bounds.setHigh(axis, float(extent))
+    space.setBounds(bounds)
+    info = ob.SpaceInformation(space)
+    field, resolution = costmap.clearance, costmap.resolution
+    points, inner, outer = samples.points, samples.inscribed, samples.circumscribed
+
+    def fits(state: Any) -> bool:
+        x, y, yaw = state.getX(), state.getY(), state.getYaw()
+        return bool(footprint_clearance(field, resolution, points, inner, outer, x, y, yaw) > 0.0)
+
+    info.setStateValidityChecker(fits)
+    info.setStateValidityCheckingResolution(0.5 * resolution / space.getMaximumExtent())
+    info.setup()
+    problem = ob.ProblemDefinition(info)
+    problem.setStartAndGoalStates(_state(space, T_grid_start), _state(space, T_grid_goal))
+    planner = make_planner(info, config)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(iteration_limit(config.iterations))
+    if not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))
+    path.interpolate(max(2, round(path.length() / spacing) + 1))
+    return SE2.from_array(np.array([[s.getX(), s.getY(), s.getYaw()] for s in path.getStates()]))
+
+
+def _space(ob: Any, config: OmplConfig) -> Any:
+    if config.space == "reeds_shepp":
+        return ob.ReedsSheppStateSpace(config.turning_radius)
+    if config.space == "dubins":
+        return ob.DubinsStateSpace(config.turning_radius)
+    return ob.SE2StateSpace()
+
+
+def _state(space: Any, pose: SE2) -> Any:
+    state = space.allocState()
+    x, y, yaw = pose.xyt.tolist()
+    state.setX(x)
+    state.setY(y)
+    state.setYaw(yaw)
+    return state
