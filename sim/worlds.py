@@ -5,152 +5,24 @@ from __future__ import annotations
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.generators import GENERATORS, LIMITS
-from sim.meshes import load_mesh
 from sim.movers import Mover
 from sim.rasterize import true_map
 from sim.raycast import distance_to_point
 from sim.sdf import load_sdf
-from sim.shapes import Sections, Solid, box, contains, cylinder, mesh, prism, sections
+from sim.shapes import Sections, Solid, contains, sections
+from sim.world_files import GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
 """Free border around the outermost solid in a true map."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Point = tuple[Finite, Finite]
-
-
-class _Spec(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _AnyShapeSpec(_Spec):
-    name: str = ""
-    reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
-    when: dict[str, str] = {}
-    """Options of the world under which it is there, e.g. `{gate: shut}`; none: always."""
-
-
-class _ShapeSpec(_AnyShapeSpec):
-    z: tuple[Finite, Finite]
-
-
-class BoxSpec(_ShapeSpec):
-    """A box: centre, size along its own axes, yaw."""
-
-    kind: Literal["box"]
-    center: Point
-    size: tuple[Positive, Positive]
-    yaw: Finite = 0.0
-
-    def solid(self, folder: Path) -> Solid:
-        """The solid it describes."""
-        return box(self.name, self.center, self.size, self.yaw, self.z, self.reflectivity)
-
-
-class CylinderSpec(_ShapeSpec):
-    """An upright cylinder."""
-
-    kind: Literal["cylinder"]
-    center: Point
-    radius: Positive
-
-    def solid(self, folder: Path) -> Solid:
-        """The solid it describes."""
-        return cylinder(self.name, self.center, self.radius, self.z, self.reflectivity)
-
-
-class PrismSpec(_ShapeSpec):
-    """An upright prism over a convex outline."""
-
-    kind: Literal["prism"]
-    polygon: list[Point] = Field(min_length=3)
-
-    def solid(self, folder: Path) -> Solid:
-        """The solid it describes."""
-        return prism(self.name, np.array(self.polygon), self.z, self.reflectivity)
-
-
-class MeshSpec(_AnyShapeSpec):
-    """A closed mesh from an STL, OBJ or COLLADA file; `file` is relative to the world file."""
-
-    kind: Literal["mesh"]
-    file: str
-    position: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
-    yaw: Finite = 0.0
-    scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
-
-    def solid(self, folder: Path) -> Solid:
-        """The solid it describes."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        triangles = load_mesh(folder / self.file) * np.array(self.scale) @ turn.T + np.array(self.position)
-        return mesh(self.name, triangles, self.reflectivity)
-
-
-ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec | MeshSpec, Field(discriminator="kind")]
-
-
-class MoverSpec(_Spec):
-    """A box or a cylinder that moves: its section, and a path or an area to wander in."""
-
-    name: str = ""
-    z: tuple[Finite, Finite] = (0.0, 1.0)
-    size: tuple[Positive, Positive] | None = None
-    radius: Positive | None = None
-    path: list[Point] = Field(min_length=1)
-    speed: Positive
-    loop: bool = False
-    wander: tuple[Finite, Finite, Finite, Finite] | None = None
-    yields: bool = False
-
-    def mover(self) -> Mover:
-        """The mover it describes; ValueError when its section is not given once."""
-        if (self.size is None) == (self.radius is None):
-            raise ValueError(f"mover {self.name}: give either size or radius")
-        origin = (0.0, 0.0)
-        if self.radius is not None:
-            solid = cylinder(self.name, origin, self.radius, self.z)
-        else:
-            solid = box(self.name, origin, self.size or (1.0, 1.0), 0.0, self.z)
-        path = np.array(self.path, dtype=np.float64)
-        everywhere = (-np.inf, np.inf, -np.inf, np.inf)
-        area = self.wander or everywhere
-        return Mover(solid, path, self.speed, self.loop, self.wander is not None, area, self.yields)
-
-
-class WorldSpec(_Spec):
-    """A world file."""
-
-    name: str
-    robot: str = "burger"
-    spawn: tuple[Finite, Finite, Finite]
-    options: dict[str, list[str]] = {}
-    """Choices, the default first, made as in `name:key=value`."""
-    bounds: tuple[Finite, Finite, Finite, Finite] | None = None
-    shapes: list[ShapeSpec]
-    movers: list[MoverSpec] = []
-    keepout: list[list[Point]] = []
-    routes: dict[str, list[Point]] = {}
-
-
-class GeneratorSpec(_Spec):
-    """A world file that asks for a generated world."""
-
-    generator: str
-    seed: Annotated[int, Field(ge=0)]
-    options: dict[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)

@@ -175,3 +175,28 @@ def test_clearance_at_the_spawn_and_beside_a_pillar():
         simulator.reset(SE2.from_xyt(-1.1 + 0.15 + 0.105 + 0.30, 0.0, 0.0))
         # The footprint reaches 0.105 m back from the base, the pillar's rim is 0.30 m farther.
         assert simulator.clearance() == pytest.approx(0.30, abs=0.002)
+
+
+@pytest.mark.parametrize("robot", ["burger", "waffle_pi"])
+def test_a_slab_below_the_lidar_stops_the_robot_and_counts_as_low(robot):
+    house, robot = load_world("turtlebot3_house"), load_robot(robot)
+    with Simulator(house, robot, SimConfig(), 0) as simulator:
+        simulator.reset(SE2.from_xyt(5.5, -3.0, 0.0))  # the cafe table's base begins at x = 6.08
+        low = visible = 0
+        for _ in range(240):
+            simulator.step(Twist(0.2, 0.0))
+            low += simulator.truth.contact_low
+            visible += simulator.truth.contact_visible
+        assert low > 30
+        assert visible == 0
+        assert float(simulator.truth.T_world_base.x) < 6.08
+
+
+def test_the_robot_drives_under_a_table():
+    house = load_world("turtlebot3_house")
+    with Simulator(house, BURGER, SimConfig(), 0) as simulator:
+        simulator.reset(SE2.from_xyt(-4.0, 2.42, 0.0))
+        for _ in range(450):
+            simulator.step(Twist(0.2, 0.0))
+            assert not simulator.truth.contact_visible
+        assert float(simulator.truth.T_world_base.x) > -1.3

@@ -27,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _list() -> int:
+    from sim.generators import GENERATORS
     from sim.robots import robot_names
     from sim.teleop import script_names
     from sim.worlds import load_world, world_names
@@ -35,6 +36,7 @@ def _list() -> int:
         world = load_world(name)
         x, y, yaw = world.spawn.xyt.tolist()
         print(f"{name}: {len(world.shapes)} solids, spawn {x:g},{y:g},{yaw:g}, robot {world.robot}")
+    print(f"generated: {', '.join(f'{name}:SEED' for name in GENERATORS)}")
     print(f"robots: {', '.join(robot_names())}")
     print(f"teleops: {', '.join(script_names())}")
     return 0
