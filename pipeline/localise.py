@@ -56,6 +56,7 @@ def localise(
     out: Path,
     *,
     initial_pose: SE2 | str | None = None,
+    T_base_lidar: SE2 | None = None,
     truth: Path | None = None,
     config: LocaliseConfig | None = None,
     seed: int = 1,
@@ -69,7 +70,7 @@ def localise(
     watch = Stopwatch()
     config = config or LocaliseConfig()
     check_free(out, force=force)
-    grid, recording = load_map(map_yaml), load_recording(bag)
+    grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:

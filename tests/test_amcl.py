@@ -1,5 +1,7 @@
 """The filter as a whole, in a synthetic room, by its errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from localisation_room import LIDAR, T_BASE_LIDAR, drive, l_shaped_room
@@ -82,3 +84,67 @@ def test_odometry_that_is_not_finite_is_refused(room, log):
     amcl.initialise(log[0].T_room_base)
     with pytest.raises(ValueError, match="not finite"):
         amcl.update(log[0].scan, SE2(np.array([np.nan, 0.0, 0.0])))
+
+
+def test_finds_itself_from_nothing(room, log):
+    amcl = make(room)
+    amcl.initialise_globally()
+    found = errors(amcl, log[:60])
+    assert found[-1, 0] < 0.05
+    assert amcl.converged
+
+
+def test_a_kidnapped_robot_recovers(room, log):
+    amcl = make(room)
+    amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
+    errors(amcl, log[:30])
+    # Carried from the middle of the room to a corner; the wheels have not turned.
+    T_odom_moved = log[29].T_odom_base @ log[200].T_odom_base.inverse()
+    carried = [
+        replace(
+            step,
+            T_odom_base=T_odom_moved @ step.T_odom_base,
+            T_odom_base_end=T_odom_moved @ step.T_odom_base_end,
+        )
+        for step in log[200:300]
+    ]
+    found = errors(amcl, carried)
+    assert found[0, 0] > 1.0
+    assert found[-1, 0] < 0.05
+
+
+def test_a_bad_initial_pose_is_corrected(room, log):
+    amcl = make(room)
+    amcl.initialise(log[0].T_room_base @ SE2.from_xyt(0.4, -0.3, np.radians(30.0)))
+    assert errors(amcl, log[:60])[-1, 0] < 0.05
+
+
+def test_a_third_of_the_view_blocked_does_not_move_the_estimate(room, log):
+    amcl = make(room)
+    amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
+    errors(amcl, log[:20])
+    blocked = []
+    for step in log[20:150]:
+        ranges = step.scan.ranges.copy()
+        ranges[:120] = np.minimum(ranges[:120], 0.3)
+        blocked.append(replace(step, scan=replace(step.scan, ranges=ranges)))
+    assert errors(amcl, blocked)[:, 0].max() < 0.08
+
+
+@pytest.mark.parametrize("reading", [np.inf, np.nan, -np.inf])
+def test_a_blind_scan_leaves_the_estimate_to_odometry(room, log, reading):
+    amcl = make(room)
+    amcl.initialise(log[0].T_room_base, np.diag([1e-4, 1e-4, 1e-4]))
+    errors(amcl, log[:20])
+    blind = np.full(360, reading, dtype=np.float32)
+    seen = [replace(step, scan=replace(step.scan, ranges=blind)) for step in log[20:30]]
+    assert errors(amcl, seen)[:, 0].max() < 0.06
+
+
+@pytest.mark.parametrize(
+    "settings", [{"laser_model_type": "beam"}, {"aggregation": "cubes", "sigma_hit": 0.2}, {"refine": False}]
+)
+def test_every_model_tracks(room, log, settings):
+    amcl = make(room, **settings)
+    amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
+    assert rms(errors(amcl, log[:150])[10:, 0]) < 0.05

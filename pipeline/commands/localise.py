@@ -19,6 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--initial-pose", metavar="X,Y,YAW|global", help="where the robot starts on the map, or search for it"
     )
+    parser.add_argument(
+        "--laser", metavar="X,Y,YAW", help="the laser's place on the robot, where the recording does not say"
+    )
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
     parser.add_argument("--seed", type=seed, default=1, help="seed of the particles (default 1)")
     add_config(parser)
@@ -37,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
         args.map,
         args.out,
         initial_pose=initial,
+        T_base_lidar=None if args.laser is None else pose(args.laser, "--laser"),
         truth=args.truth,
         config=load_localise_config(args.config, args.settings),
         seed=args.seed,

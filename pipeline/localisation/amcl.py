@@ -17,7 +17,17 @@ from pipeline.localisation.field import distance_field
 from pipeline.localisation.fine_pose import FinePose
 from pipeline.localisation.free_space import FreeSpace
 from pipeline.localisation.parameters import AmclConfig
+from pipeline.localisation.search import GlobalSearch
 from pipeline.localisation.sensor import make_sensor_model
+
+# Agreement of scan and map at the right place, before anything was seen: where both averages start.
+NOMINAL_AGREEMENT = 0.8
+# Random particles are mixed in from this share on (less is people and boxes in view), and at most so many.
+LEAST_STRANGERS, MOST_STRANGERS = 0.25, 0.5
+# A place found by a search must explain so much more of the scan than where the robot seems to be.
+BETTER_BY = 0.1
+# Filter updates from one search to the next while lost.
+FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 
 
 class Amcl:
@@ -45,15 +55,16 @@ class Amcl:
         )
         self._field = distance_field(grid, config.likelihood_max_dist)
         self._sensor = make_sensor_model(config, self._field, self._limits[1])
-        self._free = FreeSpace(grid)
+        self._search = GlobalSearch(self._field, FreeSpace(grid), config, self._limits[1])
         self._fine = FinePose(grid, config) if config.refine else None
         self._poses = np.zeros((0, 3))
         self._weights = np.zeros(0)
         self._T_odom_base: SE2 | None = None  # odometry at the last filter update
         self._T_map_odom: SE2 | None = None
         self._estimate: Estimate | None = None
-        self._slow = self._fast = 0.0
-        self._updates = 0
+        self._slow = self._fast = NOMINAL_AGREEMENT
+        self._updates = self._next_search = 0
+        self._pause = FIRST_PAUSE
 
     @property
     def initialised(self) -> bool:
@@ -123,8 +134,9 @@ class Amcl:
             self._T_map_odom = T_map_base @ T_odom_base.inverse()
 
     def initialise_globally(self) -> None:
-        """Spread the cloud over all free cells, all headings."""
-        self._restart(self._free.sample(self.config.global_particles, self._rng))
+        """Forget every pose: the next scan is compared with the whole free space."""
+        self._restart(self._search.uniform(self.config.max_particles, self._rng))
+        self._fast = 0.0
 
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
         """Take in a scan; True when the filter used it, False when the robot had hardly moved.
@@ -150,8 +162,9 @@ class Amcl:
         self._poses = poses
         self._weights = np.full(len(poses), 1.0 / len(poses))
         self._T_odom_base = self._T_map_odom = self._estimate = None
-        self._slow = self._fast = 0.0
-        self._updates = 0
+        self._slow = self._fast = NOMINAL_AGREEMENT
+        self._updates = self._next_search = 0
+        self._pause = FIRST_PAUSE
         if self._fine is not None:
             self._fine.forget()
 
@@ -178,40 +191,76 @@ class Amcl:
                 self._fine.predict(T_base_new, step, std)
         self._T_odom_base = T_odom_base
 
+    @property
+    def lost(self) -> bool:
+        """Whether the cloud is wide or the scans have stopped to agree with the map at its place."""
+        return not self.converged or self._stranger_share() > 0.0
+
+    def _search_share(self) -> float:
+        """Share of particles to draw from a search now: all at a global start, then now and then while lost.
+
+        A search that did not help is not repeated at once: the pause doubles, so a place that does not
+        look like the map (a moved wardrobe) does not cost a search every scan.
+        """
+        if self._fast == 0.0:
+            return 1.0
+        share = self._stranger_share()
+        if share == 0.0:
+            self._pause = FIRST_PAUSE
+            return 0.0
+        if self._updates < self._next_search:
+            return 0.0
+        self._next_search = self._updates + self._pause
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        return share
+
+    def _stranger_share(self) -> float:
+        """Augmented MCL: how far the agreement of late is below that of long."""
+        if self.config.recovery_alpha_slow <= 0.0:
+            return 0.0
+        share = 1.0 - self._fast / self._slow
+        return min(share, MOST_STRANGERS) if share >= LEAST_STRANGERS else 0.0
+
     def _weigh(self, beams: Beams) -> None:
-        log_weights, mean_probability = self._sensor.weigh(self._poses, beams)
-        log_weights += np.log(np.maximum(self._weights, 1e-300))
+        log_weights = np.log(np.maximum(self._weights, 1e-300))
+        if self.lost:
+            log_weights += self._search.log_likelihood(self._poses, beams)
+        else:
+            log_weights += self._sensor.weigh(self._poses, beams)
         weights = np.exp(log_weights - log_weights.max())
         self._weights = weights / weights.sum()
-        average = float(mean_probability.mean())
-        c = self.config
-        self._slow = (
-            average if self._slow == 0.0 else self._slow + c.recovery_alpha_slow * (average - self._slow)
-        )
-        self._fast = (
-            average if self._fast == 0.0 else self._fast + c.recovery_alpha_fast * (average - self._fast)
-        )
 
     def _resample(self, beams: Beams) -> None:
         c = self.config
-        share = max(0.0, 1.0 - self._fast / self._slow) if c.recovery_alpha_slow > 0.0 else 0.0
-        crowded = len(self._poses) > c.max_particles
-        if not crowded and share == 0.0:
+        share = self._search_share()
+        if share == 0.0:
             if (self._updates + 1) % c.resample_interval:
                 return
             if c.selective_resampling and sampling.effective_size(self._weights) > 0.5 * len(self._poses):
                 return
+        found = self._found(share, beams) if share > 0.0 else None
         pool = sampling.low_variance(self._weights, c.max_particles, self._rng.random())
         drawn = self._poses[self._rng.permutation(pool)]
         bins = sampling.bin_numbers(drawn, c.kld_bin_xy, c.kld_bin_yaw)
         count = sampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
-        strangers = int(share * count)
+        strangers = 0 if found is None else int(share * count)
         kept = self._poses[sampling.low_variance(self._weights, count - strangers, self._rng.random())]
-        if strangers:
-            kept = np.concatenate([kept, self._free.sample(strangers, self._rng)])
-            self._slow = self._fast = 0.0
+        if found is not None:
+            kept = np.concatenate([kept, found[:strangers]])
         self._poses = kept
         self._weights = np.full(len(kept), 1.0 / len(kept))
+
+    def _found(self, share: float, beams: Beams) -> Array | None:
+        """Poses from a search, in random order; None when they explain the scan hardly better than we do."""
+        c = self.config
+        found = self._search.draw(int(share * c.max_particles) + 1, beams, self._rng)
+        if self._T_map_odom is None or self._T_odom_base is None or self._fast == 0.0:
+            return found
+        weights = np.full(len(found), 1.0 / len(found))
+        there = main_cluster(found, weights, c.kld_bin_xy, c.kld_bin_yaw).T_map_base
+        here = self._T_map_odom @ self._T_odom_base
+        better = self._search.agreement(there.xyt, beams) - self._search.agreement(here.xyt, beams)
+        return found if better > BETTER_BY else None
 
     def _estimate_pose(self, beams: Beams, T_odom_base: SE2) -> None:
         self._estimate = main_cluster(
@@ -221,3 +270,10 @@ class Amcl:
         if self._fine is not None:
             T_map_base = self._fine.correct(self._estimate, beams.points)
         self._T_map_odom = T_map_base @ T_odom_base.inverse()
+        self._watch(self._search.agreement(T_map_base.xyt, beams))
+
+    def _watch(self, agreement: float) -> None:
+        """Slow and fast averages of how well scans agree with the map at the estimate."""
+        c = self.config
+        self._slow += c.recovery_alpha_slow * (agreement - self._slow)
+        self._fast += (c.recovery_alpha_fast if self._fast > 0.0 else 1.0) * (agreement - self._fast)

@@ -29,6 +29,11 @@ class Beams:
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def total(self) -> int:
+        """Beams with a return and without."""
+        return len(self.points) + len(self.silent_origins)
+
 
 def prepare(
     scan: Scan,

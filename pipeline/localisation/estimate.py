@@ -12,7 +12,7 @@ from pipeline.localisation.sampling import bin_numbers
 
 # Reach of a cluster about its mean: several bins, so that one cloud is never cut in two.
 REACH_XY, REACH_YAW = 0.5, 0.6
-MOST_SHIFTS = 10
+MOST_SHIFTS, MOST_SEEDS = 10, 5
 # A variance no cloud's is taken below: 1 mm and 0.05 deg.
 LEAST_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 
@@ -28,19 +28,33 @@ class Estimate:
 
 
 def main_cluster(poses: Array, weights: Array, bin_xy: float, bin_yaw: float) -> Estimate:
-    """Start at the heaviest histogram bin and move to the mean of what is within reach until it rests."""
+    """The heaviest cluster: from each of the heaviest histogram bins, move to the mean of what is near."""
     numbers = bin_numbers(poses, bin_xy, bin_yaw)
-    heaviest = np.argmax(np.bincount(numbers, weights=weights))
-    mean = moments(poses, weights, poses[np.argmax(numbers == heaviest)], bin_xy, bin_yaw)[1]
-    for _ in range(MOST_SHIFTS):
-        mass, moved, core = moments(poses, weights, mean, REACH_XY, REACH_YAW)
-        rests = bool(np.abs(moved - mean).max() < 1e-4)
-        if rests:
+    bins = np.bincount(numbers, weights=weights)
+    best: tuple[float, Array, Array] | None = None
+    # A bin's border may cut a cluster: the heaviest bin need not belong to the heaviest cluster.
+    for heavy in np.argsort(-bins, kind="stable")[:MOST_SEEDS]:
+        seed = poses[np.argmax(numbers == heavy)]
+        cluster = settled(poses, weights, moments(poses, weights, seed, bin_xy, bin_yaw)[1])
+        if best is None or cluster[0] > best[0]:
+            best = cluster
+        if best[0] > 0.5:
             break
-        mean = moved
+    assert best is not None
+    mass, mean, core = best
     everything = 1.0 - mass < 1e-9
     covariance = core if everything else moments(poses, weights, mean, np.inf, np.inf)[2]
-    return Estimate(SE2.from_array(moved), core + np.diag(LEAST_VARIANCE), covariance, mass)
+    return Estimate(SE2.from_array(mean), core + np.diag(LEAST_VARIANCE), covariance, mass)
+
+
+def settled(poses: Array, weights: Array, mean: Array) -> tuple[float, Array, Array]:
+    """Mass, mean (3,) and covariance (3, 3) of the cluster that a mean shifts into."""
+    for _ in range(MOST_SHIFTS):
+        mass, moved, core = moments(poses, weights, mean, REACH_XY, REACH_YAW)
+        if np.abs(moved - mean).max() < 1e-4:
+            break
+        mean = moved
+    return mass, moved, core
 
 
 @njit(cache=True)

@@ -43,11 +43,11 @@ class AmclConfig(BaseModel):
     laser_min_range: float = -1.0  # -1: the sensor's own
     laser_max_range: float = -1.0
     likelihood_max_dist: float = Field(default=2.0, gt=0.0)
-    sigma_hit: float = Field(default=0.1, gt=0.0)
-    z_hit: float = Field(default=0.9, gt=0.0)
+    sigma_hit: float = Field(default=0.05, gt=0.0)
+    z_hit: float = Field(default=0.7, gt=0.0)
     z_short: float = Field(default=0.05, ge=0.0)  # beam model only
     z_max: float = Field(default=0.05, ge=0.0)  # beam model only
-    z_rand: float = Field(default=0.1, gt=0.0)
+    z_rand: float = Field(default=0.3, gt=0.0)
     lambda_short: float = Field(default=0.1, gt=0.0)  # beam model only
 
     recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)

@@ -7,16 +7,17 @@ from typing import Protocol
 import numpy as np
 
 from datasets.se2 import Array
+from pipeline.localisation.beam_model import BeamModel
 from pipeline.localisation.beams import Beams, spread
 from pipeline.localisation.field import DistanceField, hit_probability, sum_over_beams
 from pipeline.localisation.parameters import AmclConfig
 
 
 class SensorModel(Protocol):
-    """Gives each pose a log weight, and a mean beam probability that does not depend on beam count."""
+    """Gives each pose a log weight."""
 
-    def weigh(self, poses: Array, beams: Beams) -> tuple[Array, Array]:
-        """(log weights (n,), mean probability per beam (n,)) of poses (n, 3) in the map frame."""
+    def weigh(self, poses: Array, beams: Beams) -> Array:
+        """Log weights (n,) of poses (n, 3) in the map frame."""
         ...
 
 
@@ -37,16 +38,15 @@ class LikelihoodFieldModel:
         x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
         self._frame = (x, y, yaw, factor / field.resolution)
 
-    def weigh(self, poses: Array, beams: Beams) -> tuple[Array, Array]:
+    def weigh(self, poses: Array, beams: Beams) -> Array:
         """See SensorModel."""
         points = (beams.points[spread(len(beams), self._max_beams)] * self._frame[3]).astype(np.float32)
         total = sum_over_beams(self._table, self._outside, self._frame, poses, points)
-        mean = total / len(points)
-        if self._cubes:
-            return np.log1p(total), np.cbrt(mean)
-        return total, np.exp(mean)
+        return np.log1p(total) if self._cubes else total
 
 
 def make_sensor_model(config: AmclConfig, field: DistanceField, range_max: float) -> SensorModel:
     """The model the configuration names."""
+    if config.laser_model_type == "beam":
+        return BeamModel(config, field, range_max)
     return LikelihoodFieldModel(config, field, range_max)
