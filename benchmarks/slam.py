@@ -227,9 +227,7 @@ def main() -> None:
     write(args.out, "worlds", worlds(args.out, WORLDS[:1] if args.quick else WORLDS))
     if args.quick:
         return
-    write(
-        args.out, "ablation", ablation(folder, ("mit-csail", "fr079", "hall-1", "killian-1", "office-all-1"))
-    )
+    write(args.out, "ablation", ablation(folder, ("mit-csail", "fr079", "aces-1")))
     log = load_recording(folder / "intel.clf.bz2") if folder is not None else LOGS["killian-1"]().recording
     write(args.out, "growth", growth(log))
 

@@ -37,7 +37,7 @@ class RefineConfig(BaseModel):
     soft: float = Field(
         default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
     )
-    inflation: float = Field(default=10.0, gt=0.0, description="how much a pair's information is divided by")
+    inflation: float = Field(default=4.0, gt=0.0, description="how much a pair's information is divided by")
 
 
 def refine(
