@@ -5,6 +5,7 @@ They belong to the simulated driver (see sim.teleop): what is planned here reach
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from functools import cached_property
@@ -106,6 +107,11 @@ class RoutePlanner:
             kept.append(at)
         return points[kept]
 
+    def fits(self, points: Array) -> bool:
+        """Whether the robot, turned any way, has room all along points (n, 2) from the spawn."""
+        line = np.vstack([self.world.spawn.xy, points])
+        return all(self._open(a, b) for a, b in itertools.pairwise(line))
+
     def _open(self, a: Array, b: Array) -> bool:
         n = max(2, int(np.hypot(*(b - a)) / 0.05) + 1)
         line = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
@@ -184,9 +190,10 @@ ROUTES: dict[str, Callable[[RoutePlanner], Array]] = {
 
 
 def route(name: str, planner: RoutePlanner) -> Array:
-    """A route of the world by name: its own, or one planned for it. InputError for an unknown name."""
-    if name in planner.world.routes:
-        return planner.world.routes[name]
+    """A route of the world by name: its own if the robot fits, or one planned. InputError when unknown."""
+    own = planner.world.routes.get(name)
+    if own is not None and (name not in ROUTES or planner.fits(own)):
+        return own
     if name not in ROUTES:
         known = ", ".join(sorted({*planner.world.routes, *ROUTES}))
         raise InputError(f"world {planner.world.name} has no route '{name}' (it has: {known})")
