@@ -11,6 +11,7 @@ from datasets.maps import load_map, save_map
 from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
+from datasets.se2 import SE2
 from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording
 from pipeline.config import config_text, load_config
@@ -31,6 +32,7 @@ def build_map(
     relations: Path | None = None,
     config: Path | None = None,
     settings: Sequence[str] = (),
+    laser: SE2 | None = None,
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
@@ -38,13 +40,14 @@ def build_map(
     """Map `source` into the folder `out`; returns the exit code.
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
-    metrics. InputError when anything given cannot be used, before anything is written.
+    metrics. `laser` overrides where the input says the laser sits on the robot. InputError when anything
+    given cannot be used, before anything is written.
     """
     check_free(out, force=force)
     resolved = load_config(SlamConfig, config, settings)
     references = _References(truth, relations)
     watch = Stopwatch()
-    recording = load_recording(source)
+    recording = load_recording(source, T_base_lidar=laser)
     for note in recording.notes:
         log.warning(note)
     result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output
+from pipeline.commands.arguments import add_config, add_output, pose
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
 
@@ -16,6 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser)
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of a record: adds errors")
     parser.add_argument("--relations", type=Path, metavar="FILE", help="benchmark relations: adds errors")
+    parser.add_argument(
+        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
+    )
     add_config(parser)
     parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
 
@@ -31,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
         relations=args.relations,
         config=args.config,
         settings=args.settings,
+        laser=None if args.laser is None else pose(args.laser, "--laser"),
         explain=args.explain,
         force=args.force,
         command=args.command_line,
