@@ -37,9 +37,11 @@ def result_over_factor(
     groups = levels_of(rows, lines) if lines is not None else [None]
     for number, group in enumerate(groups):
         chosen = [row for row in rows if lines is None or row[lines] == group]
-        shift = 0.0 if numeric else 0.5 * (number - (len(groups) - 1) / 2) / max(len(groups), 1)
-        places = [float(level) if numeric else index + shift for index, level in enumerate(levels)]
-        label = None if group is None else f"{lines} {group}"
+        # Beside each other, so that intervals do not hide one another.
+        step = 0.012 * (max(levels) - min(levels)) if numeric else 0.5 / len(groups)
+        shift = step * (number - (len(groups) - 1) / 2)
+        places = [float(level) + shift if numeric else index + shift for index, level in enumerate(levels)]
+        label = None if group is None else str(group)
         _draw_group(
             axes, chosen, x, y, levels, places, factor, seed, number, label, joined=numeric, dots=not share
         )
@@ -52,7 +54,7 @@ def result_over_factor(
     else:
         axes.set_ylim(bottom=0.0, top=105.0 if share else None)
     if lines is not None:
-        axes.legend(loc="best")
+        axes.legend(loc="best", title=lines)
     return figure
 
 
