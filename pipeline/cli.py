@@ -30,6 +30,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),
     "sweep": ("sweep", "run a campaign of many cases, resumable, on all cores"),
+    "blame": ("blame", "map a recording with one part replaced by the truth: for the study"),
     "verify": ("verify", "compute a report's numbers again from the bags"),
     "bag": ("bag", "look at bags, play, repair and convert them"),
     "data": ("data", "list and fetch public logs"),
