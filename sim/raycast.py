@@ -216,3 +216,27 @@ def distance_to_point(x: float, y: float, segments: Array, circles: Array) -> fl
     for k in range(circles.shape[0]):
         best = min(best, abs(math.hypot(x - circles[k, 0], y - circles[k, 1]) - circles[k, 2]))
     return best
+
+
+@njit(cache=True)
+def roomiest(x: Array, y: Array, half: float, need: float, segments: Array, circles: Array) -> tuple:
+    """In each cell about (x[c], y[r]) the middle or, where that has barely less room than needed, the best.
+
+    `half` is half a cell [m]; the best of nine points counts. Returns distances to the nearest
+    outline (r, c) and the points (r, c, 2).
+    """
+    room = np.empty((y.shape[0], x.shape[0]))
+    points = np.empty((y.shape[0], x.shape[0], 2))
+    for r in range(y.shape[0]):
+        for c in range(x.shape[0]):
+            room[r, c] = distance_to_point(x[c], y[r], segments, circles)
+            points[r, c, 0], points[r, c, 1] = x[c], y[r]
+            if not need - 1.5 * half < room[r, c] <= need:
+                continue
+            for k in range(9):
+                px = x[c] + (k % 3 - 1) * half * 0.8
+                py = y[r] + (k // 3 - 1) * half * 0.8
+                d = distance_to_point(px, py, segments, circles)
+                if d > room[r, c]:
+                    room[r, c], points[r, c, 0], points[r, c, 1] = d, px, py
+    return room, points

@@ -17,7 +17,7 @@ from scipy.sparse import csgraph
 
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
-from sim.raycast import distance_to_point
+from sim.raycast import distance_to_point, roomiest
 from sim.robots import RobotSpec
 from sim.worlds import World
 
@@ -40,7 +40,10 @@ class RoutePlanner:
         self.world = world
         x_min, x_max, y_min, y_max = world.bounds
         self._x, self._y = np.arange(x_min, x_max, CELL_M), np.arange(y_min, y_max, CELL_M)
-        room = np.array([[self.room(x, y) for x in self._x] for y in self._y])
+        # The roomiest point of each cell, so that a door hardly wider than the robot is found.
+        room, points = roomiest(
+            self._x, self._y, CELL_M / 2.0, self._need, self._outlines.segments, self._outlines.circles
+        )
         regions, _ = ndimage.label(room > self._need, structure=np.ones((3, 3)))
         row, col = self._cell(world.spawn.xy)
         near = regions[max(row - 3, 0) : row + 4, max(col - 3, 0) : col + 4]
@@ -51,8 +54,7 @@ class RoutePlanner:
         self._room = room
         self._number = np.full(room.shape, -1)
         self._number[self._free] = np.arange(np.count_nonzero(self._free))
-        rows, cols = np.nonzero(self._free)
-        self.places = np.stack([self._x[cols], self._y[rows]], axis=-1)
+        self.places = points[self._free]
         self.rooms = room[self._free]
 
     def room(self, x: float, y: float) -> float:

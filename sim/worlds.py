@@ -23,6 +23,8 @@ from sim.world_files import GeneratorSpec, WorldSpec
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
 """Free border around the outermost solid in a true map."""
+MOST_M2 = 250_000.0
+"""Largest world: its true map has 100 million cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,7 @@ def load_world(name_or_path: str) -> World:
         robot=spec.robot,
         spawn=SE2.from_xyt(*spec.spawn),
         shapes=solids,
-        bounds=spec.bounds or bounds_of(solids, MARGIN_M),
+        bounds=_mappable(spec.bounds or bounds_of(solids, MARGIN_M), str(path)),
         keepout=tuple(np.array(outline, dtype=np.float64) for outline in spec.keepout),
         routes={name: np.array(points, dtype=np.float64) for name, points in spec.routes.items()},
         movers=movers,
@@ -138,13 +140,23 @@ def _from_sdf(path: Path, settings: str) -> World:
     name, solids = load_sdf(path)
     if not solids:
         raise InputError(f"{path}: holds no static boxes, cylinders, spheres or meshes")
-    bounds = bounds_of(tuple(solids), 2.0)
+    bounds = _mappable(bounds_of(tuple(solids), 2.0), str(path))
     try:
         spawn = SE2.from_xyt(*(float(part) for part in value.split("/"))) if value else None
     except (TypeError, ValueError):
         raise InputError(f"{path}: spawn={value}: expected x/y/yaw") from None
     spawn = spawn if spawn is not None else _roomy_place(solids, bounds)
     return World(path.stem if name == "default" else name, "burger", spawn, tuple(solids), bounds, (), {})
+
+
+def _mappable(bounds: tuple[float, float, float, float], where: str) -> tuple[float, float, float, float]:
+    """The bounds, or an InputError when a map of them is empty or beyond all memory."""
+    width, depth = bounds[1] - bounds[0], bounds[3] - bounds[2]
+    if not (width > 0.0 and depth > 0.0):
+        raise InputError(f"{where}: bounds: x_min, x_max, y_min, y_max must grow in pairs")
+    if not width * depth <= MOST_M2:
+        raise InputError(f"{where}: {width:.3g} m x {depth:.3g} m is too large a world for a map of it")
+    return bounds
 
 
 def _roomy_place(solids: list[Solid], bounds: tuple[float, float, float, float]) -> SE2:
