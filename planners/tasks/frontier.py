@@ -1,0 +1,88 @@
+"""Where to look next in a half-known world: frontiers between seen floor and the unknown (Yamauchi 1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy import ndimage
+
+from datasets.grid import FREE, UNKNOWN, OccupancyGrid
+from datasets.se2 import SE2, Array
+from planners.costmap import EIGHT_NEIGHBOURS, Costmap
+from planners.wavefront import wave
+
+
+class FrontierConfig(BaseModel):
+    """Metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    least_length: float = Field(default=0.4, gt=0.0)
+    """Shorter frontiers are gaps between beams, not openings."""
+    view_distance: float = Field(default=0.8, gt=0.0)
+    """From how near a frontier is looked at."""
+    gain: float = Field(default=1.0, ge=0.0)
+    """How many metres of way a metre of frontier is worth."""
+    most_gain: float = Field(default=3.0, ge=0.0)
+    spent_radius: float = Field(default=0.5, gt=0.0)
+    """No second look from this near a place where one did not help."""
+
+
+def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
+    """Frontier number of each cell, (rows, cols), 0 for none: free cells beside unknown ones, connected."""
+    beside = ndimage.binary_dilation(grid.cells == UNKNOWN, structure=EIGHT_NEIGHBOURS)
+    labels, count = ndimage.label((grid.cells == FREE) & beside, structure=EIGHT_NEIGHBOURS)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution
+    sizes[0] = 0.0
+    return np.where(sizes[labels] >= least_length, labels, 0).astype(np.int32)
+
+
+def next_view(
+    grid: OccupancyGrid,
+    costmap: Costmap,
+    T_map_base: SE2,
+    radius: float,
+    spent: Sequence[Array],
+    config: FrontierConfig,
+) -> SE2 | None:
+    """A pose from which to look at the most rewarding frontier; None when no frontier can be got near.
+
+    `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m];
+    `spent` are places (2,) looked from before.
+    """
+    labels = frontiers(grid, config.least_length)
+    start = _standing(costmap, T_map_base, radius)
+    if start is None or not labels.any():
+        return None
+    ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
+    away, (rows, cols) = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    candidates = np.isfinite(ways) & (away * grid.resolution <= config.view_distance)
+    cells = np.argwhere(candidates)
+    places = grid.center_of(cells)
+    for place in spent:
+        fresh = np.linalg.norm(places - place, axis=1) > config.spent_radius
+        cells, places = cells[fresh], places[fresh]
+    if len(cells) == 0:
+        return None
+    lengths = np.bincount(labels.ravel()) * grid.resolution
+    target = np.stack([rows[cells[:, 0], cells[:, 1]], cols[cells[:, 0], cells[:, 1]]], axis=-1)
+    worth = np.minimum(config.gain * lengths[labels[target[:, 0], target[:, 1]]], config.most_gain)
+    best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - worth))
+    ahead = grid.center_of(target[best]) - places[best]
+    return SE2.from_xyt(places[best, 0], places[best, 1], math.atan2(ahead[1], ahead[0]))
+
+
+def _standing(costmap: Costmap, T_map_base: SE2, radius: float) -> tuple[int, int] | None:
+    """The cell with enough room that is nearest to the robot, within half a metre; None without one."""
+    xy = (costmap.T_grid_map @ T_map_base.xy) / costmap.resolution
+    cells = np.argwhere(costmap.clearance > radius)
+    if len(cells) == 0:
+        return None
+    distance = np.linalg.norm(cells[:, ::-1] + 0.5 - xy, axis=1)
+    nearest = int(np.argmin(distance))
+    if distance[nearest] * costmap.resolution > 0.5:
+        return None
+    return int(cells[nearest, 0]), int(cells[nearest, 1])
