@@ -72,7 +72,9 @@ def shortest(costmap: Costmap, radius: float, a: SE2, b: SE2) -> float:
 def config_of(planner: str) -> PlanConfig:
     """The product's settings; planners that go on improving get one run."""
     restarts = OmplConfig().restarts if planner in ONE_RUN else 1
-    return PlanConfig(ompl=OmplConfig(planner=planner, restarts=restarts, iterations=2000))
+    # FMT asks at every sample it draws, and draws them all first.
+    iterations = 10000 if planner in ("FMT", "BFMT") else 2000
+    return PlanConfig(ompl=OmplConfig(planner=planner, restarts=restarts, iterations=iterations))
 
 
 def ask(costmap: Costmap, robot: RobotSpec, a: SE2, b: SE2, config: PlanConfig, seed: int):

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.errors import InputError
-from datasets.se2 import SE2
+from datasets.se2 import SE2, Array
+from datasets.yaml_files import read_mapping
 from pipeline.commands.arguments import add_config, add_output, pose, seed
 from pipeline.config import load_config
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.setup import TASKS, Request
+from planners.tasks.waypoints import parse_polygons
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -38,6 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol")
     parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
     parser.add_argument("--duration", type=_positive, metavar="S", help="simulated seconds of avoid")
+    parser.add_argument(
+        "--wiggle", action="store_true", help="first turn to and fro until the particle cloud has shrunk"
+    )
+    parser.add_argument(
+        "--keepout",
+        metavar="FILE|none",
+        help="YAML with outlines to stay out of under 'keepout' (default: those of the world)",
+    )
     add_config(parser)
     add_output(parser)
 
@@ -57,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
         laps=args.laps,
         timeout_s=args.timeout,
         duration_s=args.duration,
+        wiggle=args.wiggle,
+        keepout=_keepout(args.keepout),
     )
     return navigate(
         args.world,
@@ -81,6 +93,16 @@ def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
         return pose(text, "--initial-pose")
     except InputError as error:
         raise InputError(f"{error}; or the word start or global") from None
+
+
+def _keepout(text: str | None) -> tuple[Array, ...] | None:
+    """None: the world's own; else those of a file, or no outlines at all."""
+    if text is None:
+        return None
+    if text == "none":
+        return ()
+    data = read_mapping(Path(text))
+    return parse_polygons(data.get("keepout"), f"--keepout {text}")
 
 
 def _positive(text: str) -> float:

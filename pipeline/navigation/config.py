@@ -18,6 +18,7 @@ from planners.tasks.avoid import AvoidConfig
 from planners.tasks.guarded import GuardConfig
 from planners.tasks.recovery import RecoveryConfig
 from planners.tasks.sequence import SequenceConfig
+from planners.tasks.wiggle import WiggleConfig
 from sim.simulator import SimConfig
 
 ControllerName = Literal["pursuit", "dwa"]
@@ -53,6 +54,7 @@ class NavigateConfig(BaseModel):
     monitor: MonitorConfig = MonitorConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
+    wiggle: WiggleConfig = WiggleConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
     guard: GuardConfig = GuardConfig()

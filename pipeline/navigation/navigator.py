@@ -12,6 +12,7 @@ from pipeline.navigation.localiser import Localiser, Publisher
 from pipeline.navigation.sensing import Sensing, Sight
 from planners.global_plan import fits
 from planners.tasks.sequence import GoalSequence
+from planners.tasks.wiggle import Wiggle
 
 
 class NavigationDriver:
@@ -25,6 +26,7 @@ class NavigationDriver:
         sequence: GoalSequence,
         publisher: Publisher,
         plan_seed: int,
+        wiggle: Wiggle | None = None,
     ) -> None:
         self.tools = tools
         self.sensing = sensing
@@ -39,6 +41,7 @@ class NavigationDriver:
         self._runner: GoalRunner | None = None
         self._last = Twist()
         self._now = 0
+        self._wiggle = wiggle
         self._seen_ns = -(10**9)
 
     def step(self, observation: Observation) -> Twist:
@@ -51,6 +54,8 @@ class NavigationDriver:
             return self._stop("no_pose", finished=True)
         if sight is not None and T_frame_odom is not None:
             self._see(sight, T_frame_odom)
+        if self._wiggle is not None and self.localiser is not None:
+            return self._look_about(self._wiggle, self.localiser, observation)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
@@ -64,6 +69,21 @@ class NavigationDriver:
                 return self._stop("wait")
         pose = T_frame_odom @ observation.odometry.T_odom_base
         return self._pursue(self._runner, observation, pose, sight is not None)
+
+    def _look_about(self, wiggle: Wiggle, localiser: Localiser, observation: Observation) -> Twist:
+        """Turn to and fro until the filter knows where it is; goals are given up when it never does."""
+        now = observation.stamp_ns
+        wanted = wiggle.command(now, localiser.amcl.converged)
+        if wanted is None:
+            self._wiggle = None
+            if wiggle.gave_up:
+                self.sequence.reject_all("the robot could not find out where it is", now)
+            return self._stop("wiggle")
+        self.state = "wiggle"
+        points = self.sensing.points_base(observation.odometry.T_odom_base)
+        factor = self.tools.monitor.limit(wanted, points)
+        self._last = self.tools.controller.ramp(Twist(0.0, wanted.w * factor), self._last)
+        return self._last
 
     def _localise(self, observation: Observation) -> SE2 | None:
         """Odometry's frame in the frame of goals and costmap; None while it is not known."""

@@ -34,6 +34,7 @@ from planners.live import LiveConfig, LiveLayer, empty_costmap
 from planners.tasks.guarded import Guard
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
+from planners.tasks.wiggle import Wiggle
 from sim.robots import RobotSpec
 from sim.simulator import CONTROL_HZ
 
@@ -57,6 +58,9 @@ class Request:
     laps: int | None = None
     timeout_s: float | None = None
     duration_s: float | None = None
+    wiggle: bool = False
+    keepout: tuple[Array, ...] | None = None
+    """Outlines (n, 2) to stay out of; None for those that the world comes with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +92,8 @@ def prepare(
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
     grid = load_map(request.map_path)
-    costmap = costmap_from_grid(grid, config.costmap, [*keepout, *places.keepout])
+    outlines = keepout if request.keepout is None else request.keepout
+    costmap = costmap_from_grid(grid, config.costmap, [*outlines, *places.keepout])
     if request.task == "goal":
         _check_goal(request, costmap, robot)
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
@@ -156,7 +161,9 @@ def make_driver(
         ends += [point.T_map_goal.xy for point in mission.waypoints if point.T_map_goal is not None]
         costmap = empty_costmap(np.stack(ends), config.mapless.margin, config.mapless.resolution)
         tools = make_tools(robot, _mapless(config), costmap, config.mapless.live)
-    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed)
+    looks_about = request.wiggle or request.initial_pose == "global"
+    wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
+    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle)
     return driver, localiser, sequence
 
 
