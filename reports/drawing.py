@@ -16,9 +16,9 @@ from datasets.types import Recording, Trajectory
 from reports.draw_localise import given_map
 from reports.figures import animation, maps, series
 from reports.figures.album import Album, Picture
-from reports.figures.graph import loops, pose_graph
+from reports.figures.graph import pose_graph, shown_edges
 from reports.figures.style import styled
-from reports.g2o import PoseGraph, read_g2o
+from reports.g2o import read_g2o, read_loops
 from reports.metrics.navigation import collision_episodes
 from reports.metrics.trajectory import associate
 from reports.stages import Group, Stage
@@ -69,7 +69,7 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
                     album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
                 )
         if stage.has("graph.g2o"):
-            pictures.append(_graph_picture(album, prefix, read_g2o(stage.folder / "graph.g2o"), grid))
+            pictures.append(_graph_picture(stage, grid, album, prefix))
     return pictures + _mapping_animation(stage, recording, odometry, album, prefix)
 
 
@@ -92,15 +92,16 @@ def read_again(folder: Path) -> Recording | None:
         return None
 
 
-def _graph_picture(album: Album, prefix: str, graph: PoseGraph, grid: OccupancyGrid | None) -> Picture:
-    far = loops(graph)
-    caption = (
-        f"{len(graph.T_map_keys)} keys and {len(graph.i)} edges; the {far.sum()} between distant keys drawn"
-    )
-    if far.any():
-        residual_cm = 100.0 * graph.residuals()[0][far]
-        caption += f", median residual {np.median(residual_cm):.2f} cm, largest {residual_cm.max():.1f} cm"
-    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", pose_graph(graph, grid))
+def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefix: str) -> Picture:
+    graph = read_g2o(stage.folder / "graph.g2o")
+    record = read_loops(stage.folder / "graph.json") if stage.has("graph.json") else None
+    pairs, residual_m = shown_edges(graph, record)
+    what = "loops drawn" if record is not None else "between distant keys drawn"
+    caption = f"{len(graph.T_map_keys)} keys, {len(graph.i)} edges; the {len(pairs)} {what}"
+    if len(pairs):
+        middle, worst = 100.0 * float(np.median(residual_m)), 100.0 * float(residual_m.max())
+        caption += f", median residual {middle:.2f} cm, largest {worst:.1f} cm"
+    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", pose_graph(graph, grid, record))
 
 
 def _error_picture(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,28 @@ class PoseGraph:
         found = self.T_map_keys[self.i].inverse() @ self.T_map_keys[self.j]
         error = self.T_i_j.inverse() @ found
         return np.linalg.norm(error.xy, axis=-1), np.abs(error.yaw)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRecord:
+    """Loop candidates of a graph, (n,) each: keys `i` and `j`, residual [m], and whether it was accepted."""
+
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    residual_m: Array
+    accepted: NDArray[np.bool_]
+
+
+def read_loops(path: Path) -> LoopRecord:
+    """The loops of a `graph.json`; InputError when it is not one."""
+    try:
+        loops = json.loads(path.read_text())["loops"]
+        rows = [(loop["i"], loop["j"], loop["residual_m"], loop["verdict"] == "accepted") for loop in loops]
+        table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{path}: not a record of loops") from None
+    i, j = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+    return LoopRecord(i, j, table[:, 2], table[:, 3] > 0.5)
 
 
 def read_g2o(path: Path) -> PoseGraph:

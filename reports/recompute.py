@@ -15,7 +15,7 @@ from datasets.relations import load_relations
 from datasets.runlog import RunLog
 from datasets.se2 import SE2, wrap
 from datasets.types import Trajectory, yaw_difference
-from reports.g2o import read_g2o
+from reports.g2o import read_g2o, read_loops
 from reports.metrics.map import map_metrics
 from reports.metrics.navigation import collisions, localisation_error, min_clearance, pose_error
 from reports.metrics.recording import recording_metrics
@@ -105,6 +105,11 @@ def _map(stage: Stage, group: Group) -> dict[str, Any]:
     found["log_s"] = stage.trajectory.duration()
     if stage.has("graph.g2o"):
         found["keyframes"] = len(read_g2o(stage.folder / "graph.g2o").T_map_keys)
+    if stage.has("graph.json"):
+        loops = read_loops(stage.folder / "graph.json")
+        accepted = int(loops.accepted.sum())
+        counts = {"proposed": len(loops.i), "accepted": accepted, "rejected": len(loops.i) - accepted}
+        found["loops"] = counts
     record = group.first("record")
     if "ate_m" in stage.metrics and record is not None and record.truth is not None:
         found |= trajectory_metrics(stage.trajectory, record.truth)

@@ -12,7 +12,7 @@ from datasets.outputs import sha256_file
 from pipeline.cli import main
 from pipeline.report import make_report
 from pipeline.verify import page_numbers, verify
-from reports.g2o import read_g2o
+from reports.g2o import read_g2o, read_loops
 from reports.recompute import same
 
 
@@ -161,3 +161,14 @@ def test_a_damaged_graph_is_bad_input(text, tmp_path):
     (tmp_path / "graph.g2o").write_text(text)
     with pytest.raises(InputError):
         read_g2o(tmp_path / "graph.g2o")
+
+
+def test_loops_are_read_from_their_record(tmp_path):
+    loop = {"i": 5, "j": 1, "residual_m": 0.01, "verdict": "accepted", "score": 0.9}
+    (tmp_path / "graph.json").write_text(json.dumps({"loops": [loop, {**loop, "verdict": "low score"}]}))
+    record = read_loops(tmp_path / "graph.json")
+    assert record.accepted.tolist() == [True, False]
+    assert record.residual_m.tolist() == [0.01, 0.01]
+    (tmp_path / "graph.json").write_text('{"loops": [{"i": 5}]}')
+    with pytest.raises(InputError):
+        read_loops(tmp_path / "graph.json")

@@ -53,7 +53,7 @@ def result_over_factor(
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0, top=105.0 if share else None)
-    if lines is not None:
+    if lines is not None and axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best", title=lines)
     return figure
 

@@ -10,21 +10,31 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from datasets.grid import OccupancyGrid
+from datasets.se2 import Array
 from datasets.types import Trajectory
 from reports.figures.maps import draw_grid, map_figure, view_box
 from reports.figures.style import FINE_TO_BAD, MUTED
-from reports.g2o import PoseGraph
+from reports.g2o import LoopRecord, PoseGraph
 
 LOOP_GAP = 10
-"""Edges between keys at least this many apart are drawn as loops."""
+"""Without a record of the loops, edges between keys at least this many apart are drawn."""
 
 
-def loops(graph: PoseGraph) -> NDArray[np.bool_]:
+def distant(graph: PoseGraph) -> NDArray[np.bool_]:
     """Which edges join keys that were not made one after the other, (m,)."""
     return np.abs(graph.i - graph.j) >= LOOP_GAP
 
 
-def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None) -> Figure:
+def shown_edges(graph: PoseGraph, record: LoopRecord | None) -> tuple[NDArray[np.int64], Array]:
+    """Keys (n, 2) and residuals [m] of what to draw: accepted loops, or else edges of distant keys."""
+    if record is not None:
+        chosen = record.accepted & (np.maximum(record.i, record.j) < len(graph.T_map_keys))
+        return np.stack([record.i[chosen], record.j[chosen]], axis=1), record.residual_m[chosen]
+    far = distant(graph)
+    return np.stack([graph.i[far], graph.j[far]], axis=1), graph.residuals()[0][far]
+
+
+def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord | None) -> Figure:
     """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
     keys = Trajectory(np.arange(len(graph.T_map_keys), dtype=np.int64), graph.T_map_keys)
     figure, axes = map_figure(view_box(grid, [keys]), bar=True)
@@ -32,13 +42,20 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None) -> Figure:
         draw_grid(axes, grid, faint=True)
     axes.plot(keys.poses.x, keys.poses.y, "-", color=MUTED, linewidth=0.8, zorder=2)
     axes.plot(keys.poses.x, keys.poses.y, ".", color=MUTED, markersize=3, zorder=3)
-    shown = loops(graph)
-    residual_cm = 100.0 * graph.residuals()[0]
-    order = np.flatnonzero(shown)[np.argsort(residual_cm[shown], kind="stable")]
-    segments = np.stack([keys.poses.xy[graph.i[order]], keys.poses.xy[graph.j[order]]], axis=1)
+    pairs, residual_m = shown_edges(graph, record)
+    order = np.argsort(residual_m, kind="stable")
+    residual_cm = 100.0 * residual_m
+    segments = keys.poses.xy[pairs[order]]
     worst = float(residual_cm[order].max()) if len(order) else 1.0
     norm = Normalize(0.0, max(worst, 0.5))
-    lines = LineCollection(list(segments), cmap=FINE_TO_BAD, norm=norm, linewidths=0.9, alpha=0.8, zorder=4)
+    lines = LineCollection(
+        list(segments),
+        cmap=FINE_TO_BAD,
+        norm=norm,
+        linewidths=0.9 if record is None else 1.8,
+        alpha=0.8,
+        zorder=4,
+    )
     lines.set_rasterized(len(order) > 1500)
     lines.set_array(residual_cm[order])
     axes.add_collection(lines)
