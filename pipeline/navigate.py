@@ -57,6 +57,8 @@ def navigate(
         metrics, loop_s = episode.metrics, watch.seconds()
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
+        if episode.grid is not None:
+            save_map(episode.grid, folder)
         _save_truth(episode, simulator, folder / "truth")
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(text)

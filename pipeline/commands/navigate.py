@@ -39,7 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--waypoints", type=Path, metavar="FILE", help="waypoints of the task patrol (YAML)")
     parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol")
     parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
-    parser.add_argument("--duration", type=_positive, metavar="S", help="simulated seconds of avoid")
+    parser.add_argument(
+        "--duration", type=_positive, metavar="S", help="simulated seconds of avoid, or of explore at most"
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("guarded", "tutorial"),
+        help="avoid: guarded (default) knows the robot's shape and keeps its turning side; "
+        "tutorial is the exact three-tier rule",
+    )
     parser.add_argument(
         "--wiggle", action="store_true", help="first turn to and fro until the particle cloud has shrunk"
     )
@@ -56,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     from pipeline.navigate import navigate
 
+    settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
     request = Request(
         task=args.task,
         seed=args.seed,
@@ -75,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         request,
         args.out,
         robot=args.robot,
-        config=load_config(NavigateConfig, args.config, args.settings),
+        config=load_config(NavigateConfig, args.config, settings),
         force=args.force,
         command_line=args.command_line,
         say=(lambda line: None) if args.verbosity < 0 else None,

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.localisation.parameters import AmclConfig
+from pipeline.navigation.explore import ExploreConfig
 from planners.control.dwa import DwaConfig
 from planners.control.goal_checker import GoalCheckerConfig
 from planners.control.monitor import MonitorConfig
@@ -55,6 +56,7 @@ class NavigateConfig(BaseModel):
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     wiggle: WiggleConfig = WiggleConfig()
+    explore: ExploreConfig = ExploreConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
     guard: GuardConfig = GuardConfig()

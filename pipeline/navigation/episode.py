@@ -10,10 +10,12 @@ from datasets.grid import OccupancyGrid
 from datasets.runlog import RunLog
 from datasets.se2 import SE2, Array
 from datasets.types import Observation, Trajectory, Twist
+from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from pipeline.navigation.setup import MAX_SIMULATED_S, Mission, make_driver
 from pipeline.record import static_transforms
+from reports.metrics.map import map_metrics
 from sim.simulator import Simulator
 
 
@@ -25,6 +27,8 @@ class Episode:
     log: RunLog
     truth: Trajectory
     estimate: Trajectory
+    grid: OccupancyGrid | None = None
+    """The map that the run made, if it made one."""
 
 
 class NoBag:
@@ -88,4 +92,8 @@ def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str],
         truth,
         None if localiser is None else estimate,
     )
-    return Episode(metrics, log, truth, estimate)
+    grid = driver.grid if isinstance(driver, ExploreDriver) else None
+    if grid is not None:
+        true_grid = simulator.world.rasterize(mission.robot.lidar_height, grid.resolution)
+        metrics["map"] = map_metrics(grid, true_grid)
+    return Episode(metrics, log, truth, estimate, grid)

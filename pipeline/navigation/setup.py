@@ -19,9 +19,11 @@ from pipeline.localisation.amcl import Amcl
 from pipeline.navigation.avoid import AvoidDriver
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.driver import Driver
+from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.goal_runner import Tools
 from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.navigator import NavigationDriver
+from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.recorder import Bag
 from pipeline.navigation.sensing import Sensing
 from planners.control.dwa import Dwa
@@ -38,10 +40,12 @@ from planners.tasks.wiggle import Wiggle
 from sim.robots import RobotSpec
 from sim.simulator import CONTROL_HZ
 
-Task = Literal["goal", "patrol", "avoid"]
-TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid")
+Task = Literal["goal", "patrol", "avoid", "explore"]
+TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid", "explore")
 DEFAULT_DURATION_S = 60.0
+DEFAULT_EXPLORE_S = 900.0
 MAX_SIMULATED_S = 4 * 3600.0
+MAX_LAPS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,9 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
-    if request.task == "avoid":
+    if request.laps is not None and request.laps > MAX_LAPS:
+        raise InputError(f"--laps {request.laps}: at most {MAX_LAPS}")
+    if request.task in ("avoid", "explore"):
         return Mission(request, config, robot, None, None, ())
     places = _places(request)
     if request.map_path is None and request.task == "goal" and request.goal is not None:
@@ -148,8 +154,10 @@ def make_driver(
         guard = Guard(robot.model, config.avoid, config.guard) if config.avoid.mode == "guarded" else None
         duration = request.duration_s or DEFAULT_DURATION_S
         return AvoidDriver(config.avoid, guard, robot.model, sensing, duration, say), None, None
-    sequence = GoalSequence(mission.waypoints, config.sequence)
     seed = int(stream(request.seed, "plan").integers(2**31))
+    if request.task == "explore":
+        return _make_explorer(mission, sensing, publisher, seed), None, None
+    sequence = GoalSequence(mission.waypoints, config.sequence)
     localiser = None
     if mission.grid is not None and mission.costmap is not None:
         localiser = _make_localiser(mission, mission.grid, sensing, publisher)
@@ -165,6 +173,25 @@ def make_driver(
     wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
     driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle)
     return driver, localiser, sequence
+
+
+def _make_explorer(mission: Mission, sensing: Sensing, publisher: Bag, seed: int) -> ExploreDriver:
+    explore, robot = mission.config.explore, mission.robot
+    config = mission.config.model_copy(update={"goal_checker": explore.checker})
+
+    def tools_on(costmap: Costmap) -> Tools:
+        return make_tools(robot, config, costmap, config.live)
+
+    return ExploreDriver(
+        explore,
+        robot.model,
+        sensing,
+        OnlineMap(robot.T_base_lidar, explore.slam),
+        tools_on,
+        publisher,
+        mission.request.duration_s or DEFAULT_EXPLORE_S,
+        seed,
+    )
 
 
 def _mapless(config: NavigateConfig) -> NavigateConfig:
