@@ -18,6 +18,7 @@ from pipeline.config import config_text, load_config
 from pipeline.console import log, track
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
+from pipeline.slam.sessions import joined_recording
 from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
@@ -33,6 +34,7 @@ def build_map(
     config: Path | None = None,
     settings: Sequence[str] = (),
     laser: SE2 | None = None,
+    also: Sequence[Path] = (),
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
@@ -40,17 +42,19 @@ def build_map(
     """Map `source` into the folder `out`; returns the exit code.
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
-    metrics. `laser` overrides where the input says the laser sits on the robot. InputError when anything
-    given cannot be used, before anything is written.
+    metrics. `also` are later recordings of the same place, joined into one graph. `laser` overrides
+    where the input says the laser sits on the robot. InputError when anything given cannot be used,
+    before anything is written.
     """
     check_free(out, force=force)
     resolved = load_config(SlamConfig, config, settings)
     references = _References(truth, relations)
     watch = Stopwatch()
-    recording = load_recording(source, T_base_lidar=laser)
-    for note in recording.notes:
+    recording, *more = [load_recording(path, T_base_lidar=laser) for path in (source, *also)]
+    for note in (note for one in (recording, *more) for note in one.notes):
         log.warning(note)
-    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total))
+    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total), more=more)
+    recording = joined_recording([recording, *more])
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
         save_map(result.grid, folder)
@@ -65,7 +69,11 @@ def build_map(
             folder,
             stage="map",
             command=command,
-            inputs={"source": source, **references.inputs()},
+            inputs={
+                "source": source,
+                **{f"also_{k}": path for k, path in enumerate(also, start=1)},
+                **references.inputs(),
+            },
             seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},

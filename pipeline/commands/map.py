@@ -17,6 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of a record: adds errors")
     parser.add_argument("--relations", type=Path, metavar="FILE", help="benchmark relations: adds errors")
     parser.add_argument(
+        "--also",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="INPUT",
+        help="another recording of the same place: joins the same map (repeatable)",
+    )
+    parser.add_argument(
         "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
     )
     add_config(parser)
@@ -35,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
         config=args.config,
         settings=args.settings,
         laser=None if args.laser is None else pose(args.laser, "--laser"),
+        also=args.also,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

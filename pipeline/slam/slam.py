@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,9 +18,16 @@ from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion
 from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.pose_graph import Constraint
-from pipeline.slam.posing import PosingConfig, pose_all_scans
+from pipeline.slam.posing import PosingConfig, carried_poses, pose_all_scans
 from pipeline.slam.refine import RefineConfig, refine
 from pipeline.slam.selfcheck import SelfCheck, SelfCheckConfig, check_map
+from pipeline.slam.sessions import (
+    border_constraint,
+    joined_clouds,
+    joined_recording,
+    joined_track,
+    place_of,
+)
 from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning, track_log
 
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
@@ -70,8 +77,47 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
     return items
 
 
-def run_slam(recording: Recording, config: SlamConfig, progress: Progress = no_progress) -> SlamResult:
-    """Map a recording offline. The map frame starts at the first odometry pose (identity without one)."""
+@dataclass(frozen=True, eq=False)
+class _Session:
+    """One recording (or several joined) on its way to a map."""
+
+    recording: Recording
+    clouds: Clouds
+    motion: SE2 | None
+    track: Track
+    T_map_keys: SE2
+    constraints: list[Constraint]
+    loops: list[Loop]
+
+
+def run_slam(
+    recording: Recording,
+    config: SlamConfig,
+    progress: Progress = no_progress,
+    *,
+    more: Sequence[Recording] = (),
+) -> SlamResult:
+    """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
+
+    `more` are later recordings of the same place: each is found in the map so far and joins the graph;
+    the trajectory holds the scans of all, in that order. InputError when one cannot be placed.
+    """
+    session = _session(recording, config, progress)
+    for other in more:
+        session = _joined(session, _session(other, config, progress), config, progress)
+    recording, config = session.recording, _with_sensors(session.recording, config)[1]
+    usable = min(recording.lidar.range_max, config.usable_range_m)
+    poses = pose_all_scans(session.clouds, session.track, session.T_map_keys, config.posing)
+    grid = make_grid(recording, poses, config.grid, usable, session.motion)
+    check = check_map(session.clouds, session.track, session.T_map_keys, config.self_check)
+    trajectory = Trajectory(recording.stamps_ns, poses)
+    return SlamResult(
+        trajectory, grid, session.track, session.T_map_keys, session.constraints, session.loops, check
+    )
+
+
+def _session(recording: Recording, config: SlamConfig, progress: Progress) -> _Session:
+    """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
     recording, config = _with_sensors(recording, config)
@@ -83,12 +129,25 @@ def run_slam(recording: Recording, config: SlamConfig, progress: Progress = no_p
     else:
         scans = progress(range(1, len(recording)), "matching scans", len(recording) - 1)
         track = track_log(recording, clouds, config.tracking, usable, scans)
-    T_map_keys, constraints, loops = _optimised(clouds, track, config, progress)
-    poses = pose_all_scans(clouds, track, T_map_keys, config.posing)
-    grid = make_grid(recording, poses, config.grid, usable, motion)
-    check = check_map(clouds, track, T_map_keys, config.self_check)
-    trajectory = Trajectory(recording.stamps_ns, poses)
-    return SlamResult(trajectory, grid, track, T_map_keys, constraints, loops, check)
+    steps = step_constraints(track, config.tracking)
+    return _Session(recording, clouds, motion, track, *_optimised(clouds, track, steps, config, progress))
+
+
+def _joined(a: _Session, b: _Session, config: SlamConfig, progress: Progress) -> _Session:
+    """Session `b` found in the map of `a`, and both optimised as one graph."""
+    track_a = replace(a.track, T_track_base=carried_poses(a.track, a.T_map_keys))
+    track_b = replace(b.track, T_track_base=carried_poses(b.track, b.T_map_keys))
+    recording, clouds = joined_recording([a.recording, b.recording]), joined_clouds([a.clouds, b.clouds])
+    T_map_b = place_of(clouds, track_a, a.T_map_keys, track_b)
+    if T_map_b is None:
+        raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
+    track = joined_track(track_a, track_b, T_map_b)
+    border = border_constraint(track_a, a.T_map_keys, T_map_b, track_b)
+    steps = [c for c in step_constraints(track, config.tracking) if c.i != border.i]
+    sweeps = [session.motion for session in (a, b) if session.motion is not None]
+    motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
+    optimised = _optimised(clouds, track, [*steps, border], config, progress)
+    return _Session(recording, clouds, motion, track, *optimised)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
@@ -108,11 +167,10 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
 
 
 def _optimised(
-    clouds: Clouds, track: Track, config: SlamConfig, progress: Progress
+    clouds: Clouds, track: Track, steps: list[Constraint], config: SlamConfig, progress: Progress
 ) -> tuple[SE2, list[Constraint], list[Loop]]:
     """Key poses after loop closure and joint refinement, the final constraints, and the loop record."""
     keys, T_map_keys = track.keys, track.T_track_base[track.keys]
-    steps = step_constraints(track, config.tracking)
     constraints = list(steps)
     loops: list[Loop] = []
     if config.loops.enabled and len(keys) > 2:

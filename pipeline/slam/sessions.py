@@ -1,0 +1,101 @@
+"""Several recordings of one place in one graph: each is tracked alone, then found in the map so far."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.types import Recording
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.pose_graph import Constraint
+from pipeline.slam.relocate import agreed_place, find_place
+from pipeline.slam.tracking import Track
+
+QUERY_KEYS, QUERIES = 10, 8
+
+
+def joined_recording(recordings: list[Recording]) -> Recording:
+    """One recording of all scans, in the order given; InputError when the lidars differ.
+
+    The odometry poses are each recording's own: steps across a border mean nothing.
+    """
+    first = recordings[0]
+    for other in recordings[1:]:
+        same = other.lidar == first.lidar and np.allclose(other.T_base_lidar.xyt, first.T_base_lidar.xyt)
+        if not same:
+            raise InputError(f"{other.source}: another lidar than in {first.source}; map it on its own")
+    with_odometry = all(recording.T_odom_base is not None for recording in recordings)
+    odometry = [r.T_odom_base.xyt for r in recordings if r.T_odom_base is not None]
+    return replace(
+        first,
+        source=" + ".join(recording.source for recording in recordings),
+        stamps_ns=np.concatenate([recording.stamps_ns for recording in recordings]),
+        ranges=np.concatenate([recording.ranges for recording in recordings]),
+        T_odom_base=SE2(np.concatenate(odometry)) if with_odometry else None,
+        odometry=None,
+        notes=tuple(note for recording in recordings for note in recording.notes),
+    )
+
+
+def joined_clouds(clouds: list[Clouds]) -> Clouds:
+    """The clouds of several recordings as one."""
+    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
+    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
+    tables = [
+        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
+        for cloud, row in zip(clouds, rows, strict=False)
+    ]
+    return Clouds(
+        np.concatenate([cloud.points for cloud in clouds]),
+        np.concatenate([cloud.normals for cloud in clouds]),
+        np.concatenate([cloud.centers for cloud in clouds]),
+        np.concatenate([cloud.line_ok for cloud in clouds]),
+        np.concatenate([*starts, rows[-1:]]).astype(np.int64),
+        np.concatenate(tables).astype(np.int32),
+        clouds[0].origin,
+    )
+
+
+def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
+    """Track `b` appended to `a`, moved by `T_a_b`; its scans are numbered on from `a`'s."""
+    n = len(a.T_track_base)
+    steps = None
+    if a.odometry_steps is not None and b.odometry_steps is not None:
+        border = (a.T_track_base[a.keys[-1]].inverse() @ (T_a_b @ b.T_track_base[0])).xyt
+        steps = np.concatenate([a.odometry_steps, border[None], b.odometry_steps])
+    return Track(
+        SE2(np.concatenate([a.T_track_base.xyt, (T_a_b @ b.T_track_base).xyt])),
+        np.concatenate([a.keys, b.keys + n]),
+        np.concatenate([a.overlap, b.overlap]),
+        np.concatenate([a.rmse, b.rmse]),
+        np.concatenate([a.information, b.information]),
+        np.concatenate([a.source, b.source]),
+        steps,
+        a.calibration,
+        np.concatenate([a.usable, b.usable]),
+    )
+
+
+def place_of(clouds: Clouds, a: Track, T_map_keys: SE2, b: Track) -> SE2 | None:
+    """Where track `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`'s keys."""
+    n = len(a.T_track_base)
+    places = []
+    for first in np.linspace(0, max(len(b.keys) - QUERY_KEYS, 0), QUERIES).astype(int):
+        query = b.keys[first : first + QUERY_KEYS]
+        place = find_place(clouds, a.keys, T_map_keys.xyt, query + n, b.T_track_base.xyt[query])
+        if place is not None:
+            places.append(place)
+            agreed = agreed_place(places)
+            if agreed is not None:
+                return SE2(agreed)
+    return None
+
+
+def border_constraint(a: Track, T_map_keys: SE2, T_map_b: SE2, b: Track) -> Constraint:
+    """Ties the first key of `b` to the last of `a`: weakly, the loops between them do the rest."""
+    last = len(a.keys) - 1
+    relative = T_map_keys[last].inverse() @ (T_map_b @ b.T_track_base[b.keys[0]])
+    return Constraint(last, last + 1, relative.xyt, np.diag([25.0, 25.0, 100.0]), "loop")
