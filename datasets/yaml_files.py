@@ -19,8 +19,10 @@ def read_mapping(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: no such file")
     try:
         text = path.read_text()
-    except (OSError, UnicodeDecodeError):
-        raise InputError(f"{path}: cannot be read as text") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
     data = parsed(text, where=str(path))
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected keys and values, found a {type(data).__name__}")
