@@ -1,0 +1,114 @@
+"""plan, mapless goals, wiggling and exploring, each by numbers."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.maps import load_map, save_map
+from datasets.outputs import sha256_tree
+from datasets.se2 import SE2
+from pipeline.cli import main
+from pipeline.navigate import navigate
+from pipeline.navigation.setup import Request
+from planners.costmap import CostmapConfig, costmap_from_grid
+from planners.tasks.wiggle import Wiggle, WiggleConfig
+from sim.robots import load_robot
+from sim.worlds import load_world
+
+WORLD = "turtlebot3_world"
+
+
+@pytest.fixture(scope="module")
+def true_map(tmp_path_factory) -> Path:
+    world = load_world(WORLD)
+    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
+
+
+def plan_words(true_map: Path, out: Path, goal: str, *more: str) -> list[str]:
+    return ["plan", "--map", str(true_map), "--start=-2,-0.5,0", f"--goal={goal}", "--out", str(out), *more]
+
+
+def test_plan_writes_a_free_path_and_repeats_to_the_byte(true_map, tmp_path):
+    for name in ("a", "b"):
+        assert main(plan_words(true_map, tmp_path / name, "0.5,0.5,1.0", "--seed", "4")) == 0
+    assert sha256_tree(tmp_path / "a") == sha256_tree(tmp_path / "b")
+    with (tmp_path / "a" / "path.csv").open() as file:
+        poses = np.array([[float(row[k]) for k in ("x", "y", "yaw")] for row in csv.DictReader(file)])
+    np.testing.assert_allclose(poses[[0, -1]], [[-2.0, -0.5, 0.0], [0.5, 0.5, 1.0]], atol=1e-6)
+    costmap = costmap_from_grid(load_map(true_map), CostmapConfig())
+    assert costmap.clearance_at(poses[:, :2]).min() > 0.1485
+    metrics = json.loads((tmp_path / "a" / "metrics.json").read_text())
+    assert metrics["success"]
+    assert metrics["length_m"] == pytest.approx(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
+
+
+def test_plan_without_a_way_fails_with_complete_outputs(true_map, tmp_path):
+    # Walled in by keeping the robot too wide for every gap between the pillars.
+    words = plan_words(true_map, tmp_path / "out", "0.5,0.5,0", "--set", "plan.margins=[0.4]")
+    assert main(words) == 1
+    assert (tmp_path / "out" / "path.csv").read_text() == "x,y,yaw\n"
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["reason"]
+
+
+@pytest.mark.parametrize("goal", ["1.1,1.1,0", "50,0,0", "1,1,nan", "1,1"])
+def test_plan_refuses_bad_goals(true_map, tmp_path, capsys, goal):
+    assert main(plan_words(true_map, tmp_path / "out", goal)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_goal_without_a_map_is_reached_by_what_the_scans_show(tmp_path):
+    request = Request(task="goal", seed=2, goal=SE2.from_xyt(0.55, -0.55, 0.0), timeout_s=90.0)
+    assert navigate(WORLD, request, tmp_path / "run") == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["localisation_error_m"] is None
+    assert metrics["goals"][0]["error_m"] < 0.1
+    assert metrics["collisions"] == {"visible": 0, "low": 0}
+
+
+def test_a_wrong_initial_pose_is_wiggled_right(true_map, tmp_path):
+    request = Request(
+        task="goal",
+        seed=2,
+        map_path=true_map,
+        initial_pose=SE2.from_xyt(-1.8, -0.3, 0.25),
+        goal=SE2.from_xyt(-1.5, -0.5, 0.0),
+        wiggle=True,
+    )
+    assert navigate(WORLD, request, tmp_path / "run") == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["goals"][0]["error_m"] < 0.05
+
+
+def test_a_wiggle_turns_both_ways_and_ends():
+    wiggle = Wiggle(WiggleConfig(angle=1.0, w=0.5, least=1.0, most=20.0))
+    heading, headings = 0.0, []
+    for tick in range(16 * 30):
+        heading += wiggle.command(tick * 10**9 // 30, settled=False).w / 30.0
+        headings.append(heading)
+    assert max(headings) == pytest.approx(1.0, abs=0.05)
+    assert min(headings) == pytest.approx(-1.0, abs=0.05)
+    assert wiggle.command(17 * 10**9, settled=True) is None
+    assert not wiggle.gave_up
+    assert wiggle.command(20 * 10**9, settled=False) is None
+    assert wiggle.gave_up
+
+
+def test_laps_and_durations_without_end_are_refused(true_map, tmp_path, capsys):
+    base = ["navigate", "--world", WORLD, "--out", str(tmp_path / "run")]
+    assert main([*base, "--task", "avoid", "--duration", "20000"]) == 2
+    assert main([*base, "--task", "patrol", "--map", str(true_map), "--laps", "100000"]) == 2
+    assert "at most" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_goal_in_a_kept_out_place_is_refused(true_map, tmp_path, capsys):
+    keepout = tmp_path / "keepout.yaml"
+    keepout.write_text("keepout:\n  - [[-1.2, -1.0], [-0.8, -1.0], [-0.8, 1.0], [-1.2, 1.0]]\n")
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    words += ["--initial-pose", "start", "--out", str(tmp_path / "run"), "--keepout", str(keepout)]
+    assert main(words) == 2
+    assert "obstacle" in capsys.readouterr().err
