@@ -24,6 +24,8 @@ from sim.worlds import World
 CELL_M = 0.1
 SIDE_M = 0.08
 """Room that a route keeps beside the robot's circumscribed circle [m]."""
+EXACT_SIDE_M = 0.02
+"""The same for a driver who turns on the spot and drives straight: that one keeps to its line."""
 COMFORT_M = 0.35
 """With less room than this a way counts as longer."""
 SEEN_M = 2.0
@@ -109,15 +111,16 @@ class RoutePlanner:
             kept.append(at)
         return points[kept]
 
-    def fits(self, points: Array) -> bool:
-        """Whether the robot, turned any way, has room all along points (n, 2) from the spawn."""
+    def fits(self, points: Array, side: float = SIDE_M) -> bool:
+        """Whether the robot, turned any way, has `side` [m] of room along points (n, 2) from the spawn."""
         line = np.vstack([self.world.spawn.xy, points])
-        return all(self._open(a, b) for a, b in itertools.pairwise(line))
+        return all(self._open(a, b, side) for a, b in itertools.pairwise(line))
 
-    def _open(self, a: Array, b: Array) -> bool:
+    def _open(self, a: Array, b: Array, side: float = SIDE_M) -> bool:
         n = max(2, int(np.hypot(*(b - a)) / 0.05) + 1)
         line = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
-        return all(self.room(x, y) > self._need for x, y in line)
+        need = self._need - SIDE_M + side
+        return all(self.room(x, y) > need for x, y in line)
 
 
 def cover(planner: RoutePlanner, stages: list[NDArray[np.bool_]]) -> Array:
@@ -191,10 +194,13 @@ ROUTES: dict[str, Callable[[RoutePlanner], Array]] = {
 }
 
 
-def route(name: str, planner: RoutePlanner) -> Array:
-    """A route of the world by name: its own if the robot fits, or one planned. InputError when unknown."""
+def route(name: str, planner: RoutePlanner, side: float = SIDE_M) -> Array:
+    """A route of the world by name: its own if the robot fits, or one planned. InputError when unknown.
+
+    `side` is the room [m] that the way of driving needs beside the robot.
+    """
     own = planner.world.routes.get(name)
-    if own is not None and (name not in ROUTES or planner.fits(own)):
+    if own is not None and (name not in ROUTES or planner.fits(own, side)):
         return own
     if name not in ROUTES:
         known = ", ".join(sorted({*planner.world.routes, *ROUTES}))

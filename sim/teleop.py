@@ -22,7 +22,7 @@ from datasets.types import Twist
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.driver import Driver
 from sim.robots import RobotSpec
-from sim.routes import SIDE_M, RoutePlanner, random_goals, route
+from sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
 from sim.simulator import CONTROL_HZ, Truth
 from sim.worlds import World
 
@@ -130,7 +130,8 @@ class _Person:
     def route(self, name: str) -> Array:
         """A route by name, planned once."""
         if name not in self._planned:
-            self._planned[name] = route(name, self.planner)
+            exact = self._script.style == "turn_then_drive"
+            self._planned[name] = route(name, self.planner, EXACT_SIDE_M if exact else SIDE_M)
         return self._planned[name]
 
     def drive(self) -> Action:

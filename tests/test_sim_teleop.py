@@ -9,7 +9,7 @@ from datasets.errors import InputError
 from sim.driver import Stuck
 from sim.raycast import distance_to_point
 from sim.robots import load_robot
-from sim.routes import ROUTES, RoutePlanner, random_goals, route
+from sim.routes import EXACT_SIDE_M, ROUTES, RoutePlanner, random_goals, route
 from sim.simulator import SimConfig, Simulator
 from sim.teleop import Script, commands, load_script, script_names
 from sim.worlds import load_world
@@ -69,6 +69,9 @@ def test_a_planned_route_keeps_clear_and_passes_near_all_of_the_floor(world, nam
 def test_a_worlds_own_route_is_for_robots_that_fit():
     world = load_world("turtlebot3_world")
     np.testing.assert_array_equal(route("tour", RoutePlanner(world, BURGER)), world.routes["tour"])
+    between = RoutePlanner(world, load_robot("waffle_pi"))
+    assert between.fits(world.routes["tour"], EXACT_SIDE_M)
+    assert not between.fits(world.routes["tour"])
     wide = RoutePlanner(world, load_robot("jackal"))
     assert not wide.fits(world.routes["tour"])
     assert wide.fits(route("tour", wide)[1:])
