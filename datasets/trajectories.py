@@ -19,13 +19,25 @@ def stamp_text(stamp_ns: int) -> str:
     return f"{whole}.{digits[:6] if digits.endswith('000') else digits}"
 
 
+_END_OF_TIME_NS = 2**62
+"""The difference of any two stamps before it fits 64 bits."""
+
+
 def stamp_from_text(text: str) -> int:
-    """Exact integer nanoseconds from decimal seconds (digits past the ninth are cut)."""
+    """Exact integer nanoseconds from decimal seconds (digits past the ninth are cut).
+
+    ValueError when it is no number or more than 146 years from 0.
+    """
     if "e" in text.lower():
-        return round(float(text) * 1e9)
-    sign = -1 if text.startswith("-") else 1
-    whole, _, fraction = text.lstrip("+-").partition(".")
-    return sign * (int(whole or "0") * 10**9 + int(fraction[:9].ljust(9, "0")))
+        seconds = float(text)
+        stamp = round(seconds * 1e9) if abs(seconds) < 1e10 else _END_OF_TIME_NS
+    else:
+        sign = -1 if text.startswith("-") else 1
+        whole, _, fraction = text.lstrip("+-").partition(".")
+        stamp = sign * (int(whole or "0") * 10**9 + int(fraction[:9].ljust(9, "0")))
+    if abs(stamp) >= _END_OF_TIME_NS:
+        raise ValueError(f"{text} s is beyond all clocks")
+    return stamp
 
 
 def save_tum(trajectory: Trajectory, path: Path) -> None:
@@ -56,7 +68,7 @@ def load_tum(path: Path) -> Trajectory:
             stamp, row = stamp_from_text(parts[0]), [float(value) for value in parts[1:]]
         except ValueError:
             raise InputError(f"{path}, line {number}: not numbers") from None
-        if len(row) != 7 or not all(math.isfinite(value) for value in row):
+        if len(row) != 7 or not all(abs(value) < 1e100 for value in row):
             raise InputError(f"{path}, line {number}: expected 't x y z qx qy qz qw', all finite")
         stamps.append(stamp)
         rows.append(row)

@@ -102,7 +102,7 @@ def _number(value: Any) -> float:
         return math.nan
     try:
         return float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return math.nan
 
 
@@ -111,7 +111,7 @@ def _yaw_of(value: Any) -> tuple[float, str]:
     if not isinstance(value, (list, tuple)) or len(value) != 4:
         return math.nan, "invalid quaternion: expected [x, y, z, w]"
     quaternion = np.array([_number(part) for part in value])
-    norm = float(np.linalg.norm(quaternion))
+    norm = math.hypot(*quaternion)
     if not math.isfinite(norm) or norm < 1e-9:
         return math.nan, "invalid quaternion: its norm is zero or not finite"
     x, y, z, w = (quaternion / norm).tolist()

@@ -1,0 +1,126 @@
+"""Broken inputs to every command: exit 0, 1 or 2, one line of complaint, and nothing left behind."""
+
+import random
+
+import pytest
+from fuzz_cases import CASES, ROOM, make_chain
+from fuzz_inputs import attempt, outcome, with_output
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pipeline.sweep
+from datasets.errors import InputError
+from datasets.relations import load_relations
+from datasets.trajectories import load_tum
+from datasets.yaml_files import parsed
+from planners.tasks.waypoints import parse_waypoints
+from sim.worlds import load_world
+
+TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8}
+"""Variants of a case; the slower ones are fewer."""
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    return make_chain(tmp_path_factory.mktemp("chain"))
+
+
+@pytest.fixture
+def no_workers(monkeypatch):
+    """Campaigns whose cases all end at once with the same numbers."""
+
+    def rows(campaign, todo, folder, **options):
+        for case in todo:
+            values = dict.fromkeys(campaign.results, 0.5)
+            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}
+
+    monkeypatch.setattr(pipeline.sweep, "run_cases", rows)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
+    found = [attempt(case, CASES[case], chain, seed) for seed in range(TRIES.get(case, 12))]
+    assert not any(found), "\n".join(filter(None, found))
+
+
+@pytest.mark.parametrize(
+    "case", ["world", "robot", "teleop", "waypoints", "bag to map", "log", "relations", "truth", "sweep"]
+)
+def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path, case):
+    """Else the variants above might all be refused for something that nobody broke."""
+    monkeypatch.setattr("fuzz_cases.broken", lambda rng, path: None)
+    (tmp_path / "in").mkdir()
+    words = with_output(CASES[case](random.Random(1), chain, tmp_path / "in"), tmp_path)
+    code, said = outcome(words)
+    assert code in (0, 1), said
+
+
+def refusal(read, given):
+    """What reading says when it refuses; empty when it does not."""
+    try:
+        read(given)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@settings(max_examples=60)
+@given(data=st.text(max_size=60), name=st.sampled_from(["tum", "relations"]))
+def test_text_files_are_read_or_refused_in_one_line(tmp_path_factory, data, name):
+    path = tmp_path_factory.getbasetemp() / f"any.{name}"
+    path.write_text(data, encoding="utf-8", errors="surrogatepass", newline="")
+    assert "\n" not in refusal(load_tum if name == "tum" else load_relations, path)
+
+
+@settings(max_examples=60)
+@given(
+    words=st.lists(
+        st.sampled_from(["nan", "inf", "1e400", "1e300", "-1", "0", "1e18", "9" * 30, "1.5"]),
+        min_size=8,
+        max_size=8,
+    )
+)
+def test_trajectories_of_wild_numbers_are_finite_or_refused(tmp_path_factory, words):
+    path = tmp_path_factory.getbasetemp() / "wild.tum"
+    path.write_text(" ".join(words) + "\n")
+    try:
+        found = load_tum(path)
+    except InputError:
+        return
+    assert abs(int(found.stamps_ns[0])) < 2**62
+    assert abs(found.poses.xyt).max() < 1e100
+
+
+@settings(max_examples=100)
+@given(st.text(alphabet="[]{}:,-&*!|>'\"#%@?\n\t 0aex._~<=", max_size=40))
+def test_any_text_is_yaml_or_refused_in_one_line(text):
+    assert "\n" not in refusal(lambda text: parsed(text, where="--set x"), text)
+
+
+def test_a_variant_is_the_same_whenever_it_is_made(chain, tmp_path):
+    for case in ("world", "bag to map", "truth"):
+        made = []
+        for name in ("a", "b"):
+            scratch = tmp_path / case.replace(" ", "_") / name
+            scratch.mkdir(parents=True)
+            CASES[case](random.Random(f"{case} 4"), chain, scratch)
+            made.append({p.relative_to(scratch): p.read_bytes() for p in scratch.rglob("*") if p.is_file()})
+        assert made[0] == made[1]
+
+
+@pytest.mark.parametrize(
+    "bounds", ["[-1.0e+300, 1, -1, 1]", "[1, -1, -1, 1]", "[0, 1000000, 0, 1]", "[0, 0, 0, 1]"]
+)
+def test_a_world_that_no_map_can_hold_is_refused_before_the_drive(tmp_path, bounds):
+    path = tmp_path / "room.yaml"
+    path.write_text(ROOM.replace("[-1.6, 1.6, -1.6, 1.6]", bounds))
+    with pytest.raises(InputError, match=r"bounds|too large"):
+        load_world(str(path))
+
+
+def test_a_waypoint_of_numbers_beyond_floats_is_rejected_alone():
+    found = parse_waypoints(
+        [{"x": 10**400, "y": 0}, {"x": 1, "y": 2, "quaternion": [0, 0, 1e300, 1e300]}], "f"
+    )
+    assert "not a finite number" in found.waypoints[0].reason
+    assert found.waypoints[1].T_map_goal.xyt == pytest.approx([1.0, 2.0, 1.5707963267948966])
