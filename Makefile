@@ -34,11 +34,11 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo demo-world demo-house record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags
+  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@grep -hE '^[a-z][a-z_-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
+	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
 setup: $(READY) ## make the virtual environment (every other target does it when needed)
 
@@ -113,6 +113,10 @@ bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.bags_kill
+	$(PY) -m benchmarks.kills
+
+study-advice study-blame study-breaks: study-%: $(READY) ## the studies: is the mapping advice true, who is to blame, what breaks it
+	$(TURTLEBAG) sweep $* --out data/studies/$*
 
 lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff check .
