@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
@@ -27,6 +28,8 @@ def make_report(
 ) -> Path:
     """Write `index.html`, `figures/`, `tables/`, `metrics.json`, the manifest; returns the page's path.
 
+    A layout for Foxglove or Lichtblick, in which the bags can be scrubbed through, lies beside them.
+
     `folders` are finished outputs of record, map and navigate in any number and order; those that
     share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
     InputError for anything that is not such an output.
@@ -38,6 +41,8 @@ def make_report(
         chapters = [build_chapter(group, album) for group in track(groups, "draw")]
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")
+        layout = files("reports") / "templates" / "foxglove-layout.json"
+        (partial / "foxglove-layout.json").write_text(layout.read_text())
         numbers = {
             chapter.name: {part.stage.label: part.metrics for part in chapter.parts} for chapter in chapters
         }

@@ -235,6 +235,17 @@ GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
 SPECS = {"record": RECORD, "map": MAP, "localise": LOCALISE, "plan": (), "navigate": RUN}
 
 
+# Inputs of the stage that a number is measured against.
+REFERENCES = {
+    "ate_m": ("truth",),
+    "ate_aligned_m": ("truth",),
+    "rpe": ("truth",),
+    "map": ("truth",),
+    "relations": ("relations",),
+    "relations_cartographer": ("relations",),
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Number:
     """A value of one stage with its meaning; `key` is `world/stage:path`, unique in a report."""
@@ -251,15 +262,16 @@ class Number:
 
     def evidence(self) -> dict[str, str]:
         """sha256 of each file the number is computed from."""
-        outputs = self.stage.outputs
-        return {
+        sources = self.spec.sources
+        found = {
             path: digest
-            for path, digest in outputs.items()
-            if any(
-                path == source or (source.endswith("/") and path.startswith(source))
-                for source in self.spec.sources
-            )
+            for path, digest in self.stage.outputs.items()
+            if any(path == source or (source.endswith("/") and path.startswith(source)) for source in sources)
         }
+        for name in REFERENCES.get(self.spec.path.partition(".")[0], ()):
+            files = self.stage.manifest.get("inputs", {}).get(name, {}).get("sha256", {})
+            found |= {f"{name}: {path}": digest for path, digest in files.items()}
+        return found
 
 
 def shown(value: Any, unit: str) -> str:

@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
 
+from datasets.bags.topics import TOPICS
 from datasets.errors import InputError
 from datasets.outputs import sha256_tree
 from pipeline.cli import main
 from pipeline.report import make_report
 from reports.content import collision_count, verdict
-from reports.numbers import shown
+from reports.numbers import numbers_of, shown
 from reports.provenance import rename
 from reports.stages import Stage, changed_files, group_stages, load_stage
 
@@ -70,7 +71,7 @@ def tags(page):
 
 
 def test_the_page_is_self_contained(tags):
-    assert tags.images == 13
+    assert tags.images == 15
     for reference in tags.references:
         assert reference.startswith(("#", "data:")), reference
 
@@ -186,3 +187,23 @@ def test_a_log_without_truth_is_told_by_its_relations():
     metrics = {"scans": 10, "relations": {"trans_m": {"mean": 0.01234}}}
     stage = Stage(Path("x"), "map", "map", {})
     assert verdict(stage, metrics) == ("neutral", "10 scans; mean relations error 0.0123\u202fm.")
+
+
+def test_the_viewer_layout_names_only_topics_our_bags_have(page):
+    layout = json.loads((page.parent / "foxglove-layout.json").read_text())
+    panels = layout["configById"]
+    named = set(panels["3D!turtlebag"]["topics"])
+    for name in ("Plot!speed", "Plot!place"):
+        named |= {path["value"].partition(".")[0] for path in panels[name]["paths"]}
+    assert named <= set(TOPICS)
+
+
+def test_an_error_names_the_truth_it_was_measured_against():
+    manifest = {
+        "outputs": {"trajectory.tum": "aa", "map.pgm": "bb"},
+        "inputs": {"truth": {"path": "rec/truth", "sha256": {"trajectory.tum": "cc"}}},
+    }
+    stage = Stage(Path("x"), "map", "map", manifest)
+    (number,) = numbers_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
+    assert number.key == "room/map:ate_m.rmse"
+    assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
