@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import navigate_cases as cases
+from benchmarks.no_bag import NoBag
 from pipeline.build_map import build_map
-from pipeline.navigation.episode import Episode, NoBag, drive
+from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import prepare
 from pipeline.record import record
 from sim.robots import RobotSpec

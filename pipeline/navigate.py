@@ -16,7 +16,7 @@ from pipeline.console import log
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import Request, prepare
-from sim.robots import default_robot, load_robot
+from sim.robots import load_robot
 from sim.simulator import Simulator
 from sim.worlds import load_world
 
@@ -39,7 +39,7 @@ def navigate(
     check_free(out, force=force)
     watch = Stopwatch()
     arena = load_world(world)
-    robot = robot or default_robot(world)
+    robot = robot or arena.robot
     mission = prepare(request, load_robot(robot), config or NavigateConfig(), arena.keepout)
     text = config_text(mission.config)
     custom = {

@@ -25,7 +25,7 @@ from sim.robots import RobotSpec, load_robot
 class PlanStageConfig(BaseModel):
     """Settings of the stage."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     costmap: CostmapConfig = CostmapConfig()
     plan: PlanConfig = PlanConfig()
 

@@ -23,7 +23,7 @@ LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
 class CostmapConfig(BaseModel):
     """Which cells count as obstacles; areas in m^2."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     unknown: Literal["blocked", "free"] = "blocked"
     """Whether cells never seen stop the robot."""
     speck_area: float = Field(default=0.06, ge=0.0)

@@ -28,7 +28,7 @@ BAND_PULL, BAND_PUSH, BAND_SWEEPS = 0.5, 0.1, 60
 class PlanConfig(BaseModel):
     """Distances in metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ompl: OmplConfig = OmplConfig()
     margins: tuple[float, ...] = (0.10, 0.04, 0.0)
     """Room kept round the robot's circumscribed circle, tried in this order."""

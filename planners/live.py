@@ -19,7 +19,7 @@ NEVER = -1.0e9
 class LiveConfig(BaseModel):
     """Names as in costmap_2d where the idea is the same; metres and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     obstacle_range: float = Field(default=2.5, gt=0.0)
     """Beams that end beyond this mark nothing."""
     raytrace_range: float = Field(default=3.5, gt=0.0)

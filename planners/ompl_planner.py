@@ -35,7 +35,7 @@ PlannerName = Literal[
 class OmplConfig(BaseModel):
     """Which planner, and how long it may search."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     planner: PlannerName = "RRTConnect"
     space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
     """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from benchmarks.no_bag import NoBag
 from datasets.grid import FREE
 from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.episode import NoBag
 from pipeline.navigation.explore import ExploreConfig, ExploreDriver
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.sensing import Sensing

@@ -101,11 +101,21 @@ def circle(radius=2.0, n=360):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
 
 
-def test_the_guard_keeps_turning_one_way_until_the_way_is_free():
+def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
     guard, _ = guard_and_view(circle())
-    for left, right in ((1.0, 1.2), (1.2, 1.0), (1.0, 1.2)):
+
+    def turn(left: float, right: float) -> float:
         view = View(0.0, SE2.identity(), circle(), Sectors(left, 0.4, right))
-        assert guard.decide(view, Twist()).command.w < 0.0
+        return guard.decide(view, Twist()).command.w
+
+    assert turn(1.0, 1.0) < 0.0
+    assert turn(1.2, 1.0) > 0.0
+    assert turn(1.0, 1.2) < 0.0
+    assert turn(1.2, 1.0) > 0.0
+    # The third change of mind was the last one, until the way was free.
+    assert turn(1.0, 1.2) > 0.0
+    guard.decide(View(1.0, SE2.identity(), circle(), Sectors(1.0, 2.0, 1.2)), Twist())
+    assert turn(1.0, 1.2) < 0.0
 
 
 def test_the_guard_lets_nothing_pass_that_touches():

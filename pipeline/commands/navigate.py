@@ -45,8 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mode",
         choices=("guarded", "tutorial"),
-        help="avoid: guarded (default) knows the robot's shape and keeps its turning side; "
-        "tutorial is the exact three-tier rule",
+        help="avoid: guarded (default) knows the robot's shape; tutorial is the exact three-tier rule alone",
     )
     parser.add_argument(
         "--wiggle", action="store_true", help="first turn to and fro until the particle cloud has shrunk"

@@ -28,7 +28,7 @@ ControllerName = Literal["pursuit", "dwa"]
 class MaplessConfig(BaseModel):
     """Goals without a map: the costmap holds what the scans showed since the start."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     margin: float = Field(default=8.0, gt=0.0)
     """Room about start and goal that the costmap covers [m]."""
     resolution: float = Field(default=0.05, gt=0.0)
@@ -42,7 +42,7 @@ class MaplessConfig(BaseModel):
 class NavigateConfig(BaseModel):
     """One section for each part."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     sim: SimConfig = SimConfig()
     amcl: AmclConfig = AmclConfig()
     costmap: CostmapConfig = CostmapConfig()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from datasets.grid import OccupancyGrid
 from datasets.runlog import RunLog
-from datasets.se2 import SE2, Array
-from datasets.types import Observation, Trajectory, Twist
+from datasets.types import Trajectory
 from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
@@ -29,42 +28,6 @@ class Episode:
     estimate: Trajectory
     grid: OccupancyGrid | None = None
     """The map that the run made, if it made one."""
-
-
-class NoBag:
-    """Takes everything that a bag would record, and forgets it."""
-
-    def static_transforms(
-        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
-    ) -> None:
-        """Forgotten, as everything here."""
-
-    def observation(self, observation: Observation) -> None:
-        """Forgotten."""
-
-    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
-        """Forgotten."""
-
-    def command(self, stamp_ns: int, twist: Twist) -> None:
-        """Forgotten."""
-
-    def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
-        """Forgotten."""
-
-    def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
-        """Forgotten."""
-
-    def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
-        """Forgotten."""
-
-    def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
-        """Forgotten."""
-
-    def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
-        """Forgotten."""
-
-    def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
-        """Forgotten."""
 
 
 def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str], None]) -> Episode:

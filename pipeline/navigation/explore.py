@@ -32,7 +32,7 @@ class MapPublisher(Publisher, Protocol):
 class ExploreConfig(BaseModel):
     """Seconds and metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     frontier: FrontierConfig = FrontierConfig()
     slam: SlamConfig = SlamConfig()
     costmap: CostmapConfig = CostmapConfig()

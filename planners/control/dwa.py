@@ -28,7 +28,7 @@ from planners.wavefront import wave
 class DwaConfig(BaseModel):
     """Names as in dwa_local_planner where the idea is the same; SI units."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     max_v: float = Field(default=1.4, gt=0.0)
     min_v: float = -0.4
     """Backwards, as far as the robot goes; 0 forbids it."""

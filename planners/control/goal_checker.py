@@ -17,7 +17,7 @@ TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial
 class GoalCheckerConfig(BaseModel):
     """Tolerances by preset: `default` 0.03 m and 0.05 rad, `tutorial` 0.05 m and 0.17 rad."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     preset: Preset = "default"
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)

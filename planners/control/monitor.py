@@ -16,7 +16,7 @@ from planners.footprint import Field32, footprint_clearance, sample_footprint
 class MonitorConfig(BaseModel):
     """Metres and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     padding: float = Field(default=0.02, ge=0.0)
     """The footprint is checked this much larger."""
     reaction: float = Field(default=0.1, ge=0.0)

@@ -20,7 +20,7 @@ from planners.footprint import footprint_clearance, sample_footprint
 class PursuitConfig(BaseModel):
     """SI units; angles in radians."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     max_v: float = Field(default=2.0, gt=0.0)
     """Asked top speed; the robot's own limit is kept anyway."""
     max_w: float = Field(default=1.4, gt=0.0)

@@ -16,7 +16,7 @@ from datasets.types import Scan, Twist
 class AvoidConfig(BaseModel):
     """The tutorial's numbers; metres, m/s, rad/s."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     mode: Literal["guarded", "tutorial"] = "guarded"
     """`tutorial` is the exact rule; `guarded` the same for a robot that knows its own shape."""
     stop_distance: float = Field(default=0.5, gt=0.0)

@@ -19,7 +19,7 @@ from planners.wavefront import wave
 class FrontierConfig(BaseModel):
     """Metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     least_length: float = Field(default=0.4, gt=0.0)
     """Shorter frontiers are gaps between beams, not openings."""
     view_distance: float = Field(default=0.8, gt=0.0)

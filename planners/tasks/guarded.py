@@ -26,7 +26,7 @@ POSSIBLE = 0.15
 class GuardConfig(BaseModel):
     """Metres, seconds, radians."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     monitor: MonitorConfig = MonitorConfig(padding=0.03, reaction=0.15, braking_share=0.6)
     side_room: float = Field(default=0.06, ge=0.0)
     """Half the corridor kept free ahead is half the robot's width and this."""
@@ -41,6 +41,8 @@ class GuardConfig(BaseModel):
     turn_away: float = Field(default=1.6, gt=0.0)
     memory: float = Field(default=120.0, ge=0.0)
     """How long a place where it got stuck is kept out of."""
+    flips: int = Field(default=3, ge=0)
+    """So many changes of the freer side, one after the other, count as dithering: it keeps its side."""
     restless: float = Field(default=20.0, gt=0.0)
     """After so long within `restless_reach` it turns to where most room is."""
     restless_reach: float = Field(default=0.4, gt=0.0)
@@ -105,6 +107,7 @@ class Guard:
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + config.side_room
         self._nose = float(model.footprint[:, 0].max())
         self._turning = 0.0
+        self._flips = 0
         self._slip = SlipWatch(config)
         self._unseen: list[tuple[float, Array]] = []
         self._manoeuvre: _Escape | None = None
@@ -139,11 +142,10 @@ class Guard:
         gap = self._gap(self.points_base(view))
         near = s.front < rule.stop_distance or gap < self.config.nose_room
         if near:
-            if self._turning == 0.0:
-                self._turning = 1.0 if s.left > s.right else -1.0
+            self._turn_to(1.0 if s.left > s.right else -1.0)
             side = "left" if self._turning > 0.0 else "right"
             return Decision(f"stop, turn {side}", Twist(0.0, self._turning * rule.turn_w))
-        self._turning = 0.0
+        self._turning, self._flips = 0.0, 0
         if self._restless(view):
             self._manoeuvre = _Escape(view.T_odom_base, 0.0, self._to_most_room(view), self.config)
             return Decision("turn away", Twist(0.0, 0.0))
@@ -151,6 +153,12 @@ class Guard:
         if s.front <= rule.slow_distance:
             return Decision(f"slow, veer {side}", Twist(rule.slow_v, sign * rule.slow_w))
         return Decision("straight", Twist(rule.cruise_v, 0.0))
+
+    def _turn_to(self, freer: float) -> None:
+        """Turn to the freer side; after some changes of mind keep to one until the way is free."""
+        if self._turning == 0.0 or (freer != self._turning and self._flips < self.config.flips):
+            self._flips += self._turning != 0.0
+            self._turning = freer
 
     def _gap(self, points: Array) -> float:
         """Free length before the nose within the corridor as wide as the robot."""

@@ -19,7 +19,7 @@ Kind = Literal["wait", "clear", "back_up", "rotate"]
 class Rung(BaseModel):
     """One manoeuvre: seconds to wait, metres to back up, radians to turn; nothing for `clear`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: Kind
     amount: float = 0.0
 
@@ -27,7 +27,7 @@ class Rung(BaseModel):
 class RecoveryConfig(BaseModel):
     """The ladder and when it is climbed; seconds and metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ladder: tuple[Rung, ...] = (
         Rung(kind="wait", amount=2.0),
         Rung(kind="clear"),

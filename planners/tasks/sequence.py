@@ -17,7 +17,7 @@ Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]
 class SequenceConfig(BaseModel):
     """Simulated seconds; the defaults are the tutorial's patrol."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     initial_wait: float = Field(default=3.0, ge=0.0)
     timeout: float = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""

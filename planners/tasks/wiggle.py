@@ -12,7 +12,7 @@ from datasets.types import Twist
 class WiggleConfig(BaseModel):
     """Radians and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     angle: float = Field(default=1.2, gt=0.0)
     """It turns this far to the left, twice as far to the right, and so on."""
     w: float = Field(default=0.7, gt=0.0)
