@@ -28,7 +28,7 @@ STAGE_PARTICLES = 3000
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3
-MOST_HITS, MOST_SILENT = 40, 30
+MOST_HITS, MOST_SILENT, MOST_AGREEING = 40, 30, 120
 # A beam may end this much before the wall that it is said to come from.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach, and of one where it has none.
@@ -56,8 +56,8 @@ class GlobalSearch:
 
     def agreement(self, pose: Array, beams: Beams) -> float:
         """Share of the beams, 0..1, that the map explains from a pose (3,): near 1 at the right place."""
-        p = path_probabilities(*self._arguments(pose[None], beams, 10**6))[0]
-        best = np.where(np.arange(len(p)) < len(beams), sum(self._noise[1:]), P_SILENT)
+        p = path_probabilities(*self._arguments(pose[None], beams, MOST_AGREEING))[0]
+        best = np.where(np.arange(len(p)) < min(len(beams), MOST_AGREEING), sum(self._noise[1:]), P_SILENT)
         return float(np.mean(p / best)) if len(p) else 0.0
 
     def draw(self, count: int, beams: Beams, rng: np.random.Generator) -> Array:
