@@ -25,7 +25,7 @@ from pipeline.replay import is_recording, load_commands
 from sim.driver import Stuck
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import SimConfig, Simulator, Truth
-from sim.teleop import commands, load_script
+from sim.teleop import commands, load_script, script_names
 from sim.worlds import World, load_world
 
 
@@ -87,20 +87,14 @@ def record(
     complete and kept.
     """
     scene = Scene.load(world, robot, seed, sim, start)
-    if is_recording(teleop):
+    own = teleop not in script_names() and Path(teleop).exists()
+    inputs = {"teleop": Path(teleop)} if own else {}
+    if own and is_recording(teleop):
         replayed = load_commands(Path(teleop))
-        return record_drive(
-            scene,
-            replayed.commands(),
-            replayed.label,
-            out,
-            inputs={"teleop": Path(teleop)},
-            force=force,
-            command=command,
-        )
-    driver = commands(load_script(teleop), scene.world, scene.robot, seed)
-    inputs = {"teleop": Path(teleop)} if Path(teleop).is_file() else {}
-    return record_drive(scene, driver, teleop, out, inputs=inputs, force=force, command=command)
+        driver, label = replayed.commands(), replayed.label
+    else:
+        driver, label = commands(load_script(teleop), scene.world, scene.robot, seed), teleop
+    return record_drive(scene, driver, label, out, inputs=inputs, force=force, command=command)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +115,11 @@ class Scene:
         loaded = load_world(world)
         name = robot or loaded.robot
         return Scene(world, name, loaded, load_robot(name), sim or SimConfig(), start, seed)
+
+    def files(self) -> dict[str, Path]:
+        """World and robot as far as they are files of the user's own."""
+        named = {"world": self.world_name.partition(":")[0], "robot": self.robot_name}
+        return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
 
     def config(self, teleop: str) -> RecordConfig:
         """The resolved settings, to be saved."""
@@ -171,7 +170,7 @@ def record_drive(
             folder,
             stage="record",
             command=command,
-            inputs=inputs or {},
+            inputs={**scene.files(), **(inputs or {})},
             seed=scene.seed,
             wall_s=wall,
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},

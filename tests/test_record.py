@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import json
 import signal
 import subprocess
 import sys
@@ -241,3 +242,22 @@ def test_a_start_pose_may_be_given(tmp_path, script):
     assert main([*arguments, "--out", str(tmp_path / "rec")]) == 0
     first = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum").poses[0].xyt
     np.testing.assert_allclose(first, [-2.5, -0.5, 0.5], atol=0.01)
+
+
+def test_the_manifest_holds_the_hashes_of_the_users_own_files(tmp_path, script):
+    world = tmp_path / "w.yaml"
+    world.write_text("name: w\nspawn: [-2, -0.5, 0]\nbounds: [-9, 9, -9, 9]\nshapes: []\n")
+    assert record(str(world), None, script, 1, tmp_path / "rec") == 0
+    inputs = json.loads((tmp_path / "rec" / "manifest.json").read_text())["inputs"]
+    assert inputs["world"]["sha256"] == {"w.yaml": hashlib.sha256(world.read_bytes()).hexdigest()}
+    assert set(inputs) == {"world", "teleop"}
+
+
+def test_a_spawn_in_an_obstacle_is_exit_2_and_nothing_written(tmp_path, capsys):
+    world = tmp_path / "w.yaml"
+    shape = "{kind: box, name: b, center: [0, 0], size: [1, 1], z: [0, 1]}"
+    world.write_text(f"name: w\nspawn: [0, 0, 0]\nshapes: [{shape}]\n")
+    for teleop in ("tour", "wall_follow"):
+        assert main(["record", "--world", str(world), "--teleop", teleop, "--out", str(tmp_path / "r")]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["w.yaml"]
