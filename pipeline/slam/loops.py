@@ -2,8 +2,9 @@
 
 Candidates come from distance, the gate growing with the uncertainty gathered along the graph since;
 each is searched exhaustively (a few key scans together against the older place's field), aligned,
-and believed only after independent checks: overlap, a single peak, Open3D's ICP, and neighbours that
-say the same.
+and believed only after independent checks: overlap, fit, Open3D's ICP. Along a direction the scans
+are blind in, or along which the place repeats itself, a loop says nothing; the graph takes each with a
+heavy-tailed kernel.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import Constraint, optimise
-from pipeline.slam.tracking import between, compose, sees_everything
+from pipeline.slam.tracking import between, sees_everything
 
 
 class LoopConfig(BaseModel):
@@ -122,7 +123,6 @@ class LoopFinder:
                 loop = self._query(i)
                 if loop is not None:
                     found.append(loop)
-        found = _consistent(found, self.record)
         self.record.extend(found)
         accepted = [loop for loop in found if loop.accepted]
         if not accepted:
@@ -221,15 +221,3 @@ class LoopFinder:
             if not self.check.agrees(source, target, loop.T_j_i):
                 return replace(loop, verdict="open3d disagrees")
         return loop
-
-
-def _consistent(found: list[Loop], record: list[Loop]) -> list[Loop]:
-    """Mutual consistency: a loop stays when another accepted candidate near it says the same.
-
-    Two loops (j, i) and (l, k) agree when their corrections of the track, seen from j, do.
-    """
-    del record
-    return found
-
-
-__all__ = ["BATCH", "Loop", "LoopConfig", "close_loops", "compose"]
