@@ -25,7 +25,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "teleop": ("teleop", "drive with the keyboard and record a bag"),
     "map": ("map", "build a map from a bag or log"),
     "localise": ("localise", "find where a recorded robot was on a map"),
-    "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid"),
+    "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid, explore"),
     "plan": ("plan", "plan a path over a map"),
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),

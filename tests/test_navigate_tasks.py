@@ -5,6 +5,8 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.se2 import SE2
+from pipeline.commands import navigate as navigate_command
+from pipeline.navigation import setup
 from planners.tasks.sequence import GoalSequence, SequenceConfig
 from planners.tasks.waypoints import Waypoint, load_waypoints, parse_waypoint, tutorial_patrol
 
@@ -20,6 +22,10 @@ def test_the_tutorial_patrol_is_the_eight_waypoints_in_order():
     expected = [(1.5, 1.5), (0, 2), (-1.5, 1.5), (-2, 0), (-1.5, -1.5), (0, -2), (1.5, -1.5), (2, 0)]
     assert [w.T_map_goal.xyt.tolist() for w in found.waypoints] == [[x, y, 0.0] for x, y in expected]
     np.testing.assert_array_equal(np.abs(found.keepout[0]), np.full((4, 2), 1.1))
+
+
+def test_the_command_offers_the_tasks_there_are():
+    assert set(navigate_command.TASKS) == set(setup.TASKS)
 
 
 def test_waits_before_the_first_and_pauses_after_each_reached():

@@ -11,15 +11,15 @@ from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import read_mapping
 from pipeline.commands.arguments import add_config, add_output, pose, seed
-from pipeline.config import load_config
-from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.setup import TASKS, Request
-from planners.tasks.waypoints import parse_polygons
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
     "--initial-pose start --seed 1 --out data/runs/patrol"
 )
+
+
+# Not imported from pipeline.navigation.setup: --help need not load a simulator.
+TASKS = ("goal", "patrol", "avoid", "explore")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
+    from pipeline.config import load_config
     from pipeline.navigate import navigate
+    from pipeline.navigation.config import NavigateConfig
+    from pipeline.navigation.setup import Request
 
     settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
     request = Request(
@@ -109,6 +112,8 @@ def _keepout(text: str | None) -> tuple[Array, ...] | None:
         return None
     if text == "none":
         return ()
+    from planners.tasks.waypoints import parse_polygons
+
     data = read_mapping(Path(text))
     return parse_polygons(data.get("keepout"), f"--keepout {text}")
 
