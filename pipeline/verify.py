@@ -9,12 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy import ndimage
+
+from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
 from reports.content import stage_metrics
+from reports.metrics.map import occupied
 from reports.numbers import GOAL_UNITS, SPECS, leaves, shown
 from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
-from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json
+from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json, read_manifest
+from sim.robots import load_robot
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
@@ -31,11 +37,11 @@ class Verification:
 
 def stage_folders(report: Path) -> list[Path]:
     """Where the report's stages are: where the manifest says, or beside a report that was moved with them."""
-    manifest = read_json(_file(report, "manifest.json"))
+    manifest = read_manifest(_file(report, "manifest.json"))
     if manifest.get("stage") != "report":
         raise InputError(f"{report}: is a {manifest.get('stage')} output, not a report")
     folders = []
-    for label, entry in manifest["inputs"].items():
+    for label, entry in manifest.get("inputs", {}).items():
         relative = manifest.get("folders", {}).get(label, "")
         for candidate in (report / relative, Path(entry["path"])):
             if (candidate / "manifest.json").is_file():
@@ -60,8 +66,9 @@ def verify(report: Path) -> Verification:
     _check_report_files(report, groups, found)
     for group in groups:
         for stage in group.stages:
-            metrics = reported.get(group.name, {}).get(stage.label)
-            if metrics is None:
+            chapter = reported.get(group.name)
+            metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
+            if not isinstance(metrics, dict):
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
             _check_stage(stage, group, metrics, found)
@@ -70,15 +77,15 @@ def verify(report: Path) -> Verification:
 
 
 def _check_report_files(report: Path, groups: list[Group], found: Verification) -> None:
-    manifest = read_json(report / "manifest.json")
-    for path, digest in manifest["outputs"].items():
+    manifest = read_manifest(report / "manifest.json")
+    for path, digest in manifest.get("outputs", {}).items():
         found.files += 1
         if not (report / path).is_file() or sha256_file(report / path) != digest:
             found.problems.append(f"{report.name}/{path}: changed since the report was made")
     for group in groups:
         for stage in group.stages:
             name = f"{group.name}/{stage.label}"
-            then = manifest["inputs"].get(name, {}).get("sha256", {})
+            then = manifest.get("inputs", {}).get(name, {}).get("sha256", {})
             for path, digest in then.items():
                 if stage.outputs.get(path) != digest:
                     found.problems.append(f"{name}/{path}: made again since the report")
@@ -92,6 +99,8 @@ def _check_stage(stage: Stage, group: Group, metrics: dict[str, Any], found: Ver
     if disagreement is not None and disagreement > TRUTH_AGREES_M:
         apart = shown(disagreement, "cm")
         found.problems.append(f"{name}/truth/trajectory.tum: {apart} from the bag's /ground_truth/odom")
+    if stage.kind == "navigate":
+        _check_clearance(stage, name, found)
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
@@ -107,6 +116,40 @@ def _check_stage(stage: Stage, group: Group, metrics: dict[str, Any], found: Ver
         for path, value in leaves(metrics)
         if f"{name}:{path}" not in known and isinstance(value, numbers) and not isinstance(value, bool)
     ]
+
+
+def clearance_on_map(stage: Stage) -> float | None:
+    """Least distance [m] from the footprint's outline to an occupied cell of the true map, along the
+    bag's true path; None where the robot or the map is not known.
+
+    The map holds what crosses the lidar plane only: the clearance that counts low things is at most this.
+    """
+    name, grid = stage.fact("robot"), stage.true_map
+    if name is None or grid is None:
+        return None
+    try:
+        footprint = load_robot(name).model.footprint
+    except InputError:
+        return None
+    corners = np.concatenate([footprint, footprint[:1]])
+    share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
+    outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)
+    poses = read_poses(stage.folder / "bag", "/ground_truth/odom").poses[::3]
+    cells = grid.cell_of(poses[:, None] @ outline)
+    cells = np.clip(cells, 0, np.array(grid.shape) - 1)
+    room = ndimage.distance_transform_edt(~occupied(grid)) * grid.resolution
+    return float(room[cells[..., 0], cells[..., 1]].min())
+
+
+def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
+    reported, grid = stage.metrics.get("min_clearance_m"), stage.true_map
+    room = clearance_on_map(stage)
+    if room is None or grid is None or not isinstance(reported, (int, float)):
+        return
+    if reported > room + 2.0 * grid.resolution:
+        found.problems.append(
+            f"{name}:min_clearance_m: reported {reported:.3f}, but the true map leaves only {room:.3f} m"
+        )
 
 
 def _check_page(page: Path, found: Verification) -> None:

@@ -180,21 +180,23 @@ RUN = (
         "collisions.visible",
         "collisions with visible things",
         "count",
-        "Episodes of contact with something that crosses the lidar plane.",
+        "Episodes of contact with something that crosses the lidar plane. Counted by the simulator as the "
+        "run was made (runlog.csv): a bag holds no contacts.",
         _LOG,
     ),
     Spec(
         "collisions.low",
         "contacts with low things",
         "count",
-        "Episodes of contact with something below the lidar plane.",
+        "Episodes of contact with something below the lidar plane, by the simulator's run log too.",
         _LOG,
     ),
     Spec(
         "min_clearance_m",
         "least clearance",
         "cm",
-        "Footprint to the nearest surface up to the robot's height, at the worst moment.",
+        "Footprint to the nearest surface up to the robot's height, at the worst moment, by the simulator's "
+        "run log; verify checks that the true path on the true map leaves no less room than that.",
         _LOG,
     ),
     Spec(

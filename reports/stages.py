@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import BaseModel
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
@@ -19,6 +20,7 @@ from datasets.outputs import sha256_file
 from datasets.runlog import RunLog
 from datasets.trajectories import load_tum, stamp_text
 from datasets.types import Trajectory
+from datasets.yaml_files import checked
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}
@@ -181,10 +183,30 @@ def _manifest(folder: Path) -> dict[str, Any]:
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is no finished output of any stage")
-    manifest = read_json(path)
-    if not isinstance(manifest.get("stage"), str):
-        raise InputError(f"{path}: does not name its stage")
-    return manifest
+    return read_manifest(path)
+
+
+class _Input(BaseModel):
+    path: str
+    sha256: dict[str, str]
+
+
+class _Manifest(BaseModel):
+    """What reports read of a manifest; whatever else it holds is not looked at."""
+
+    stage: str
+    command: list[str] = []
+    seed: int | None = None
+    inputs: dict[str, _Input] = {}
+    outputs: dict[str, str] = {}
+    folders: dict[str, str] = {}
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """A manifest.json as it stands; InputError names the first part that is not of its kind."""
+    data = read_json(path)
+    checked(_Manifest, data, where=str(path))
+    return data
 
 
 def group_stages(stages: Sequence[Stage]) -> list[Group]:

@@ -3,12 +3,15 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
 
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
+from datasets.runlog import RunLog
 from pipeline.cli import main
 from pipeline.report import make_report
 from pipeline.verify import page_numbers, verify
@@ -172,3 +175,13 @@ def test_loops_are_read_from_their_record(tmp_path):
     (tmp_path / "graph.json").write_text('{"loops": [{"i": 5}]}')
     with pytest.raises(InputError):
         read_loops(tmp_path / "graph.json")
+
+
+def test_a_clearance_the_true_map_does_not_leave_is_named(tree):
+    log = RunLog.load(tree / "run/runlog.csv")
+    replace(log, clearance_m=np.full(len(log), 5.0)).save(tree / "run/runlog.csv")
+    rehash(tree / "run", "runlog.csv")
+    edit_metrics(tree / "run", lambda m: m.update(min_clearance_m=5.0))
+    edit_metrics(tree / "report", lambda m: m["room"]["patrol"].update(min_clearance_m=5.0))
+    problems = verify(tree / "report").problems
+    assert any("room/patrol:min_clearance_m: reported 5.000, but the true map" in text for text in problems)
