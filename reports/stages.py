@@ -78,7 +78,11 @@ class Stage:
     def metrics(self) -> dict[str, Any]:
         """Its metrics.json, empty for stages that write none."""
         path = self.folder / "metrics.json"
-        return dict(read_json(path)) if path.is_file() else {}
+        if not path.is_file():
+            return {}
+        data = read_json(path)
+        checked(_Metrics, data, where=str(path))
+        return data
 
     def fact(self, name: str) -> str | None:
         """World, robot, task or teleop: from the manifest, the config or the command line."""
@@ -189,6 +193,12 @@ def _manifest(folder: Path) -> dict[str, Any]:
 class _Input(BaseModel):
     path: str
     sha256: dict[str, str]
+
+
+class _Metrics(BaseModel):
+    """The part of a metrics.json that is more than numbers by name."""
+
+    goals: list[dict[str, Any]] | None = None
 
 
 class _Manifest(BaseModel):

@@ -37,7 +37,7 @@ def load_sdf(path: Path) -> tuple[str, list[Solid]]:
     top = world if world is not None else root
     solids: list[Solid] = []
     reader = _Reader(path)
-    for number, (name, transform, collision) in enumerate(reader.collisions(top, _state_poses(world))):
+    for number, (name, transform, collision) in enumerate(reader.collisions(top, reader.state_poses(world))):
         solids += reader.solid(f"{name}_{number}", transform, collision)
     return str(top.get("name") or path.stem), solids
 
@@ -52,17 +52,6 @@ def _parse(path: Path) -> ET.Element:
     if root.tag not in ("sdf", "gazebo", "world", "model"):
         raise InputError(f"{path}: not an SDF file (its root is <{root.tag}>)")
     return root
-
-
-def _state_poses(world: ET.Element | None) -> dict[str, Array]:
-    """Poses that a saved `<state>` gives to the world's models."""
-    if world is None:
-        return {}
-    return {
-        str(model.get("name")): pose_matrix(model.findtext("pose"))
-        for model in world.findall("state/model")
-        if model.find("pose") is not None
-    }
 
 
 def pose_matrix(text: str | None) -> Array:
@@ -116,6 +105,13 @@ class _Reader:
                 placed = transform @ self._pose(link) @ self._pose(collision)
                 yield str(model.get("name")), placed, collision
         yield from self.collisions(model, {}, transform, depth + 1)
+
+    def state_poses(self, world: ET.Element | None) -> dict[str, Array]:
+        """Poses that a saved `<state>` gives to the world's models."""
+        models = [] if world is None else world.findall("state/model")
+        return {
+            str(model.get("name")): self._pose(model) for model in models if model.find("pose") is not None
+        }
 
     def _pose(self, element: ET.Element) -> Array:
         try:

@@ -1,9 +1,11 @@
 """Broken inputs to every command: exit 0, 1 or 2, one line of complaint, and nothing left behind."""
 
+import json
 import random
+import shutil
 
 import pytest
-from fuzz_cases import CASES, ROOM, make_chain
+from fuzz_cases import CASES, ROOM, SDF, make_chain
 from fuzz_inputs import attempt, outcome, with_output
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -124,3 +126,35 @@ def test_a_waypoint_of_numbers_beyond_floats_is_rejected_alone():
     )
     assert "not a finite number" in found.waypoints[0].reason
     assert found.waypoints[1].T_map_goal.xyt == pytest.approx([1.0, 2.0, 1.5707963267948966])
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "value"),
+    [
+        ("manifest.json", "inputs", {"run/navigate": ["x"]}),
+        ("manifest.json", "folders", {"run/navigate": [1]}),
+        ("manifest.json", "outputs", ["index.html"]),
+    ],
+)
+def test_verify_refuses_a_report_whose_manifest_is_of_another_make(chain, tmp_path, file, key, value):
+    shutil.copytree(chain / "report", tmp_path / "report")
+    path = tmp_path / "report" / file
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    code, said = outcome(["verify", tmp_path / "report"])
+    assert (code, said.count("\n")) == (2, 1)
+    assert key in said
+
+
+def test_report_refuses_goals_that_are_none(chain, tmp_path):
+    shutil.copytree(chain / "run", tmp_path / "run")
+    path = tmp_path / "run" / "metrics.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "goals": [True]}))
+    code, said = outcome(["report", tmp_path / "run", "--out", tmp_path / "out"])
+    assert (code, said.count("\n")) == (2, 1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_saved_state_with_half_a_pose_is_refused_by_name(tmp_path):
+    (tmp_path / "w.world").write_text(SDF.replace("<pose>1 1 0.25 0 0 0</pose>", "<pose>1 1 0.25 0 0</pose>"))
+    with pytest.raises(InputError, match=r"model a: pose '1 1 0.25 0 0' is not six finite numbers"):
+        load_world(str(tmp_path / "w.world"))

@@ -33,7 +33,7 @@ def seed(text: str) -> int:
 
 
 def pose(text: str, option: str) -> SE2:
-    """`X,Y,YAW`, all finite; InputError names the option."""
+    """`X,Y,YAW`, all finite and none astronomic; InputError names the option."""
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]
@@ -44,4 +44,6 @@ def pose(text: str, option: str) -> SE2:
     for name, value in zip(("x", "y", "yaw"), values, strict=True):
         if not math.isfinite(value):
             raise InputError(f"{option} {text}: {name} is not a finite number")
+        if abs(value) > 1e9:
+            raise InputError(f"{option} {text}: {name} is larger than any map")
     return SE2.from_xyt(*values)
