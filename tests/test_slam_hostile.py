@@ -23,6 +23,7 @@ from benchmarks.slam_scores import score
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.pose_graph import Constraint, optimise
 from pipeline.slam.refine import refine
+from pipeline.slam.selfcheck import contradicted_keys
 from pipeline.slam.slam import SlamConfig, SlamResult, run_slam, step_constraints
 
 WHEELS = Wheels(0.02, -0.03, 0.003)
@@ -109,6 +110,18 @@ def test_featureless_corridor_of_thirty_metres_is_as_long_as_the_wheels_say():
 def test_corridor_seen_by_the_lidar_alone_is_called_doubtful():
     recording = hall(2, tours=1, period=0.4).recording
     assert not run_slam(replace(recording, T_odom_base=None), SlamConfig()).check.good
+
+
+def test_corridor_walked_while_the_wheels_run_backwards_is_right_or_called_doubtful():
+    log = hall(1, lies=(Lie("reverse", 25.0, 5.0),), tours=1, period=0.4)
+    result = mapped(log)
+    assert not result.check.good or score(result.trajectory.poses, log.truth).folded == 0.0
+
+
+def test_few_contradicted_scans_of_many_are_noticed():
+    pairs = np.array([[0, 5], [0, 6], [0, 7], [1, 5], [1, 6], [2, 7]])
+    share = np.array([0.6, 0.5, 0.1, 0.6, 0.1, 0.0])
+    np.testing.assert_array_equal(contradicted_keys(pairs, share, 0.35), [0, 5])
 
 
 def test_false_loop_forced_into_the_graph_is_overruled():

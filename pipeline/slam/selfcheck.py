@@ -35,6 +35,9 @@ class SelfCheckConfig(BaseModel):
         default=0.35, gt=0.0, description="share of denied points that marks a place"
     )
     max_bad_places: float = Field(default=0.05, gt=0.0, description="share of such places")
+    min_contradicted: int = Field(
+        default=5, gt=0, description="key scans that most of their revisits deny, to doubt a map"
+    )
     min_overlap: float = Field(default=0.3, gt=0.0, description="of a scan with its references, not lost")
     max_lost: float = Field(default=0.02, gt=0.0, description="share of lost scans")
 
@@ -71,17 +74,23 @@ class SelfCheck:
 def check_map(clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckConfig) -> SelfCheck:
     """Check a finished map."""
     pairs = _revisits(T_map_keys, config)
-    share = denied_shares(
-        clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt, pairs,
-        config.wall_m, config.through_m,
-    )  # fmt: skip
+    # Either visit may be the one that saw through the other's walls.
+    both_ways = [
+        denied_shares(
+            clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt, way,
+            config.wall_m, config.through_m,
+        )
+        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
+    ]  # fmt: skip
+    share = np.fmax(*both_ways)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
     bad = float(np.mean(share > config.max_bad_place)) if len(share) else 0.0
     lost = np.flatnonzero(track.usable & (track.overlap < config.min_overlap))
     reasons = []
-    if mean > config.max_denied or bad > config.max_bad_places:
+    alone = contradicted_keys(pairs, share, config.max_bad_place)
+    if mean > config.max_denied or bad > config.max_bad_places or len(alone) >= config.min_contradicted:
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
@@ -104,6 +113,15 @@ def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return np.asarray(pairs[:: max(1, len(pairs) // 4000)], dtype=np.int64)
+
+
+def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
+    """Keys denied (by more than `limit`) in more than half of their revisits: however few of a long log,
+    they lie where they cannot be."""
+    n = int(pairs.max()) + 1 if len(pairs) else 0
+    visits = np.bincount(pairs.ravel(), minlength=n)
+    denials = np.bincount(pairs[share > limit].ravel(), minlength=n)
+    return np.flatnonzero(2 * denials > visits)
 
 
 def _longest_blind(track: Track) -> tuple[int, int] | None:
