@@ -1,0 +1,236 @@
+"""Stages killed at random moments and started again; stages that cannot write what they should.
+
+python -m benchmarks.kills [--count 100] [--quick] [--seed 0] [--out DIR]
+
+A small chain of record, map, navigate and report is made once undisturbed. Then each stage is killed
+with SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
+finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
+disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
+with exit 2, one line, and nothing left behind. Every stage runs in a process of its own, forked after
+the imports, so that the moments fall into the stage's work and not into its start.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import ctypes
+import importlib
+import os
+import pkgutil
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from datasets.outputs import sha256_tree
+from pipeline.cli import main as turtlebag
+
+SHARES = {"record": 0.4, "map": 0.3, "navigate": 0.2, "report": 0.1}
+"""Of the kills; the cheap stages get more."""
+TELEOP = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.2, -0.55]]}\n"
+WAYPOINTS = "waypoints:\n  - {x: -1.8, y: -0.5, yaw: 0.0}\n"
+
+
+def load_everything() -> None:
+    """Import every module once, for the forks to find it loaded."""
+    for name in ("datasets", "sim", "planners", "reports", "pipeline"):
+        package = importlib.import_module(name)
+        for module in pkgutil.walk_packages(package.__path__, f"{name}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+
+
+def commands(chain: Path) -> dict[str, list[str]]:
+    """The stages in order, each reading its inputs from `chain`; `--out` is for the caller to add."""
+    world = ["--world", "turtlebot3_world", "--seed", "3"]
+    built = str(chain / "map" / "map.yaml")
+    patrol = ["--task", "patrol", "--waypoints", str(chain / "one.yaml"), "--timeout", "30"]
+    stages = [str(chain / name) for name in ("record", "map", "navigate")]
+    return {
+        "record": ["record", "-q", *world, "--teleop", str(chain / "short.yaml")],
+        "map": ["map", "-q", stages[0], "--truth", str(chain / "record" / "truth")],
+        "navigate": ["navigate", "-q", *world, *patrol, "--map", built, "--initial-pose", "start"],
+        "report": ["report", "-q", *stages],
+    }
+
+
+def start(words: list[str], errors: Path, before: Callable[[], object] = lambda: None) -> int:
+    """Fork a process (and group) that runs the command line with stderr in a file; returns its pid."""
+    sys.stdout.flush()
+    pid = os.fork()
+    if pid == 0:
+        code = 70
+        try:
+            os.setsid()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+            before()
+            code = turtlebag(words)
+        except BaseException as error:
+            os.write(2, f"{type(error).__name__}: {error}\n".encode())
+        finally:
+            os._exit(code)
+    return pid
+
+
+def finish(pid: int) -> int:
+    """Exit code of a child, or minus the signal that ended it."""
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def undisturbed(chain: Path) -> dict[str, float]:
+    """Make the chain; seconds each stage takes, measured on a second run of it."""
+    (chain / "short.yaml").write_text(TELEOP)
+    (chain / "one.yaml").write_text(WAYPOINTS)
+    took = {}
+    for stage, words in commands(chain).items():
+        for out in (chain / stage, chain / f"{stage}.again"):
+            begun = time.perf_counter()
+            code = finish(start([*words, "--out", str(out)], chain / "stderr"))
+            if code != 0:
+                raise SystemExit(f"{stage}: exit {code}: {(chain / 'stderr').read_text().strip()}")
+            took[stage] = time.perf_counter() - begun
+        if sha256_tree(chain / stage) != sha256_tree(chain / f"{stage}.again"):
+            raise SystemExit(f"{stage}: two undisturbed runs differ")
+    return took
+
+
+def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
+    """Outcome of a stage killed after `after_s` seconds and started again."""
+    out, errors = folder / "out", folder / "stderr"
+    words = [*commands(chain)[stage], "--out", str(out)]
+    pid = start(words, errors)
+    time.sleep(after_s)
+    os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
+    code = finish(pid)
+    if code != -signal.SIGKILL:
+        return "finished before the kill" if code == 0 else f"BAD: exit {code} undisturbed"
+    whole = out.exists()
+    if not whole:
+        code = finish(start(words, errors))
+        if code != 0:
+            return f"BAD: exit {code} when started again: {errors.read_text().strip()}"
+    different = dict(sha256_tree(out).items() ^ sha256_tree(chain / stage).items())
+    if different:
+        return f"BAD: other bytes than undisturbed: {', '.join(sorted(different))}"
+    left = {path.name for path in folder.iterdir()} - {"out", "stderr", "out.unfinished"}
+    if left:
+        return f"BAD: left behind {', '.join(sorted(left))}"
+    return "killed after the last step, whole" if whole else "killed, started again: same bytes"
+
+
+def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> list[tuple[str, str, str]]:
+    """(stage, moment [s], outcome) of `count` real kills; runs that were quicker than the kill are extra."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for stage, share in SHARES.items():
+        wanted = max(1, round(count * share))
+        while wanted:
+            after_s = float(rng.uniform(0.0, took[stage]))
+            with tempfile.TemporaryDirectory() as name:
+                outcome = one_kill(chain, stage, after_s, Path(name))
+            rows.append((stage, f"{after_s:.3f}", outcome))
+            if outcome == "finished before the kill":
+                took[stage] *= 0.95  # the machine is less busy than it was
+            else:
+                wanted -= 1
+    return rows
+
+
+def hindered(chain: Path, stage: str, words: list[str], before: Callable[[], object], parent: Path) -> str:
+    """Outcome of a stage that cannot write below `parent`."""
+    errors = chain / "stderr"
+    present = set(parent.iterdir())
+    code = finish(start([*words, "--out", str(parent / "out")], errors, before))
+    said = errors.read_text().strip()
+    left = {path.name for path in set(parent.iterdir()) - present}
+    if code != 2 or "\n" in said or not said.startswith("turtlebag: "):
+        return f"BAD: exit {code}: {said[-200:]}"
+    return f"BAD: left behind {', '.join(sorted(left))}" if left else f"exit 2: {said}"
+
+
+def mounted(folder: Path, options: str) -> bool:
+    """Whether a tmpfs could be mounted there."""
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    return subprocess.run(command, capture_output=True).returncode == 0
+
+
+def no_files_beyond(size: int) -> None:
+    """Files of this process may not grow beyond `size` bytes; writing more is an error, not a signal."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def without_privileges() -> None:
+    """Give up root's right to write where permissions forbid it (Linux capset of nothing)."""
+    header = struct.pack("=Ii", 0x20080522, 0)
+    if os.getuid() == 0 and ctypes.CDLL(None, use_errno=True).capset(header, bytes(24)) != 0:
+        raise OSError(ctypes.get_errno(), "capset")
+
+
+def hindrances(chain: Path) -> list[tuple[str, str, str]]:
+    """(stage, hindrance, outcome) of every stage with every hindrance."""
+    rows = []
+    for stage, words in commands(chain).items():
+        for what in ("disk full", "file size limit", "read-only", "no permission"):
+            with tempfile.TemporaryDirectory() as name:
+                parent = Path(name)
+                rows.append((stage, what, one_hindrance(chain, stage, words, what, parent)))
+    return rows
+
+
+def one_hindrance(chain: Path, stage: str, words: list[str], what: str, parent: Path) -> str:
+    """Outcome of one stage with one hindrance, or why it could not be tried."""
+    if what == "file size limit":
+        return hindered(chain, stage, words, lambda: no_files_beyond(8192), parent)
+    if what == "no permission":
+        parent.chmod(0o555)
+        return hindered(chain, stage, words, without_privileges, parent)
+    if not mounted(parent, "size=8k" if what == "disk full" else "ro"):
+        return "not tried: no tmpfs can be mounted here"
+    try:
+        return hindered(chain, stage, words, lambda: None, parent)
+    finally:
+        subprocess.run(["umount", str(parent)], check=True)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--quick", action="store_true", help="10 kills")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
+    args = parser.parse_args()
+    load_everything()
+    with tempfile.TemporaryDirectory() as name:
+        chain = Path(name)
+        took = undisturbed(chain)
+        print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
+        rows = kills(chain, took, 10 if args.quick else args.count, args.seed)
+        rows += hindrances(chain)
+        for again in chain.glob("*.again"):
+            shutil.rmtree(again)
+    counts = Counter((stage, outcome) for stage, _, outcome in rows if not outcome.startswith("exit 2"))
+    for (stage, outcome), n in counts.items():
+        print(f"{n:5}  {stage:9} {outcome}")
+    for stage, what, outcome in rows:
+        if outcome.startswith("exit 2"):
+            print(f"{stage:9} {what:15} {outcome}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    with (args.out / "kills.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([("stage", "after_s_or_hindrance", "outcome"), *rows])
+    return int(any(outcome.startswith("BAD") for _, _, outcome in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
