@@ -129,7 +129,8 @@ def barn(runs: int) -> Iterator[Case]:
     """The BARN worlds found in TURTLEBAG_DATA/barn, mapless; none when there are none."""
     folder = Path(os.environ.get("TURTLEBAG_DATA", "")) / "barn"
     robot = load_robot("jackal")
-    checker = GoalCheckerConfig(xy_goal_tolerance=0.95, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
+    # The robot stops by its drifting odometry, the challenge judges by the truth: leave room between.
+    checker = GoalCheckerConfig(xy_goal_tolerance=0.75, yaw_goal_tolerance=math.pi, stop=False, hold=0.0)
     config = NavigateConfig(goal_checker=checker)
     start = SE2.from_xyt(-2.25, 3.0, math.pi / 2.0)
     goal = SE2.from_xyt(-2.25, 13.0, math.pi / 2.0)
@@ -147,9 +148,10 @@ def barn(runs: int) -> Iterator[Case]:
 
 def _barn_score(best: float) -> Callable[[dict], float]:
     def score(metrics: dict) -> float:
-        """Success times OT over AT cut to 2 OT .. 8 OT (the challenge's formula)."""
-        taken = metrics["goals"][0]["time_s"]
-        return float(metrics["success"]) * best / min(max(taken, 2.0 * best), 8.0 * best)
+        """Success (truly within 1 m) times OT over AT cut to 2 OT .. 8 OT (the challenge's formula)."""
+        taken, error = metrics["goals"][0]["time_s"], metrics["goals"][0]["error_m"]
+        arrived = metrics["success"] and error is not None and error <= 1.0
+        return float(arrived) * best / min(max(taken, 2.0 * best), 8.0 * best)
 
     return score
 
