@@ -72,6 +72,10 @@ class Simulator:
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
     ) -> None:
         self.world, self.robot, self.config, self.seed = world, robot, config or SimConfig(), seed
+        if robot.lidar3d is not None and world.movers:
+            raise InputError(
+                f"{world.name}: the 3D lidar of {robot.name} does not see movers; use another robot"
+            )
         self._solids = world.shapes
         self._standing = self._touchable = world.touchable(robot.height)
         everything = [*self._solids, *(mover.solid for mover in world.movers)]

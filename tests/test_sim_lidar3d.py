@@ -1,5 +1,7 @@
 """The 3D lidar: sides, tops, undersides and the floor; as the planar one at its height; in the bag."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,11 @@ from pipeline.record import record
 from sim.bullet import bullet
 from sim.lidar import Lidar, LidarConfig
 from sim.lidar3d import Lidar3d
+from sim.movers import Mover
 from sim.physics import Physics, PhysicsConfig
 from sim.robots import load_robot
 from sim.shapes import ball, box, cylinder
+from sim.simulator import Simulator
 from sim.worlds import load_world
 
 ROBOT = load_robot("waffle_pi_3d")
@@ -106,3 +110,11 @@ def test_a_recording_holds_clouds_with_times_in_their_own_frame(tmp_path):
 def test_balls_are_refused_with_a_reason():
     with pytest.raises(InputError, match="3D lidar"):
         sensor([ball("b", (0.0, 0.0, 0.5), 0.5), cylinder("c", (1.0, 0.0), 0.1, (0.0, 1.0))])
+
+
+def test_a_world_with_movers_is_refused_rather_than_seen_through():
+    person = Mover(
+        solid=cylinder("person", (0.0, 0.0), 0.2, (0.0, 1.0)), path=np.array([[1.0, 0.0]]), speed=0.3
+    )
+    with pytest.raises(InputError, match="does not see movers"):
+        Simulator(dataclasses.replace(load_world("empty"), movers=(person,)), load_robot("waffle_pi_3d"))

@@ -7,7 +7,6 @@ footprint; the admissible one that gets nearest to the goal along the floor, and
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -17,7 +16,7 @@ from scipy import ndimage
 
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel, Twist
-from planners.control.interface import SpeedLimits, ramped
+from planners.control.interface import Ramped, ramped
 from planners.control.monitor import moved
 from planners.control.pursuit import Pursuit, PursuitConfig
 from planners.costmap import Costmap
@@ -54,19 +53,18 @@ class DwaConfig(BaseModel):
     """From here on the goal's pose is settled on as pure pursuit does."""
 
 
-class Dwa:
+class Dwa(Ramped):
     """A controller (see planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, pursuit: PursuitConfig, period: float) -> None:
         self.config = config
-        self.limits = SpeedLimits.of(
+        super().__init__(
             model,
             period,
             max_v=config.max_v,
             max_w=config.max_w,
-            max_dv=config.acceleration_share * model.max_dv,
+            acceleration_share=config.acceleration_share,
         )
-        self.hardest = replace(self.limits, max_dv=model.max_dv)
         self.samples = sample_footprint(model, 0.05)
         self.state = "idle"
         self._settler = Pursuit(model, pursuit, period)
@@ -81,14 +79,6 @@ class Dwa:
         self._costmap = None
         self._settler.set_path(poses)
         self.state = "follow"
-
-    def ramp(self, target: Twist, last: Twist) -> Twist:
-        """As near to a target as the acceleration limits allow in one period."""
-        return ramped(target, last, self.limits)
-
-    def brake(self, last: Twist) -> Twist:
-        """The next command on the way to a standstill, as hard as the robot itself may brake."""
-        return ramped(Twist(), last, self.hardest)
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         """The next command: the best arc, or the settling on the goal."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from datasets.se2 import SE2
@@ -64,3 +64,26 @@ def ramped(target: Twist, last: Twist, limits: SpeedLimits) -> Twist:
         wanted_w = target.w * min(1.0, v / target.v)
     w = min(max(wanted_w, last.w - dw), last.w + dw)
     return Twist(v, min(max(w, -limits.max_w), limits.max_w))
+
+
+class Ramped:
+    """What controllers share: the robot's limits, narrowed by their configuration, on every command.
+
+    `acceleration_share` is the part of the robot's own acceleration for driving; braking may use all.
+    """
+
+    def __init__(
+        self, model: RobotModel, period: float, *, max_v: float, max_w: float, acceleration_share: float
+    ) -> None:
+        self.limits = SpeedLimits.of(
+            model, period, max_v=max_v, max_w=max_w, max_dv=acceleration_share * model.max_dv
+        )
+        self.hardest = replace(self.limits, max_dv=model.max_dv)
+
+    def ramp(self, target: Twist, last: Twist) -> Twist:
+        """As near to a target as the acceleration limits allow in one period."""
+        return ramped(target, last, self.limits)
+
+    def brake(self, last: Twist) -> Twist:
+        """The next command on the way to a standstill, as hard as the robot itself may brake."""
+        return ramped(Twist(), last, self.hardest)

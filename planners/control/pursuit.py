@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2
 from datasets.types import RobotModel, Twist
-from planners.control.interface import SpeedLimits, ramped
+from planners.control.interface import Ramped, ramped
 from planners.control.profile import braked, curvature_along
 from planners.control.tracking import arc_lengths, point_at, project
 from planners.costmap import Costmap
@@ -49,19 +48,18 @@ class PursuitConfig(BaseModel):
     heading: float = Field(default=0.012, gt=0.0)
 
 
-class Pursuit:
+class Pursuit(Ramped):
     """A controller (see planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: PursuitConfig, period: float) -> None:
         self.config = config
-        self.limits = SpeedLimits.of(
+        super().__init__(
             model,
             period,
             max_v=config.max_v,
             max_w=config.max_w,
-            max_dv=config.acceleration_share * model.max_dv,
+            acceleration_share=config.acceleration_share,
         )
-        self.hardest = replace(self.limits, max_dv=model.max_dv)
         self.samples = sample_footprint(model, 0.03)
         self.state = "idle"
         self._points = np.zeros((0, 2))
@@ -98,14 +96,6 @@ class Pursuit:
         else:
             target = self._onto_goal(x, y, yaw, last)
         return ramped(target, last, self.limits)
-
-    def ramp(self, target: Twist, last: Twist) -> Twist:
-        """As near to a target as the acceleration limits allow in one period."""
-        return ramped(target, last, self.limits)
-
-    def brake(self, last: Twist) -> Twist:
-        """The next command on the way to a standstill, as hard as the robot itself may brake."""
-        return ramped(Twist(), last, self.hardest)
 
     def remaining(self) -> float:
         """Length of the path still ahead [m]."""
