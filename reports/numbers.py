@@ -14,6 +14,7 @@ DASH = "\u2013"
 DISPLAY = {
     "cm": (100.0, "cm", 2),
     "m": (1.0, "m", 2),
+    "m2": (1.0, "m²", 1),
     "m4": (1.0, "m", 4),
     "cm/m": (100.0, "cm/m", 2),
     "deg": (180.0 / math.pi, "°", 2),
@@ -175,6 +176,20 @@ _LOG = ("runlog.csv",)
 RUN = (
     Spec("time_s", "time", "s", "Simulated time of the run.", BAG, ("/ground_truth/odom",)),
     Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, ("/ground_truth/odom",)),
+    Spec(
+        "area.seen_m2",
+        "floor seen",
+        "m2",
+        "True free floor in line of sight of the lidar, within its range, at one of the true poses.",
+        (*TRUTH_IN, "truth/map.yaml"),
+    ),
+    Spec(
+        "area.share",
+        "floor seen, of what can be seen",
+        "percent",
+        "Of the floor in such a line from anywhere the robot can get to.",
+        (*TRUTH_IN, "truth/map.yaml"),
+    ),
     Spec("goals_reached", "goals reached", "count", "Goals the goal checker accepted in time.", BAG),
     Spec(
         "collisions.visible",

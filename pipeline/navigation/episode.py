@@ -14,6 +14,7 @@ from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from pipeline.navigation.setup import MAX_SIMULATED_S, Mission, make_driver
 from pipeline.record import static_transforms
+from reports.metrics.area import area_metrics
 from reports.metrics.map import map_metrics
 from sim.simulator import Simulator
 
@@ -56,7 +57,15 @@ def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str],
         None if localiser is None else estimate,
     )
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
-    if grid is not None:
-        true_grid = simulator.world.rasterize(mission.robot.lidar_height, grid.resolution)
-        metrics["map"] = map_metrics(grid, true_grid)
+    if mission.request.task in ("avoid", "explore"):
+        metrics |= _floor_metrics(simulator, truth, grid)
     return Episode(metrics, log, truth, estimate, grid)
+
+
+def _floor_metrics(simulator: Simulator, truth: Trajectory, grid: OccupancyGrid | None) -> dict[str, Any]:
+    """How much of the floor was seen, and how good the map is that was made of it, if one was."""
+    robot = simulator.robot
+    true_grid = simulator.world.rasterize(robot.lidar_height, 0.05 if grid is None else grid.resolution)
+    reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
+    found = {"area": area_metrics(true_grid, truth.poses, robot.T_base_lidar, reach, radius)}
+    return found if grid is None else found | {"map": map_metrics(grid, true_grid)}
