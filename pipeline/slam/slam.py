@@ -45,6 +45,9 @@ class SlamConfig(BaseModel):
     usable_range_m: float = Field(
         default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
     )
+    deskew: bool = Field(
+        default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
+    )
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
     refine: RefineConfig = RefineConfig()
@@ -152,6 +155,8 @@ def _joined(a: _Session, b: _Session, config: SlamConfig, progress: Progress) ->
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
     """The recording and settings cut down to the witnesses asked for."""
+    if not config.deskew:
+        recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar":
         return replace(recording, T_odom_base=None, odometry=None), config
     if config.sensors == "odometry":
