@@ -26,6 +26,9 @@ class NoBag:
     def command(self, stamp_ns: int, twist: Twist) -> None:
         """Forgotten."""
 
+    def owner(self, stamp_ns: int, owner: str) -> None:
+        """Forgotten."""
+
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
         """Forgotten."""
 

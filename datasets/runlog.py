@@ -27,7 +27,9 @@ _NUMBERS = (
     "cmd_w",
     "clearance_m",
 )
-COLUMNS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state")
+_BEFORE_OWNERS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state")
+COLUMNS = (*_BEFORE_OWNERS, "owner")
+OWNER = "navigation"
 _NOWHERE = (float("nan"),) * 3
 
 
@@ -36,7 +38,8 @@ class RunLog:
     """Columns of a run, each (n,): poses in m and rad, the command of the tick in m/s and rad/s.
 
     `T_map_base` is the estimate, NaN while the robot does not know where it is; `goal_index` is -1
-    without a goal; `state` is the driver's own word for what it was doing.
+    without a goal; `state` is the driver's own word for what it was doing; `owner` says whose the command
+    was: `navigation` or, in a takeover, `teleop`.
     """
 
     t_ns: Stamps
@@ -50,6 +53,7 @@ class RunLog:
     contact_low: NDArray[np.bool_]
     goal_index: NDArray[np.int64]
     state: list[str]
+    owner: list[str]
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -64,7 +68,9 @@ class RunLog:
             for k, row in enumerate(numbers):
                 texts = ["" if value != value else f"{value:.6f}" for value in row]
                 flags = (int(self.contact_visible[k]), int(self.contact_low[k]))
-                writer.writerow([int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k]])
+                writer.writerow(
+                    [int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k], self.owner[k]]
+                )
 
     @staticmethod
     def load(path: Path) -> RunLog:
@@ -74,15 +80,17 @@ class RunLog:
         builder = RunLogBuilder()
         with path.open(newline="") as file:
             rows = csv.reader(file)
-            if tuple(next(rows, ())) != COLUMNS:
+            header = tuple(next(rows, ()))
+            if header not in (COLUMNS, _BEFORE_OWNERS):
                 raise InputError(f"{path}: not a run log (its first line is not the expected header)")
             for number, row in enumerate(rows, start=2):
                 try:
-                    visible, low, goal, state = row[13:]
+                    visible, low, goal, state, owner = row[13:] if header == COLUMNS else [*row[13:], OWNER]
                     builder.stamps.append(int(row[0]))
                     builder.numbers.append([float(text) if text else float("nan") for text in row[1:13]])
                     builder.flags.append((bool(int(visible)), bool(int(low)), int(goal)))
                     builder.states.append(state)
+                    builder.owners.append(owner)
                 except ValueError:
                     raise InputError(f"{path}, line {number}: not a row of a run log") from None
         return builder.build()
@@ -96,6 +104,7 @@ class RunLogBuilder:
         self.numbers: list[list[float]] = []
         self.flags: list[tuple[bool, bool, int]] = []
         self.states: list[str] = []
+        self.owners: list[str] = []
 
     def append(
         self,
@@ -110,6 +119,7 @@ class RunLogBuilder:
         contact_low: bool,
         goal_index: int,
         state: str,
+        owner: str = OWNER,
     ) -> None:
         """Add the row of one control tick."""
         estimate = _NOWHERE if T_map_base is None else T_map_base.xyt.tolist()
@@ -126,6 +136,7 @@ class RunLogBuilder:
         )
         self.flags.append((contact_visible, contact_low, goal_index))
         self.states.append(state)
+        self.owners.append(owner)
 
     def build(self) -> RunLog:
         """The log of all rows so far."""
@@ -143,4 +154,5 @@ class RunLogBuilder:
             contact_low=flags[:, 1].astype(bool),
             goal_index=flags[:, 2],
             state=list(self.states),
+            owner=list(self.owners),
         )

@@ -107,6 +107,39 @@ def keyboard_driver(
         yield Twist()
 
 
+class TakeoverKeys:
+    """Takeovers by keyboard (see pipeline.navigation.takeover): any driving key begins one."""
+
+    TABLE = TABLES["keys"].replace("end the recording", "hand back") + "\n  (any of them but Q takes over)"
+
+    def __init__(
+        self,
+        limits: Limits,
+        read_keys: Callable[[], str],
+        wait: Callable[[int], None],
+        write: Callable[[str], None],
+    ) -> None:
+        self._limits, self._read_keys, self._wait, self._write = limits, read_keys, wait, write
+        self._keys: KeyState | None = None
+        self._step = 0
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """What the keys ask for at this tick; None while navigation drives."""
+        self._wait(self._step)
+        for key in self._read_keys().lower():
+            if key in "q\n\r\x04":
+                self._keys = None
+            elif key in "wasdx ":
+                self._keys = self._keys or KeyState(self._limits, "keys")
+                self._keys.press(key)
+        wanted = None if self._keys is None else self._keys.command
+        if self._step % VIEW_EVERY == 0:
+            whose = "navigation" if wanted is None else f"teleop {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s"
+            self._write(f"\r{stamp_ns * 1e-9:7.1f} s   cmd_vel: {whose}\x1b[K")
+        self._step += 1
+        return wanted
+
+
 class View:
     """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone."""
 

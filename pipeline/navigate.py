@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from pipeline.config import config_text
 from pipeline.console import log
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
-from pipeline.navigation.setup import Request, prepare
+from pipeline.navigation.setup import Mission, Request, prepare
+from pipeline.navigation.takeover import Source, script_text
 from sim.robots import load_robot
 from sim.simulator import Simulator
 from sim.worlds import load_world
@@ -52,13 +54,15 @@ def navigate(
         Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
         staged_output(out, force=force) as folder,
     ):
-        with BagWriter(folder / "bag", custom=custom) as bag:
-            episode = drive(simulator, mission, bag, say or _print)
+        with BagWriter(folder / "bag", custom=custom) as bag, _takeovers(mission) as takeovers:
+            episode = drive(simulator, mission, bag, say or _print, takeovers)
         metrics, loop_s = episode.metrics, watch.seconds()
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
         if episode.grid is not None:
             save_map(episode.grid, folder)
+        if episode.asked:
+            (folder / "takeover.yaml").write_text(script_text(episode.asked))
         _save_truth(episode, simulator, folder / "truth")
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(text)
@@ -81,6 +85,20 @@ def navigate(
     return 0 if metrics["success"] else 1
 
 
+@contextmanager
+def _takeovers(mission: Mission) -> Iterator[Source | None]:
+    """The keyboard, if it may take over; the terminal is as before afterwards."""
+    if mission.request.takeover != "keyboard":
+        yield None
+        return
+    from pipeline.keyboard import TakeoverKeys, clock, keys_of, show
+
+    show(TakeoverKeys.TABLE + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys:
+        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), show)
+    show("\n")
+
+
 def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
     """`truth/`: the trajectory, and the world's map at the lidar's height."""
     folder.mkdir()
@@ -92,6 +110,8 @@ def _inputs(request: Request) -> dict[str, Path]:
     inputs = {}
     if request.map_path is not None:
         inputs["map"] = request.map_path
+    if isinstance(request.takeover, Path):
+        inputs["takeover"] = request.takeover
     if request.waypoints_path is not None:
         inputs["waypoints"] = request.waypoints_path
     return inputs

@@ -177,6 +177,14 @@ RUN = (
     Spec("time_s", "time", "s", "Simulated time of the run.", BAG, ("/ground_truth/odom",)),
     Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, ("/ground_truth/odom",)),
     Spec(
+        "takeovers.count",
+        "takeovers",
+        "count",
+        "Times that someone took the commands over from navigation, by the run log's owner of each tick.",
+        _LOG,
+    ),
+    Spec("takeovers.time_s", "time taken over", "s", "Simulated time that navigation did not drive.", _LOG),
+    Spec(
         "area.seen_m2",
         "floor seen",
         "m2",

@@ -17,7 +17,7 @@ from datasets.se2 import SE2, wrap
 from datasets.types import Trajectory, yaw_difference
 from reports.g2o import read_g2o, read_loops
 from reports.metrics.map import map_metrics
-from reports.metrics.navigation import collisions, localisation_error, min_clearance, pose_error
+from reports.metrics.navigation import collisions, localisation_error, min_clearance, pose_error, takeovers
 from reports.metrics.recording import recording_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import associate, summary, trajectory_metrics
@@ -131,6 +131,7 @@ def _run(stage: Stage) -> dict[str, Any]:
         "distance_m": truth.length(),
         "collisions": collisions(log.t_ns, log.contact_visible, log.contact_low),
         "min_clearance_m": min_clearance(log.clearance_m),
+        "takeovers": takeovers(log.t_ns, log.owner),
     }
     if stage.metrics.get("localisation_error_m") and stage.trajectory is not None and stage.truth is not None:
         found["localisation_error_m"] = localisation_error(stage.trajectory, stage.truth)

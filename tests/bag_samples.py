@@ -66,6 +66,7 @@ def write_drive(
                 writer.particles(stamp(step), batch)
                 writer.plan(stamp(step), batch)
                 writer.goal(stamp(step), pose(step))
+                writer.owner(stamp(step), "teleop")
                 points = np.linspace(-1.0, 1.0, 30).reshape(10, 3)
                 writer.cloud(
                     stamp(step), stamp(step - 6), Cloud(points, np.linspace(0.0, 0.1, 10)), "base_scan"

@@ -56,6 +56,7 @@ TOPICS: dict[str, Topic] = {
     "/tf": Topic("tf2_msgs/msg/TFMessage", depth=100),
     "/tf_static": Topic("tf2_msgs/msg/TFMessage", durability="transient_local", depth=1),
     "/cmd_vel": Topic("geometry_msgs/msg/Twist"),
+    "/cmd_vel_owner": Topic("std_msgs/msg/String", durability="transient_local", depth=1),
     "/map": Topic("nav_msgs/msg/OccupancyGrid", durability="transient_local", depth=1),
     "/amcl_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped"),
     "/particlecloud": Topic("geometry_msgs/msg/PoseArray"),

@@ -100,6 +100,10 @@ class BagWriter:
         self._twist.patch_twist(twist.v, twist.w)
         self._write("/cmd_vel", stamp_ns, bytes(self._twist.data))
 
+    def owner(self, stamp_ns: int, owner: str) -> None:
+        """/cmd_vel_owner: who gives the commands from here on."""
+        self._write("/cmd_vel_owner", stamp_ns, bytes(cdr.Template().string(owner).data))
+
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
         """/map."""
         data = cdr.occupancy_grid("map", stamp_ns, grid.cells, grid.resolution, grid.T_map_grid.xyt)

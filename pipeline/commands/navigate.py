@@ -51,6 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wiggle", action="store_true", help="first turn to and fro until the particle cloud has shrunk"
     )
     parser.add_argument(
+        "--takeover",
+        metavar="keyboard|FILE",
+        help="who may take over cmd_vel and hand it back: your keys, or a YAML list of begin, end, v, w",
+    )
+    parser.add_argument(
         "--keepout",
         metavar="FILE|none",
         help="YAML with outlines to stay out of under 'keepout' (default: those of the world)",
@@ -79,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         timeout_s=args.timeout,
         duration_s=args.duration,
         wiggle=args.wiggle,
+        takeover="keyboard" if args.takeover == "keyboard" else args.takeover and Path(args.takeover),
         keepout=_keepout(args.keepout),
     )
     return navigate(

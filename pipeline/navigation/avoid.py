@@ -35,7 +35,7 @@ class AvoidDriver:
         self._limits = SpeedLimits.of(
             model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
         )
-        self._sensing = sensing
+        self.sensing = sensing
         self._duration_ns = round(duration_s * 1e9)
         self._say = say
         self._sectors = Sectors(math.inf, math.inf, math.inf)
@@ -44,7 +44,7 @@ class AvoidDriver:
 
     def step(self, observation: Observation) -> Twist:
         """The command of the newest scan; standing still before the first and at the end."""
-        self._sensing.observe(observation)
+        self.sensing.observe(observation)
         if observation.stamp_ns >= self._duration_ns:
             self.finished, self.state = True, "done"
             return Twist()
@@ -54,8 +54,20 @@ class AvoidDriver:
             return self._wanted
         return self._guarded(observation, self.guard)
 
+    def stand_by(self, observation: Observation) -> None:
+        """Look on while someone else drives; the time of the task goes on."""
+        self.sensing.observe(observation)
+        if observation.stamp_ns >= self._duration_ns:
+            self.finished, self.state = True, "done"
+
+    def resume(self, last: Twist) -> None:
+        """Drive again, with nothing planned."""
+        self._last, self._wanted = last, Twist()
+        if self.guard is not None:
+            self.guard.interrupted()
+
     def _guarded(self, observation: Observation, guard: Guard) -> Twist:
-        sight = self._sensing.sight
+        sight = self.sensing.sight
         if sight is None:
             return Twist()
         view = View(

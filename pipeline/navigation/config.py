@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.localisation.parameters import AmclConfig
 from pipeline.navigation.explore import ExploreConfig
+from pipeline.navigation.takeover import TakeoverConfig
 from planners.control.dwa import DwaConfig
 from planners.control.goal_checker import GoalCheckerConfig
 from planners.control.monitor import MonitorConfig
@@ -60,3 +61,4 @@ class NavigateConfig(BaseModel):
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
     guard: GuardConfig = GuardConfig()
+    takeover: TakeoverConfig = TakeoverConfig()

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from datasets.se2 import SE2
 from datasets.types import Observation, Twist
+from pipeline.navigation.sensing import Sensing
 
 
 class Driver(Protocol):
@@ -20,6 +21,17 @@ class Driver(Protocol):
     estimate: SE2 | None
     """Where it takes itself to be in the map; None when it does not know, or needs no map."""
 
+    sensing: Sensing
+    """What it has seen of odometry and sweeps."""
+
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period."""
+        ...
+
+    def stand_by(self, observation: Observation) -> None:
+        """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
+        ...
+
+    def resume(self, last: Twist) -> None:
+        """Drive again from the next step on, after the command that someone else gave last."""
         ...

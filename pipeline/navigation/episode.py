@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from datasets.grid import OccupancyGrid
 from datasets.runlog import RunLog
 from datasets.types import Trajectory
+from pipeline.navigation.driver import Driver
 from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from pipeline.navigation.setup import MAX_SIMULATED_S, Mission, make_driver
+from pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
 from pipeline.record import static_transforms
+from planners.control.monitor import CollisionMonitor
 from reports.metrics.area import area_metrics
 from reports.metrics.map import map_metrics
 from sim.simulator import Simulator
@@ -29,18 +33,30 @@ class Episode:
     estimate: Trajectory
     grid: OccupancyGrid | None = None
     """The map that the run made, if it made one."""
+    asked: tuple[Interval, ...] = ()
+    """What was asked for in takeovers: a script that does the same again."""
 
 
-def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str], None]) -> Episode:
-    """Observe, decide, log, act, until the driver is done."""
+def drive(
+    simulator: Simulator,
+    mission: Mission,
+    bag: Bag,
+    say: Callable[[str], None],
+    takeovers: Source | None = None,
+) -> Episode:
+    """Observe, decide, log, act, until the driver is done.
+
+    `takeovers` says when someone else has the commands; without it, the script of the configuration does.
+    """
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
     driver, localiser, sequence = make_driver(mission, observation, bag, say)
+    owner = _owner(driver, mission, takeovers)
     recorder = RunRecorder(simulator, bag)
     while True:
-        command = driver.step(observation)
-        recorder.tick(observation, driver, command)
-        if driver.finished:
+        command = owner.step(observation)
+        recorder.tick(observation, owner, command)
+        if owner.finished:
             break
         if observation.stamp_ns > MAX_SIMULATED_S * 1e9:
             if sequence is not None:
@@ -59,7 +75,16 @@ def drive(simulator: Simulator, mission: Mission, bag: Bag, say: Callable[[str],
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
     if mission.request.task in ("avoid", "explore"):
         metrics |= _floor_metrics(simulator, truth, grid)
-    return Episode(metrics, log, truth, estimate, grid)
+    return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
+
+
+def _owner(driver: Driver, mission: Mission, takeovers: Source | None) -> CommandOwner:
+    """The driver, and whoever may take over from it."""
+    config, model = mission.config, mission.robot.model
+    monitor = CollisionMonitor(model, config.monitor) if config.takeover.monitor else None
+    file = mission.request.takeover
+    script = load_script(file) if isinstance(file, Path) else config.takeover.script
+    return CommandOwner(driver, model, takeovers or Script(script), monitor)
 
 
 def _floor_metrics(simulator: Simulator, truth: Trajectory, grid: OccupancyGrid | None) -> dict[str, Any]:

@@ -60,7 +60,8 @@ class ExploreDriver:
         self.state, self.goal_index, self.finished = "wait", -1, False
         self.estimate: SE2 | None = None
         self.online = online
-        self._config, self._model, self._sensing = config, model, sensing
+        self.sensing = sensing
+        self._config, self._model = config, model
         self._make_tools, self._publisher = make_tools, publisher
         self._end_ns, self._seed = round(duration_s * 1e9), seed
         self._tools: Tools | None = None
@@ -77,7 +78,7 @@ class ExploreDriver:
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period."""
         self._now = observation.stamp_ns
-        sight = self._sensing.observe(observation)
+        sight = self.sensing.observe(observation)
         self.online.observe(observation)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         if not self.online.ready or self.state == "done":
@@ -92,6 +93,17 @@ class ExploreDriver:
         if sight is not None:
             self._see(sight)
         return self._pursue(self._runner, observation, sight is not None)
+
+    def stand_by(self, observation: Observation) -> None:
+        """Map on while someone else drives."""
+        self._now = observation.stamp_ns
+        self.sensing.observe(observation)
+        self.online.observe(observation)
+        self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
+
+    def resume(self, last: Twist) -> None:
+        """Look for the next frontier from where the robot has been brought."""
+        self._last, self._runner = last, None
 
     def _choose(self, observation: Observation) -> None:
         """Map, and pick the place to look from; no runner when there is none."""
@@ -108,9 +120,9 @@ class ExploreDriver:
         self.goal_index += 1
         self._publisher.goal(self._now, goal)
         self._tools = self._make_tools(costmap)
-        if self._sensing.sight is not None:
+        if self.sensing.sight is not None:
             self._seen_ns = -(10**9)
-            self._see(self._sensing.sight)
+            self._see(self.sensing.sight)
         self._runner = GoalRunner(self._tools, goal, self._seed + 1_000_000 * self.goal_index, self._plan)
 
     def _plan(self, poses: SE2) -> None:
@@ -128,7 +140,7 @@ class ExploreDriver:
     def _pursue(self, runner: GoalRunner, observation: Observation, new_sweep: bool) -> Twist:
         odometry = observation.odometry
         assert self.estimate is not None
-        points = self._sensing.points_base(odometry.T_odom_base)
+        points = self.sensing.points_base(odometry.T_odom_base)
         self._last, verdict = runner.step(
             self._now, self.estimate, odometry.twist, self._last, points, new_sweep
         )

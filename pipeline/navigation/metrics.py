@@ -17,6 +17,7 @@ from reports.metrics.navigation import (
     localisation_error,
     min_clearance,
     pose_error,
+    takeovers,
 )
 
 
@@ -40,6 +41,7 @@ def run_metrics(
         "goals": goals,
         "collisions": counts,
         "min_clearance_m": min_clearance(log.clearance_m),
+        "takeovers": takeovers(log.t_ns, log.owner),
         "distance_m": distance_driven(Trajectory(log.t_ns, log.T_world_base)),
         "time_s": round(float(log.t_ns[-1] - log.t_ns[0]) * 1e-9, 6),
         "localisation_error_m": localisation_error(estimate, truth) if known and estimate else None,

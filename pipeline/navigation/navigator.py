@@ -70,6 +70,20 @@ class NavigationDriver:
         pose = T_frame_odom @ observation.odometry.T_odom_base
         return self._pursue(self._runner, observation, pose, sight is not None)
 
+    def stand_by(self, observation: Observation) -> None:
+        """Localise and look on while someone else drives; the goal's clock stands."""
+        sight = self.sensing.observe(observation)
+        if self.localiser is None or self.localiser.amcl.initialised:
+            T_frame_odom = self._localise(observation)
+            if sight is not None and T_frame_odom is not None:
+                self._see(sight, T_frame_odom)
+        self.sequence.postpone(observation.stamp_ns - self._now)
+        self._now = observation.stamp_ns
+
+    def resume(self, last: Twist) -> None:
+        """Pursue the goal anew from where the robot has been brought."""
+        self._last, self._runner = last, None
+
     def _look_about(self, wiggle: Wiggle, localiser: Localiser, observation: Observation) -> Twist:
         """Turn to and fro until the filter knows where it is; goals are given up when it never does."""
         now = observation.stamp_ns

@@ -11,9 +11,9 @@ from datasets.grid import OccupancyGrid
 from datasets.runlog import RunLog, RunLogBuilder
 from datasets.se2 import SE2
 from datasets.types import Observation, Trajectory, Twist
-from pipeline.navigation.driver import Driver
 from pipeline.navigation.localiser import Publisher
 from pipeline.navigation.sensing import OdometryBuffer
+from pipeline.navigation.takeover import CommandOwner
 from sim.simulator import Simulator
 
 
@@ -38,6 +38,10 @@ class Bag(Publisher, Protocol):
         """The command given."""
         ...
 
+    def owner(self, stamp_ns: int, owner: str) -> None:
+        """Who gives the commands from now on."""
+        ...
+
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
         """The map used."""
         ...
@@ -54,13 +58,17 @@ class RunRecorder:
         self._scan_truth: list[SE2] = []
         self._scan_odometry: list[SE2] = []
         self._odometry = OdometryBuffer()
+        self._owner = "navigation"
 
-    def tick(self, observation: Observation, driver: Driver, command: Twist) -> None:
+    def tick(self, observation: Observation, driver: CommandOwner, command: Twist) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         truth = self._simulator.truth
         self._bag.observation(observation)
         self._bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
         self._bag.command(observation.stamp_ns, command)
+        if driver.owner != self._owner:
+            self._owner = driver.owner
+            self._bag.owner(observation.stamp_ns, driver.owner)
         self._odometry.add(observation.stamp_ns, observation.odometry.T_odom_base)
         if observation.scan is not None:
             self._scan_odometry.append(self._odometry.at(observation.scan.stamp_ns))
@@ -77,6 +85,7 @@ class RunRecorder:
             contact_low=truth.contact_low,
             goal_index=driver.goal_index,
             state=driver.state,
+            owner=driver.owner,
         )
 
     def log(self) -> RunLog:

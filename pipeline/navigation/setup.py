@@ -26,6 +26,7 @@ from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.recorder import Bag
 from pipeline.navigation.sensing import Sensing
+from pipeline.navigation.takeover import load_script
 from planners.control.dwa import Dwa
 from planners.control.interface import Controller
 from planners.control.monitor import CollisionMonitor
@@ -63,6 +64,8 @@ class Request:
     timeout_s: float | None = None
     duration_s: float | None = None
     wiggle: bool = False
+    takeover: Literal["keyboard"] | Path | None = None
+    """Who may take over: the keyboard, or a file of intervals in place of the configured ones."""
     keepout: tuple[Array, ...] | None = None
     """Outlines (n, 2) to stay out of; None for those that the world comes with."""
 
@@ -88,6 +91,8 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
+    if isinstance(request.takeover, Path):
+        load_script(request.takeover)
     if request.laps is not None and request.laps > MAX_LAPS:
         raise InputError(f"--laps {request.laps}: at most {MAX_LAPS}")
     if request.task in ("avoid", "explore"):

@@ -113,6 +113,12 @@ class Guard:
         self._manoeuvre: _Escape | None = None
         self._anchor: tuple[float, SE2] | None = None
 
+    def interrupted(self) -> None:
+        """Someone else has driven: manoeuvres and what was being watched are over; places stay known."""
+        self._manoeuvre, self._anchor = None, None
+        self._turning, self._flips = 0.0, 0
+        self._slip.reset()
+
     def points_base(self, view: View) -> Array:
         """Everything to keep off, seen from the base: the sweep and the remembered places."""
         alive = [(t, p) for t, p in self._unseen if view.now_s - t < self.config.memory]

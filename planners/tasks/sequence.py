@@ -62,6 +62,7 @@ class GoalSequence:
         self._retried = False
         self._resume_ns: int | None = None
         self._started_ns = 0
+        self._postponed_ns = 0
         self._active = False
 
     @property
@@ -78,22 +79,31 @@ class GoalSequence:
         """The goal to pursue at this instant; times out the active one, starts the next when due."""
         if self._resume_ns is None:
             self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
-        if self._active and now_ns - self._started_ns >= self.config.timeout * 1e9:
+        if self._active and now_ns - self._started_ns - self._postponed_ns >= self.config.timeout * 1e9:
             self.close("timeout", f"not there within {self.config.timeout:g} s", now_ns)
-        while not self._active and now_ns >= self._resume_ns and self.index + 1 < len(self._queue):
+        while (
+            not self._active
+            and now_ns >= self._resume_ns + self._postponed_ns
+            and self.index + 1 < len(self._queue)
+        ):
             self.index += 1
-            self._started_ns = now_ns
+            self._started_ns, self._postponed_ns = now_ns, 0
             self._active = True
             waypoint = self._queue[self.index]
             if waypoint.T_map_goal is None:
                 self.close("rejected", waypoint.reason, now_ns)
         return self.goal
 
+    def postpone(self, span_ns: int) -> None:
+        """The goal could not be pursued for a while: its time, or the wait before it, lasts longer."""
+        if self._resume_ns is not None:
+            self._postponed_ns += span_ns
+
     def close(self, status: Status, reason: str, now_ns: int) -> None:
         """Record the outcome of the active goal; a pause follows one that was reached."""
         waypoint = self._queue[self.index]
         self.outcomes.append(GoalOutcome(self.index, waypoint, status, reason, self._started_ns, now_ns))
-        self._active = False
+        self._active, self._postponed_ns = False, 0
         pause = self.config.pause if status == "reached" else 0.0
         self._resume_ns = now_ns + round(pause * 1e9)
         last = self.index + 1 == len(self._queue)

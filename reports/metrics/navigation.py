@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.runlog import OWNER
 from datasets.se2 import SE2, Array
 from datasets.types import Stamps, Trajectory, yaw_difference
 from reports.metrics.trajectory import associate, summary
@@ -42,6 +45,14 @@ def collisions(
         "visible": len(collision_episodes(stamps_ns, visible, gap_s=gap_s)),
         "low": len(collision_episodes(stamps_ns, low, gap_s=gap_s)),
     }
+
+
+def takeovers(stamps_ns: Stamps, owner: Sequence[str]) -> dict[str, float]:
+    """`count` of the times that someone took over from navigation, and the `time_s` it had the robot then."""
+    taken = np.array([name != OWNER for name in owner], dtype=bool)
+    begins = taken & ~np.concatenate([[False], taken[:-1]])
+    periods = np.append(np.diff(stamps_ns), 0)
+    return {"count": int(begins.sum()), "time_s": round(float(periods[taken].sum()) * 1e-9, 6)}
 
 
 def min_clearance(clearance_m: Array) -> float | None:

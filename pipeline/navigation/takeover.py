@@ -1,0 +1,174 @@
+"""One owner of cmd_vel at a time: whoever has the keyboard, or a script of it, goes before the task.
+
+As with twist_mux, the one who takes over needs no leave, and the task keeps looking and localising
+meanwhile. As with Nav2's collision monitor, which stands behind the mux, what is asked for is
+still stopped short of what the lidar sees, unless that is switched off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.types import Observation, RobotModel, Twist
+from datasets.yaml_files import checked, parsed
+from pipeline.navigation.driver import Driver
+from planners.control.interface import SpeedLimits, ramped
+from planners.control.monitor import CollisionMonitor
+from sim.simulator import CONTROL_HZ
+
+Owner = Literal["navigation", "teleop"]
+
+
+class Interval(BaseModel):
+    """Someone asks for one command from a time on until before another [s, m/s, rad/s]."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    begin: float = Field(ge=0.0)
+    end: float
+    v: float = 0.0
+    w: float = 0.0
+
+    @model_validator(mode="after")
+    def _lasts(self) -> Interval:
+        if not self.end > self.begin:
+            raise ValueError(f"an interval must end after it begins: {self.begin:g} to {self.end:g}")
+        return self
+
+
+class TakeoverConfig(BaseModel):
+    """Who may take over, and what holds then."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    monitor: bool = True
+    """Whether the collision monitor limits what is asked for, too; without it a person may push."""
+    speed: float = Field(default=1.0, gt=0.0)
+    """With a keyboard: times real time."""
+    script: tuple[Interval, ...] = ()
+    """Takeovers without a keyboard; those that follow on one another without a gap are one."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> TakeoverConfig:
+        for one, other in zip(self.script, self.script[1:], strict=False):
+            if other.begin < one.end:
+                raise ValueError(f"intervals overlap or are out of order at {other.begin:g} s")
+        return self
+
+
+class Source(Protocol):
+    """Where takeovers come from."""
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """The command asked for at this tick; None when nobody has taken over."""
+        ...
+
+
+class Script:
+    """Takeovers known beforehand. Stamps are compared in whole nanoseconds."""
+
+    def __init__(self, script: tuple[Interval, ...]) -> None:
+        self._spans = [(round(i.begin * 1e9), round(i.end * 1e9), Twist(i.v, i.w)) for i in script]
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """The command of the interval that holds the stamp."""
+        while self._spans and stamp_ns >= self._spans[0][1]:
+            self._spans.pop(0)
+        return self._spans[0][2] if self._spans and stamp_ns >= self._spans[0][0] else None
+
+
+def load_script(path: Path) -> tuple[Interval, ...]:
+    """The intervals of a takeover file (a YAML list of them); InputError names what is wrong."""
+    where = f"--takeover {path}"
+    try:
+        data: Any = parsed(path.read_text(), where=where)
+    except (OSError, UnicodeDecodeError):
+        raise InputError(f"{where}: no such file, or not one of text") from None
+    if not isinstance(data, list):
+        raise InputError(f"{where}: expected a list of intervals with begin, end, v and w")
+    return checked(TakeoverConfig, {"script": data}, where=where).script
+
+
+def script_text(script: Sequence[Interval]) -> str:
+    """Intervals as a takeover file."""
+    return yaml.safe_dump([interval.model_dump() for interval in script], sort_keys=False)
+
+
+class CommandOwner:
+    """A driver and the one who may take over from it; says whose command each tick has.
+
+    `monitor` limits what is asked for in a takeover, too; without one a person may push.
+    """
+
+    def __init__(
+        self, driver: Driver, model: RobotModel, source: Source, monitor: CollisionMonitor | None
+    ) -> None:
+        self.driver = driver
+        self.owner: Owner = "navigation"
+        self.asked: list[Interval] = []
+        """What was asked for in the takeovers so far: a script that does the same again."""
+        self._source = source
+        self._monitor = monitor
+        self._limits = SpeedLimits.of(
+            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
+        )
+        self._last = Twist()
+
+    @property
+    def state(self) -> str:
+        """The driver's word, or `teleop`."""
+        return self.driver.state if self.owner == "navigation" else "teleop"
+
+    @property
+    def goal_index(self) -> int:
+        """The driver's goal; it stays the goal while someone else drives."""
+        return self.driver.goal_index
+
+    @property
+    def finished(self) -> bool:
+        """Whether the task is over."""
+        return self.driver.finished
+
+    @property
+    def estimate(self) -> SE2 | None:
+        """Where the driver takes the robot to be."""
+        return self.driver.estimate
+
+    def step(self, observation: Observation) -> Twist:
+        """The command of this tick's owner."""
+        asked = self._source.asked(observation.stamp_ns)
+        if asked is None:
+            if self.owner == "teleop":
+                self.driver.resume(self._last)
+            self.owner = "navigation"
+            self._last = self.driver.step(observation)
+            return self._last
+        self.owner = "teleop"
+        self._note(observation.stamp_ns, asked)
+        self.driver.stand_by(observation)
+        self._last = self._allowed(asked, observation)
+        return self._last
+
+    def _allowed(self, asked: Twist, observation: Observation) -> Twist:
+        """What is asked for, within the robot's limits and as far as nothing the lidar sees is in the way."""
+        wanted = ramped(asked, self._last, self._limits)
+        if self._monitor is None:
+            return wanted
+        points = self.driver.sensing.points_base(observation.odometry.T_odom_base)
+        factor = self._monitor.limit(wanted, points)
+        if factor >= 1.0:
+            return wanted
+        return ramped(Twist(wanted.v * factor, wanted.w * factor), self._last, self._limits)
+
+    def _note(self, stamp_ns: int, asked: Twist) -> None:
+        begin, end = round(stamp_ns * 1e-9, 9), round(stamp_ns * 1e-9 + 1.0 / CONTROL_HZ, 9)
+        last = self.asked[-1] if self.asked else None
+        if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 1e-3:
+            self.asked[-1] = last.model_copy(update={"end": end})
+        else:
+            self.asked.append(Interval(begin=begin, end=end, v=asked.v, w=asked.w))
