@@ -62,7 +62,7 @@ def test_others_read_the_converted_bags(drive, tmp_path):
     ros1 = get_typestore(Stores.ROS1_NOETIC)
     assert digests.pop("tf2_msgs/msg/TFMessage") == "94810edda583a504dfda3829e70d7eec"
     assert digests == {msgtype: ros1.generate_msgdef(msgtype)[1] for msgtype in digests}
-    assert latched == {"/map", "/tf_static"}
+    assert latched == {"/map", "/tf_static", "/cmd_vel_owner"}
 
 
 def test_latching_and_quality_of_service_survive(drive, tmp_path):
