@@ -64,7 +64,9 @@ def commands(chain: Path) -> dict[str, list[str]]:
     }
 
 
-def start(words: list[str], errors: Path, before: Callable[[], object] = lambda: None) -> int:
+def start(
+    words: list[str], errors: Path, before: Callable[[], object] = lambda: None, cache: str = "off"
+) -> int:
     """Fork a process (and group) that runs the command line with stderr in a file; returns its pid."""
     sys.stdout.flush()
     pid = os.fork()
@@ -74,6 +76,7 @@ def start(words: list[str], errors: Path, before: Callable[[], object] = lambda:
             os.setsid()
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+            os.environ["TURTLEBAG_STAGE_CACHE"] = cache
             before()
             code = turtlebag(words)
         except BaseException as error:
@@ -109,7 +112,9 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     """Outcome of a stage killed after `after_s` seconds and started again."""
     out, errors = folder / "out", folder / "stderr"
     words = [*commands(chain)[stage], "--out", str(out)]
-    pid = start(words, errors)
+    # The second start finds what the first had put into the stage cache when it was killed.
+    cache = str(folder / "cache")
+    pid = start(words, errors, cache=cache)
     time.sleep(after_s)
     os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
     code = finish(pid)
@@ -117,13 +122,13 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
         return "finished before the kill" if code == 0 else f"BAD: exit {code} undisturbed"
     whole = out.exists()
     if not whole:
-        code = finish(start(words, errors))
+        code = finish(start(words, errors, cache=cache))
         if code != 0:
             return f"BAD: exit {code} when started again: {errors.read_text().strip()}"
     different = dict(sha256_tree(out).items() ^ sha256_tree(chain / stage).items())
     if different:
         return f"BAD: other bytes than undisturbed: {', '.join(sorted(different))}"
-    left = {path.name for path in folder.iterdir()} - {"out", "stderr", "out.unfinished"}
+    left = {path.name for path in folder.iterdir()} - {"out", "stderr", "out.unfinished", "cache"}
     if left:
         return f"BAD: left behind {', '.join(sorted(left))}"
     return "killed after the last step, whole" if whole else "killed, started again: same bytes"

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
 from datasets.maps import load_map, save_map
-from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, check_free, sha256_tree, staged_output, write_json, write_manifest
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
 from datasets.se2 import SE2
 from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording
+from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, track
 from pipeline.slam.explain import loop_record, write_explanation
@@ -38,22 +39,25 @@ def build_map(
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
+    cache: StageCache | None = None,
 ) -> int:
     """Map `source` into the folder `out`; returns the exit code.
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph. `laser` overrides
     where the input says the laser sits on the robot. InputError when anything given cannot be used,
-    before anything is written.
+    before anything is written. With `cache` only the steps are done whose inputs it does not know.
     """
     check_free(out, force=force)
     resolved = load_config(SlamConfig, config, settings)
     references = _References(truth, relations)
     watch = Stopwatch()
-    recording, *more = [load_recording(path, T_base_lidar=laser) for path in (source, *also)]
+    cache = cache or StageCache()
+    recording, *more = [_recording(path, laser, cache) for path in (source, *also)]
     for note in (note for one in (recording, *more) for note in one.notes):
         log.warning(note)
-    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total), more=more)
+    result = run_slam(recording, resolved, _progress, more=more, cache=cache)
+    cache.trim()
     recording = joined_recording([recording, *more])
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
@@ -76,12 +80,26 @@ def build_map(
             },
             seed=None,
             wall_s=watch.seconds(),
-            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
+            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
+            | ({"from_cache": cache.found} if cache.found else {}),
         )
     for reason in result.check.reasons:
         log.warning(f"doubtful map: {reason}")
+    if cache.found:
+        log.info(f"from the cache: {', '.join(cache.found)}; made: {', '.join(cache.made) or 'nothing'}")
     log.info(f"{out}: {len(recording)} scans, {len(result.keys)} key scans, {slam_s:.1f} s")
     return 0
+
+
+def _recording(path: Path, laser: SE2 | None, cache: StageCache) -> Recording:
+    """An input, from the cache when its bytes were read before."""
+    content = sha256_tree(path) if cache.on and path.exists() else {}
+    inputs = [str(path), content, laser]
+    return cache.step("reading", inputs, lambda: load_recording(path, T_base_lidar=laser))[0]
+
+
+def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
+    return track(items, text, total)
 
 
 class _References:

@@ -28,12 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
     )
     add_config(parser)
+    parser.add_argument("--no-cache", action="store_true", help="do every step, whatever was done before")
     parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Build the map."""
     from pipeline.build_map import build_map
+    from pipeline.cache import StageCache, default_cache
 
     return build_map(
         args.input,
@@ -47,4 +49,5 @@ def run(args: argparse.Namespace) -> int:
         explain=args.explain,
         force=args.force,
         command=args.command_line,
+        cache=StageCache() if args.no_cache else default_cache(),
     )

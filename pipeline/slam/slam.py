@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache as once
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import Recording, Trajectory
+from pipeline.cache import StageCache
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion
 from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
@@ -32,6 +34,8 @@ from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning, track_
 
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
+# Settings that the front end does not read; of all others a change starts it anew.
+LATER = {"loops", "refine", "posing", "self_check", "grid"}
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 
 
@@ -82,15 +86,28 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 @dataclass(frozen=True, eq=False)
 class _Session:
-    """One recording (or several joined) on its way to a map."""
+    """One recording (or several joined) on its way to a map; `key` is that of its last cached step.
+
+    The clouds are made when a step needs them: none does when all came from the cache.
+    """
 
     recording: Recording
-    clouds: Clouds
+    clouds: Callable[[], Clouds]
     motion: SE2 | None
     track: Track
     T_map_keys: SE2
     constraints: list[Constraint]
     loops: list[Loop]
+    key: str
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What every step needs to know of the run."""
+
+    config: SlamConfig
+    progress: Progress
+    cache: StageCache
 
 
 def run_slam(
@@ -99,57 +116,78 @@ def run_slam(
     progress: Progress = no_progress,
     *,
     more: Sequence[Recording] = (),
+    cache: StageCache | None = None,
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
 
     `more` are later recordings of the same place: each is found in the map so far and joins the graph;
-    the trajectory holds the scans of all, in that order. InputError when one cannot be placed.
+    the trajectory holds the scans of all, in that order. InputError when one cannot be placed. Steps
+    whose inputs `cache` has seen before are not done again.
     """
-    session = _session(recording, config, progress)
+    run = _Run(config, progress, cache or StageCache())
+    session = _session(recording, run)
     for other in more:
-        session = _joined(session, _session(other, config, progress), config, progress)
+        session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, config)[1]
     usable = min(recording.lidar.range_max, config.usable_range_m)
-    poses = pose_all_scans(session.clouds, session.track, session.T_map_keys, config.posing)
-    grid = make_grid(recording, poses, config.grid, usable, session.motion)
-    check = check_map(session.clouds, session.track, session.T_map_keys, config.self_check)
-    trajectory = Trajectory(recording.stamps_ns, poses)
-    return SlamResult(
-        trajectory, grid, session.track, session.T_map_keys, session.constraints, session.loops, check
+    clouds, track, T_map_keys = session.clouds, session.track, session.T_map_keys
+    poses, key = run.cache.step(
+        "scan poses",
+        [session.key, config.posing],
+        lambda: pose_all_scans(clouds(), track, T_map_keys, config.posing),
     )
+    grid, _ = run.cache.step(
+        "grid", [key, config.grid], lambda: make_grid(recording, poses, config.grid, usable, session.motion)
+    )
+    check, _ = run.cache.step(
+        "self-check",
+        [session.key, config.self_check],
+        lambda: check_map(clouds(), track, T_map_keys, config.self_check),
+    )
+    trajectory = Trajectory(recording.stamps_ns, poses)
+    return SlamResult(trajectory, grid, track, T_map_keys, session.constraints, session.loops, check)
 
 
-def _session(recording: Recording, config: SlamConfig, progress: Progress) -> _Session:
+def _session(recording: Recording, run: _Run) -> _Session:
     """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
-    recording, config = _with_sensors(recording, config)
+    recording, config = _with_sensors(recording, run.config)
     usable = min(recording.lidar.range_max, config.usable_range_m)
     motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
-    clouds = make_clouds(recording, usable, motion)
-    if config.sensors == "odometry":
-        track = dead_reckoning(recording, clouds, config.tracking)
-    else:
-        scans = progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        track = track_log(recording, clouds, config.tracking, usable, scans)
+    clouds = once(lambda: make_clouds(recording, usable, motion))
+
+    def front_end() -> Track:
+        if config.sensors == "odometry":
+            return dead_reckoning(recording, clouds(), config.tracking)
+        scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
+        return track_log(recording, clouds(), config.tracking, usable, scans)
+
+    # Where a recording was read from, and what was repaired in reading it, shapes nothing.
+    content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
+    track, key = run.cache.step("front end", content, front_end)
     steps = step_constraints(track, config.tracking)
-    return _Session(recording, clouds, motion, track, *_optimised(clouds, track, steps, config, progress))
+    run = replace(run, config=config)
+    return _Session(recording, clouds, motion, track, *_optimised(clouds, track, steps, key, run))
 
 
-def _joined(a: _Session, b: _Session, config: SlamConfig, progress: Progress) -> _Session:
+def _joined(a: _Session, b: _Session, run: _Run) -> _Session:
     """Session `b` found in the map of `a`, and both optimised as one graph."""
     track_a = replace(a.track, T_track_base=carried_poses(a.track, a.T_map_keys))
     track_b = replace(b.track, T_track_base=carried_poses(b.track, b.T_map_keys))
-    recording, clouds = joined_recording([a.recording, b.recording]), joined_clouds([a.clouds, b.clouds])
-    T_map_b = place_of(clouds, track_a, a.T_map_keys, track_b)
+    recording = joined_recording([a.recording, b.recording])
+    clouds = once(lambda: joined_clouds([a.clouds(), b.clouds()]))
+    T_map_b, key = run.cache.step(
+        "joining", [a.key, b.key], lambda: place_of(clouds(), track_a, a.T_map_keys, track_b)
+    )
     if T_map_b is None:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
     border = border_constraint(track_a, a.T_map_keys, T_map_b, track_b)
-    steps = [c for c in step_constraints(track, config.tracking) if c.i != border.i]
+    steps = [c for c in step_constraints(track, run.config.tracking) if c.i != border.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
-    optimised = _optimised(clouds, track, [*steps, border], config, progress)
+    optimised = _optimised(clouds, track, [*steps, border], key, run)
     return _Session(recording, clouds, motion, track, *optimised)
 
 
@@ -172,19 +210,28 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
 
 
 def _optimised(
-    clouds: Clouds, track: Track, steps: list[Constraint], config: SlamConfig, progress: Progress
-) -> tuple[SE2, list[Constraint], list[Loop]]:
-    """Key poses after loop closure and joint refinement, the final constraints, and the loop record."""
-    keys, T_map_keys = track.keys, track.T_track_base[track.keys]
+    clouds: Callable[[], Clouds], track: Track, steps: list[Constraint], key: str, run: _Run
+) -> tuple[SE2, list[Constraint], list[Loop], str]:
+    """Key poses after loop closure and joint refinement, the final constraints, the loop record, the key."""
+    config, keys, T_map_keys = run.config, track.keys, track.T_track_base[track.keys]
     constraints = list(steps)
     loops: list[Loop] = []
     if config.loops.enabled and len(keys) > 2:
-        batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
-        T_map_keys, closed, loops = close_loops(clouds, keys, T_map_keys, steps, config.loops, batches)
+        batches = run.progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
+        (T_map_keys, closed, loops), key = run.cache.step(
+            "loops",
+            [key, config.loops],
+            lambda: close_loops(clouds(), keys, T_map_keys, steps, config.loops, batches),
+        )
         constraints += closed
     if config.refine.rounds > 0 and len(keys) > 2:
-        T_map_keys, constraints = refine(clouds, keys, T_map_keys, steps, config.refine)
-    return T_map_keys, constraints, loops
+        closed_poses = T_map_keys
+        (T_map_keys, constraints), key = run.cache.step(
+            "refinement",
+            [key, config.refine],
+            lambda: refine(clouds(), keys, closed_poses, steps, config.refine),
+        )
+    return T_map_keys, constraints, loops, key
 
 
 def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:

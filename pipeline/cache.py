@@ -1,0 +1,215 @@
+"""Results of stages kept by what made them, so that a run with one changed setting redoes only the rest.
+
+An entry's name is the sha256 of the stage, of everything that went in (the recording's content, the
+settings the stage reads, the entries before it), of our own sources, the package versions and the
+processor. An entry says what its bytes have to hash to: a cut or altered one is no entry. Entries are
+written beside and renamed, so that any number of processes may share a folder and be killed at any
+moment; the least recently used go when the folder grows beyond its limit. Trouble with the folder
+(full, read-only) never ends a run: what cannot be kept is made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from threading import get_ident
+from typing import Any, TypeVar
+
+import numpy as np
+from llvmlite.binding import get_host_cpu_name
+from pydantic import BaseModel
+
+from datasets.errors import InputError
+from datasets.outputs import package_versions
+
+Value = TypeVar("Value")
+PLACE_VARIABLE = "TURTLEBAG_STAGE_CACHE"
+"""Folder of the cache, or `off`."""
+LIMIT_VARIABLE = "TURTLEBAG_STAGE_CACHE_MB"
+LIMIT_MB = 1024
+LIMIT_ENTRIES = 4000
+MAGIC = b"turtlebag stage 1\n"
+SOURCES = ("datasets", "pipeline/slam")
+"""Whose code shapes the entries; changing any file of it makes all of them anew."""
+ROOT = Path(__file__).parents[1]
+
+
+class StageCache:
+    """Results on disk, or with no folder nothing at all: then every stage is made."""
+
+    def __init__(self, folder: Path | None = None, limit_mb: int = LIMIT_MB) -> None:
+        self._folder, self._limit = folder, limit_mb * 1_000_000
+        self._record: list[tuple[str, bool]] = []
+
+    @property
+    def on(self) -> bool:
+        """Whether anything is looked up or kept."""
+        return self._folder is not None
+
+    def step(self, stage: str, inputs: Sequence[object], make: Callable[[], Value]) -> tuple[Value, str]:
+        """What `make` gives, from the cache where it is, and its key for the stages that build on it.
+
+        `inputs` are all that the result depends on: arrays, settings, dataclasses of them, other keys.
+        """
+        if self._folder is None:
+            return make(), ""
+        key = fingerprint([stage, _surroundings(), *inputs])
+        path = self._folder / key
+        found = _read(path, key)
+        self._record.append((stage, found is not None))
+        if found is not None:
+            return found[0], key
+        value = make()
+        self._keep(path, key, value)
+        return value, key
+
+    def _keep(self, path: Path, key: str, value: object) -> None:
+        payload = pickle.dumps((value,), protocol=5)
+        if len(payload) > self._limit:
+            return
+        partial = path.with_name(f"{path.name}.{os.getpid()}.{get_ident()}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial.write_bytes(MAGIC + _digest(key, payload) + payload)
+            partial.replace(path)
+        except OSError:
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+
+    def trim(self) -> None:
+        """Remove the least recently used entries, and what killed processes left, beyond the limits."""
+        if self._folder is None:
+            return
+        entries = []
+        for path in self._folder.glob("*"):
+            with suppress(OSError):  # another process was quicker
+                status = path.stat()
+                entries.append((status.st_mtime_ns, status.st_size, path))
+        total = sum(size for _, size, _ in entries)
+        for oldest, (_, size, path) in enumerate(sorted(entries)):
+            if total <= self._limit and len(entries) - oldest <= LIMIT_ENTRIES:
+                return
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+            total -= size
+
+    @property
+    def found(self) -> list[str]:
+        """Stages that came from the cache, each once, in the order of use."""
+        return list(dict.fromkeys(stage for stage, hit in self._record if hit))
+
+    @property
+    def made(self) -> list[str]:
+        """Stages that were made."""
+        return list(dict.fromkeys(stage for stage, hit in self._record if not hit))
+
+
+def default_cache() -> StageCache:
+    """The cache where the user would look for it.
+
+    TURTLEBAG_STAGE_CACHE names the folder, or is `off`. Otherwise it is `data/cache` when working in
+    the project's own folder, where all that is built goes, and the user's cache folder elsewhere.
+    """
+    place, limit = os.environ.get(PLACE_VARIABLE, ""), os.environ.get(LIMIT_VARIABLE, str(LIMIT_MB))
+    if place == "off":
+        return StageCache()
+    if not limit.isdecimal():
+        raise InputError(f"{LIMIT_VARIABLE}={limit}: expected a whole number of megabytes")
+    return StageCache(Path(place) if place else _usual_folder(), int(limit))
+
+
+def _usual_folder() -> Path | None:
+    if (ROOT / "Makefile").is_file() and Path.cwd().is_relative_to(ROOT):
+        return ROOT / "data" / "cache"
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(user) / "turtlebag" / "stages" if os.path.isabs(user) else None
+
+
+def _read(path: Path, key: str) -> tuple[Any] | None:
+    """An entry's value as a tuple of one; None when there is none, or it is not what was written."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    payload = content[len(MAGIC) + 32 :]
+    if content[: len(MAGIC) + 32] != MAGIC + _digest(key, payload):
+        return None
+    try:
+        value = _Entry(io.BytesIO(payload)).load()
+        os.utime(path)
+    except (pickle.UnpicklingError, OSError):
+        return None
+    return value if isinstance(value, tuple) and len(value) == 1 else None
+
+
+def _digest(key: str, payload: bytes) -> bytes:
+    digest = hashlib.sha256(key.encode())
+    digest.update(payload)
+    return digest.digest()
+
+
+class _Entry(pickle.Unpickler):
+    """Reads arrays and our own dataclasses, and nothing that could do more than hold them."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.split(".")[0] == "numpy" and name in (
+            "ndarray",
+            "dtype",
+            "_reconstruct",
+            "_frombuffer",
+            "scalar",
+        ):
+            return super().find_class(module, name)
+        if module.split(".")[0] in ("datasets", "pipeline") and name.isidentifier():
+            found = super().find_class(module, name)
+            if isinstance(found, type) and is_dataclass(found):
+                return found
+        raise pickle.UnpicklingError(f"{module}.{name} has no place in an entry")
+
+
+def fingerprint(value: object) -> str:
+    """sha256 of a value's content: arrays, settings, dataclasses, lists, mappings, plain values."""
+    digest = hashlib.sha256()
+    _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: object) -> None:
+    """Add a value; every part says its type and its length, so that no two values run together."""
+    if isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype.str} {value.shape};".encode())
+        digest.update(np.ascontiguousarray(value).data)
+    elif isinstance(value, BaseModel):
+        _feed(digest, [type(value).__qualname__, value.model_dump(mode="json")])
+    elif is_dataclass(value) and not isinstance(value, type):
+        digest.update(f"{type(value).__qualname__};".encode())
+        _feed(digest, {field.name: getattr(value, field.name) for field in fields(value)})
+    elif isinstance(value, Mapping):
+        digest.update(b"mapping;")
+        _feed(digest, [item for pair in value.items() for item in pair])
+    elif isinstance(value, (list, tuple)):
+        digest.update(f"list {len(value)};".encode())
+        for item in value:
+            _feed(digest, item)
+    elif value is None or isinstance(value, (bool, int, float, str, bytes, Path)):
+        text = repr(value).encode()
+        digest.update(f"{type(value).__name__} {len(text)};".encode() + text)
+    else:
+        raise TypeError(f"{type(value).__name__} has no fingerprint")
+
+
+@cache
+def _surroundings() -> str:
+    """Fingerprint of our sources, the packages and the machine: what shapes results besides the input."""
+    files = sorted(path for folder in SOURCES for path in (ROOT / folder).rglob("*.py"))
+    sources = [(path.relative_to(ROOT).as_posix(), path.read_bytes()) for path in files]
+    machine = [platform.python_version(), platform.machine(), get_host_cpu_name()]
+    return fingerprint([sources, package_versions(), machine])
