@@ -71,7 +71,7 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def _joined(argv: Sequence[str]) -> list[str]:
+def joined(argv: Sequence[str]) -> list[str]:
     """`--goal -2,0,0` as `--goal=-2,0,0`: argparse would take the value for an option."""
     words: list[str] = []
     for word in argv:
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     verb = next((word for word in argv if not word.startswith("-")), None)
     try:
         with _stopping_cleanly():
-            args = build_parser(verb).parse_args(_joined(argv))
+            args = build_parser(verb).parse_args(joined(argv))
             args.command_line = ["turtlebag", *argv]
             set_verbosity(args.verbosity)
             return int(args.run(args))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import html
 import re
 from collections.abc import Iterator
@@ -15,10 +16,14 @@ from scipy import ndimage
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
-from reports.content import stage_metrics
+from pipeline.remake import floor_seen_again, places_of, remade
+from reports.content import build_chapter, stage_metrics
+from reports.figures.album import Album
 from reports.metrics.map import occupied
-from reports.numbers import GOAL_UNITS, SPECS, leaves, shown
+from reports.numbers import leaves, shown
+from reports.page import render
 from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
+from reports.specs import GOAL_UNITS, SPECS
 from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json, read_manifest
 from sim.robots import load_robot
 
@@ -27,12 +32,15 @@ PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
 @dataclass
 class Verification:
-    """What was found: every check, every problem in one line each, and what could not be checked."""
+    """What was found: every check, every problem in one line each, what could not be checked, and
+    stages that came out equal in numbers but not in bytes when run again.
+    """
 
     checks: list[Check] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     unchecked: list[str] = field(default_factory=list)
     files: int = 0
+    notes: list[str] = field(default_factory=list)
 
 
 def stage_folders(report: Path) -> list[Path]:
@@ -58,12 +66,16 @@ def _file(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def verify(report: Path) -> Verification:
-    """Check a report folder; InputError when it or its inputs cannot be read at all."""
+def verify(report: Path, *, run_again: bool = True) -> Verification:
+    """Check a report folder; InputError when it or its inputs cannot be read at all.
+
+    `run_again`: stages whose numbers their files alone do not hold are run again from what they read.
+    """
     found = Verification()
     groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
     reported = read_json(_file(report, "metrics.json"))
     _check_report_files(report, groups, found)
+    places = places_of(groups) if run_again else None
     for group in groups:
         for stage in group.stages:
             chapter = reported.get(group.name)
@@ -71,8 +83,9 @@ def verify(report: Path) -> Verification:
             if not isinstance(metrics, dict):
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
-            _check_stage(stage, group, metrics, found)
+            _check_stage(stage, group, metrics, places, found)
     _check_page(_file(report, "index.html"), found)
+    _check_texts(_file(report, "index.html"), groups, found)
     return found
 
 
@@ -91,7 +104,13 @@ def _check_report_files(report: Path, groups: list[Group], found: Verification) 
                     found.problems.append(f"{name}/{path}: made again since the report")
 
 
-def _check_stage(stage: Stage, group: Group, metrics: dict[str, Any], found: Verification) -> None:
+def _check_stage(
+    stage: Stage,
+    group: Group,
+    metrics: dict[str, Any],
+    places: dict[str, str] | None,
+    found: Verification,
+) -> None:
     name = f"{group.name}/{stage.label}"
     found.files += len(stage.outputs)
     found.problems += [f"{name}/{path}: not what its manifest says" for path in changed_files(stage)]
@@ -104,17 +123,56 @@ def _check_stage(stage: Stage, group: Group, metrics: dict[str, Any], found: Ver
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    done = list(checks(stage, group, metrics))
+    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics)
+    left = _unknown(name, metrics, done)
+    if left and places is not None:
+        done += _run_again(stage, name, metrics, left, places, found)
+        left = _unknown(name, metrics, done)
     found.checks += done
+    found.unchecked += left
     for check in done:
         if not check.agrees:
             found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
+
+
+def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]:
+    """Keys of the numbers no check is about."""
     known = {check.key for check in done}
-    numbers = (int, float)
-    found.unchecked += [
+    return [
         f"{name}:{path}"
         for path, value in leaves(metrics)
-        if f"{name}:{path}" not in known and isinstance(value, numbers) and not isinstance(value, bool)
+        if f"{name}:{path}" not in known and isinstance(value, (int, float)) and not isinstance(value, bool)
+    ]
+
+
+def _computed_here(stage: Stage, name: str, metrics: dict[str, Any]) -> list[Check]:
+    """Numbers that need more than the report knows: the robot."""
+    if stage.kind != "navigate":
+        return []
+    truth = read_poses(stage.folder / "bag", "/ground_truth/odom")
+    return _checks(name, metrics, floor_seen_again(stage, truth.poses))
+
+
+def _run_again(
+    stage: Stage,
+    name: str,
+    metrics: dict[str, Any],
+    wanted: list[str],
+    places: dict[str, str],
+    found: Verification,
+) -> list[Check]:
+    again = remade(stage, places)
+    if again is None:
+        return []
+    if again.other_bytes:
+        found.notes.append(f"{name}: run again, other bytes in {', '.join(again.other_bytes)}")
+    return [check for check in _checks(name, metrics, again.metrics) if check.key in wanted]
+
+
+def _checks(name: str, told: dict[str, Any], found: dict[str, Any]) -> list[Check]:
+    reported = dict(leaves(told))
+    return [
+        Check(f"{name}:{path}", reported[path], value) for path, value in leaves(found) if path in reported
     ]
 
 
@@ -159,6 +217,46 @@ def _check_page(page: Path, found: Verification) -> None:
         unit = _unit(key)
         if key in known and unit is not None and shown(known[key], unit) != text:
             found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
+
+
+def _check_texts(page: Path, groups: list[Group], found: Verification) -> None:
+    """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
+    text = page.read_text()
+    computed = {check.key: check.found for check in found.checks if not check.agrees}
+    album = Album(None, animate='class="animation"' in text)
+    chapters = []
+    for group in groups:
+        measured = {
+            stage.label: replaced(stage_metrics(stage), computed, f"{group.name}/{stage.label}:")
+            for stage in group.stages
+        }
+        chapters.append(build_chapter(group, album, measured))
+    said, expected = words_of(text), words_of(render(chapters, groups))
+    changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
+    for kind, a0, a1, b0, b1 in changes:
+        if kind != "equal":
+            one, other = (" / ".join(part) or "nothing" for part in (said[a0:a1], expected[b0:b1]))
+            found.problems.append(f"{page.name}: says {one[:200]}; computed {other[:200]}")
+
+
+def replaced(node: Any, values: dict[str, Any], key: str) -> Any:
+    """Nested metrics with the leaves whose dotted keys are in `values` taken from there."""
+    if isinstance(node, dict):
+        return {
+            name: replaced(item, values, f"{key}{name}" if key.endswith(":") else f"{key}.{name}")
+            for name, item in node.items()
+        }
+    if isinstance(node, list):
+        return [replaced(item, values, f"{key}.{index}") for index, item in enumerate(node)]
+    return values.get(key, node)
+
+
+def words_of(page: str) -> list[str]:
+    """What a page says, line by line: tags, figures and white space left out."""
+    body = page.partition("<body>")[2].partition("<script>")[0]
+    body = re.sub(r"<svg\b.*?</svg>", "", body, flags=re.DOTALL)
+    lines = (" ".join(line.split()) for line in html.unescape(re.sub(r"<[^>]*>", "", body)).splitlines())
+    return [line for line in lines if line]
 
 
 def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from reports.campaign import LevelSummary, PairedSummary
 from reports.content import slug
 from reports.figures.album import Album, Picture
 from reports.figures.campaign import result_over_factor
-from reports.figures.style import styled
 from reports.metrics.statistics import Interval
 from reports.numbers import DASH, shown
 from reports.page import fill
@@ -19,22 +19,20 @@ Row = Mapping[str, Any]
 
 def draw_campaign(figures: Sequence[Mapping[str, Any]], rows: Sequence[Row], seed: int, album: Album) -> None:
     """Draw the figures a campaign asks for: mappings of x, y, lines, title, unit, log."""
-    with styled():
-        for number, wish in enumerate(figures, start=1):
-            drawing = result_over_factor(
-                rows,
-                wish["x"],
-                wish["y"],
-                lines=wish["lines"],
-                unit=wish["unit"],
-                log=wish["log"],
-                seed=seed,
-            )
-            caption = f"{wish['y']} over {wish['x']}" + (
-                f", for each {wish['lines']}." if wish["lines"] else "."
-            )
-            name = f"{number:02d}-{slug(wish['y'])}-over-{slug(wish['x'])}"
-            album.add(name, wish["title"] or wish["y"], caption, drawing)
+    for number, wish in enumerate(figures, start=1):
+        drawing = partial(
+            result_over_factor,
+            rows,
+            wish["x"],
+            wish["y"],
+            lines=wish["lines"],
+            unit=wish["unit"],
+            log=wish["log"],
+            seed=seed,
+        )
+        caption = f"{wish['y']} over {wish['x']}" + (f", for each {wish['lines']}." if wish["lines"] else ".")
+        name = f"{number:02d}-{slug(wish['y'])}-over-{slug(wish['x'])}"
+        album.add(name, wish["title"] or wish["y"], caption, drawing)
 
 
 def render_campaign(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from datasets.types import Trajectory
 from reports.content import stage_metrics
 from reports.figures import comparison
 from reports.figures.album import Album
-from reports.figures.style import styled
 from reports.metrics.map import occupied
 from reports.metrics.trajectory import associate
-from reports.numbers import SPECS, leaves, lookup, shown
+from reports.numbers import leaves, lookup, shown
+from reports.specs import SPECS
 from reports.stages import Stage
 
 MORE_IS_BETTER = ("iou", "iou_one_cell", "coverage", "within_one_cell", "goals_reached", "min_clearance_m")
@@ -107,23 +108,22 @@ def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[s
 
 def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
     """Maps over each other, paths over each other, errors over time of both."""
-    with styled():
-        if a.map is not None and b.map is not None:
-            both, only_a, only_b = map_overlap(a.map, b.map)
-            caption = f"Occupied cells: {both} in both (grey), {only_a} only in A, {only_b} only in B."
-            album.add("maps", "Maps", caption, comparison.maps(a.map, b.map))
-        path_a, path_b = driven(a), driven(b)
-        if path_a is not None and path_b is not None:
-            ground = a.map if a.map is not None else a.true_map
-            figure = comparison.paths(ground, path_a, path_b)
-            caption = "A below, B above it." if a.kind == "map" else "True paths: A below, B above it."
-            album.add("paths", "Paths", caption, figure)
-        errors = [_errors(stage) for stage in (a, b)]
-        if errors[0] is not None and errors[1] is not None:
-            caption = "Distance from the truth in each run's own time."
-            album.add("errors", "Position error", caption, comparison.errors(errors[0], errors[1]))
-        elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
-            _draw_apart(path_a, path_b, album)
+    if a.map is not None and b.map is not None:
+        both, only_a, only_b = map_overlap(a.map, b.map)
+        caption = f"Occupied cells: {both} in both (grey), {only_a} only in A, {only_b} only in B."
+        album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
+    path_a, path_b = driven(a), driven(b)
+    if path_a is not None and path_b is not None:
+        ground = a.map if a.map is not None else a.true_map
+        figure = partial(comparison.paths, ground, path_a, path_b)
+        caption = "A below, B above it." if a.kind == "map" else "True paths: A below, B above it."
+        album.add("paths", "Paths", caption, figure)
+    errors_a, errors_b = _errors(a), _errors(b)
+    if errors_a is not None and errors_b is not None:
+        caption = "Distance from the truth in each run's own time."
+        album.add("errors", "Position error", caption, partial(comparison.errors, errors_a, errors_b))
+    elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
+        _draw_apart(path_a, path_b, album)
 
 
 def same_input(a: Stage, b: Stage) -> bool:
@@ -136,7 +136,7 @@ def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
     time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
     caption = "Distance between A's and B's estimate of the same instant."
-    figure = comparison.apart(time_s, pairs.position_errors())
+    figure = partial(comparison.apart, time_s, pairs.position_errors())
     album.add("apart", "How far apart", caption, figure)
 
 

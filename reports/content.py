@@ -11,8 +11,10 @@ from reports.draw_localise import draw_localise, draw_plan
 from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
 from reports.metrics.recording import recording_metrics
-from reports.numbers import GOAL_UNITS, Number, lookup, numbers_of, other_values, shown
+from reports.numbers import Number, files_of, lookup, numbers_of, other_values, sections_of, shown
 from reports.pointer import PointerMap, pointer_map
+from reports.spec import Section
+from reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from reports.stages import Group, Stage
 
 TITLES = {
@@ -45,6 +47,21 @@ class Part:
     pictures: list[Picture]
     goals: list[Mapping[str, Any]]
 
+    @property
+    def sections(self) -> list[tuple[Section, list[Number]]]:
+        """The numbers under their headings."""
+        return sections_of(self.stage, self.numbers)
+
+    def picture_files(self, picture: Picture) -> list[tuple[str, str]]:
+        """Files a picture was drawn from, with their sha256."""
+        ending = f"{self.stage.kind}-{picture.name.rpartition('-')[2]}"
+        return sorted(files_of(self.stage, PICTURE_SOURCES.get(ending, ())).items())
+
+    @property
+    def goal_files(self) -> list[tuple[str, str]]:
+        """Files the table of goals is computed from, with their sha256."""
+        return sorted(files_of(self.stage, GOAL_SOURCES).items())
+
 
 @dataclass(frozen=True, eq=False)
 class Chapter:
@@ -66,12 +83,14 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
 
 
-def build_chapter(group: Group, album: Album) -> Chapter:
-    """Draw and describe every stage of a group."""
+def build_chapter(
+    group: Group, album: Album, measured: Mapping[str, Mapping[str, Any]] | None = None
+) -> Chapter:
+    """Draw and describe every stage of a group; `measured` by label takes the place of its metrics."""
     robots = [robot for stage in group.stages if (robot := stage.fact("robot")) is not None]
     chapter = Chapter(group.name, robots[0] if robots else "", pointer_of(group))
     for stage in group.stages:
-        metrics = stage_metrics(stage)
+        metrics = stage_metrics(stage) if measured is None else dict(measured[stage.label])
         chapter.parts.append(
             Part(
                 stage,
@@ -168,7 +187,9 @@ def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
         return (GOOD if near >= 0.99 else BAD), sentence
     if relations is not None:
         return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
-    return NEUTRAL, f"{scans} scans; no truth was given, so no error is known."
+    sentence = f"{scans} scans; no truth was given, so no error is known"
+    check = lookup(metrics, "self_check.verdict")
+    return NEUTRAL, sentence + (f"; by its own check the map is {check}." if check else ".")
 
 
 def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:

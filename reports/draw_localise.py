@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from datasets.se2 import SE2
 from datasets.types import Trajectory
 from reports.figures import maps, series
 from reports.figures.album import Album, Picture
-from reports.figures.style import styled
 from reports.metrics.trajectory import associate
 from reports.stages import Group, Stage
 
@@ -38,15 +38,14 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     grid = given_map(stage, group)
     record = group.first("record")
     truth = record.truth if record is not None else None
-    with styled():
-        caption = "Where AMCL took the robot to be" + (", over the truth." if truth is not None else ".")
-        figure = maps.trajectories(grid, {"truth": truth, "amcl": estimate})
-        pictures = [album.add(f"{prefix}-path", "Localised path", caption, figure)]
-        if truth is not None:
-            pairs = associate(estimate, truth)
-            figure = series.localisation(pairs, int(truth.stamps_ns[0]), [], [])
-            caption = "Estimate against truth at the scans."
-            pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, figure))
+    caption = "Where the particle filter (AMCL) took the robot to be"
+    caption += "; it should hide the truth beneath it." if truth is not None else "."
+    draw = partial(maps.trajectories, grid, {"truth": truth, "amcl": estimate})
+    pictures = [album.add(f"{prefix}-path", "Localised path", caption, draw)]
+    if truth is not None:
+        draw = partial(series.localisation, associate(estimate, truth), int(truth.stamps_ns[0]), [], [])
+        caption = "How far the estimate was from the truth at each scan; it should stay low."
+        pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, draw))
     return pictures
 
 
@@ -56,10 +55,9 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
     if not path.is_file():
         return []
     poses = read_path(path)
-    with styled():
-        plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
-        figure = maps.trajectories(given_map(stage, group), {"plan": plan})
-        return [album.add(f"{prefix}-path", "Plan", "The planned path; the arrow is the start.", figure)]
+    plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
+    draw = partial(maps.trajectories, given_map(stage, group), {"plan": plan})
+    return [album.add(f"{prefix}-path", "Plan", "The planned path; the arrow is the start.", draw)]
 
 
 def read_path(path: Path) -> SE2:

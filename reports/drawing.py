@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from datasets.bags.reader import read_particles, read_poses
 from datasets.errors import InputError
@@ -17,10 +19,10 @@ from reports.draw_localise import given_map
 from reports.figures import animation, maps, series
 from reports.figures.album import Album, Picture
 from reports.figures.graph import pose_graph, shown_edges
-from reports.figures.style import styled
 from reports.g2o import read_g2o, read_loops
 from reports.metrics.navigation import collision_episodes
 from reports.metrics.trajectory import associate
+from reports.numbers import shown
 from reports.stages import Group, Stage
 
 SNAPSHOTS = 6
@@ -30,11 +32,13 @@ def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[P
     """The drive on the true map."""
     if stage.truth is None:
         return []
-    odometry = read_poses(stage.folder / "bag", "/odom")
-    with styled():
-        figure = maps.trajectories(stage.true_map, {"truth": stage.truth, "odometry": odometry})
-        caption = "True path and what the wheels believe, on the true map. The arrow is the start."
-        return [album.add(f"{prefix}-drive", "The drive", caption, figure)]
+    paths = {"truth": stage.truth, "odometry": read_poses(stage.folder / "bag", "/odom")}
+    caption = (
+        "Where the robot really went, and where its wheels say it went: the further apart, the more mapping "
+        "has to put right. The arrow is the start."
+    )
+    draw = partial(maps.trajectories, stage.true_map, paths)
+    return [album.add(f"{prefix}-drive", "The drive", caption, draw)]
 
 
 def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
@@ -46,30 +50,28 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     recording = source_recording(stage, record)
     odometry = odometry_of(recording)
     pictures = []
-    with styled():
-        if grid is not None and true_map is not None:
-            caption = "Every occupied cell of the map, coloured by how far it is from a true surface (grey)."
-            pictures.append(
-                album.add(f"{prefix}-error", "Map over truth", caption, maps.map_over_truth(grid, true_map))
-            )
-        if slam is not None and truth is not None:
-            paths = {"truth": truth, "odometry": odometry, "slam": slam}
-            caption = "Odometry drifts; SLAM should cover the truth."
-            pictures.append(
-                album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
-            )
-            pictures.append(_error_picture(album, prefix, slam, odometry, truth))
-        elif grid is not None:
-            caption = "The map, with the path of the robot."
-            pictures.append(album.add(f"{prefix}-map", "Map", caption, maps.plain_map(grid, {"slam": slam})))
-            if odometry is not None and slam is not None:
-                paths = {"odometry": odometry, "slam": slam}
-                caption = "The path by odometry alone and after SLAM."
-                pictures.append(
-                    album.add(f"{prefix}-paths", "Trajectories", caption, maps.trajectories(grid, paths))
-                )
-        if stage.has("graph.g2o"):
-            pictures.append(_graph_picture(stage, grid, album, prefix))
+    if grid is not None and true_map is not None:
+        caption = (
+            "Every wall cell of the map, coloured by how far it is from a true surface (grey). Blue lies on "
+            "it, grey-brown one cell beside; look for orange: a wall that is not there."
+        )
+        draw = partial(maps.map_over_truth, grid, true_map)
+        pictures.append(album.add(f"{prefix}-error", "Map over truth", caption, draw))
+    if slam is not None and truth is not None:
+        caption = "SLAM should hide the truth beneath it; the odometry alone wanders off."
+        draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": odometry, "slam": slam})
+        pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
+        pictures.append(_error_picture(album, prefix, slam, odometry, truth))
+    elif grid is not None:
+        caption = "The map, with the path of the robot. Look for walls drawn twice: there is no truth to ask."
+        draw = partial(maps.plain_map, grid, {"slam": slam})
+        pictures.append(album.add(f"{prefix}-map", "Map", caption, draw))
+        if odometry is not None and slam is not None:
+            caption = "The path by odometry alone and after SLAM."
+            draw = partial(maps.trajectories, grid, {"odometry": odometry, "slam": slam})
+            pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
+    if stage.has("graph.g2o"):
+        pictures.append(_graph_picture(stage, grid, album, prefix))
     return pictures + _mapping_animation(stage, recording, odometry, album, prefix)
 
 
@@ -79,9 +81,15 @@ def _mapping_animation(
     slam, grid = stage.trajectory, stage.map
     if recording is None or slam is None or grid is None or not album.animate or len(slam) != len(recording):
         return []
-    data = animation.gif(animation.mapping(recording, slam, odometry, grid))
-    caption = "Scans where SLAM puts them; its path blue, the odometry's orange."
-    return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, data)]
+
+    def draw() -> bytes:
+        return animation.gif(animation.mapping(recording, slam, odometry, grid))
+
+    caption = (
+        "Scans where SLAM puts them; its path blue, the odometry's orange. Walls drawn again on a later "
+        "visit should fall on those drawn before."
+    )
+    return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, draw)]
 
 
 def read_again(folder: Path) -> Recording | None:
@@ -96,26 +104,33 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     graph = read_g2o(stage.folder / "graph.g2o")
     record = read_loops(stage.folder / "graph.json") if stage.has("graph.json") else None
     pairs, residual_m = shown_edges(graph, record)
-    what = "loops drawn" if record is not None else "between distant keys drawn"
-    caption = f"{len(graph.T_map_keys)} keys, {len(graph.i)} edges; the {len(pairs)} {what}"
+    what = "loops" if record is not None else "edges between distant keys"
+    caption = (
+        "Dots are key scans; lines between them are places recognised again, blue where they agree with the "
+        f"map, orange where they pull against it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges, "
+        f"the {len(pairs)} {what} drawn"
+    )
     if len(pairs):
-        middle, worst = 100.0 * float(np.median(residual_m)), 100.0 * float(residual_m.max())
-        caption += f", median residual {middle:.2f} cm, largest {worst:.1f} cm"
-    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", pose_graph(graph, grid, record))
+        middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
+        caption += f"; what is left of a loop's error: median {middle}, largest {worst}"
+    draw = partial(pose_graph, graph, grid, record)
+    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", draw)
 
 
 def _error_picture(
     album: Album, prefix: str, slam: Trajectory, odometry: Trajectory | None, truth: Trajectory
 ) -> Picture:
-    at_scans = None
-    if odometry is not None:
-        at_scans = associate(Trajectory(truth.stamps_ns, odometry.at(truth.stamps_ns)), truth)
-    figure = series.error_over_time(associate(slam, truth), at_scans, truth)
+    def draw() -> Figure:
+        at_scans = None
+        if odometry is not None:
+            at_scans = associate(Trajectory(truth.stamps_ns, odometry.at(truth.stamps_ns)), truth)
+        return series.error_over_time(associate(slam, truth), at_scans, truth)
+
     caption = (
-        "Errors of SLAM and odometry above the true speed and yaw rate: what the robot did when they grew. "
-        "Linear up to 1, logarithmic beyond."
+        "Above: how far off SLAM and the odometry were. Below: what the robot did then. SLAM's error should "
+        "come back down after every turn; the odometry's stays. Linear up to 1, logarithmic beyond."
     )
-    return album.add(f"{prefix}-time", "Error over time", caption, figure)
+    return album.add(f"{prefix}-time", "Error over time", caption, draw)
 
 
 def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
@@ -148,39 +163,57 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     contact = log.contact_visible | log.contact_low
     episodes = collision_episodes(log.t_ns, contact)
     first = contact & ~np.concatenate([[False], contact[:-1]])
-    with styled():
-        estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
-        figure = maps.patrol(world, truth, estimate, goals, log.T_world_base.xy[first])
-        caption = "True and estimated path" if estimate is not None else "True path"
-        caption += "; goals in their order, coloured and shaped by how they ended." if goals else "."
-        pictures = [album.add(f"{prefix}-path", "The run", caption, figure)]
-        ends = goal_ends(log)
-        if estimate is not None:
-            figure = series.localisation(associate(estimate, truth), int(log.t_ns[0]), episodes, ends)
-            caption = "Estimate against truth; dotted lines: a goal ended, bands: contact."
-            pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, figure))
-        commands = np.stack([log.v, log.w], axis=1)
-        figure = series.clearance(log.t_ns, log.clearance_m, commands, episodes, ends)
-        caption = "Footprint to the nearest surface, and what the controller commanded."
-        pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, figure))
-        figure = maps.clearance_on_map(world, truth, log.clearance_m)
-        caption = "Where it was tight."
-        pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, figure))
-        pictures += _particle_pictures(stage, world, truth, album, prefix)
-    if not album.animate:
-        return pictures
-    data = animation.gif(
-        animation.run(
-            world,
-            truth,
-            log.goal_index,
-            goals,
-            read_again(stage.folder),
-            estimate if estimate is not None else stage.truth,
-        )
+    estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
+    caption = (
+        "True path, and above it where the robot believed to be" if estimate is not None else "True path"
     )
-    caption = "The true path, the goal pursued (orange), and the scan where the robot believes it is."
-    return [*pictures, album.add_animation(f"{prefix}-animation", "The run, moving", caption, data)]
+    caption += "; goals numbered in their order, coloured and shaped by how they ended." if goals else "."
+    draw = partial(maps.patrol, world, truth, estimate, goals, log.T_world_base.xy[first])
+    pictures = [album.add(f"{prefix}-path", "The run", caption, draw)]
+    ends = goal_ends(log)
+    if estimate is not None:
+        caption = (
+            "How far the robot's belief was from the truth: it should stay low and come back down. Dotted "
+            "lines: a goal ended; bands: contact."
+        )
+        pairs = associate(estimate, truth)
+        draw = partial(series.localisation, pairs, int(log.t_ns[0]), episodes, ends)
+        pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, draw))
+    caption = (
+        "Room between the footprint and the nearest surface (0 is touch), above what the controller "
+        "commanded then: smooth while it is sure, ragged where it had to dodge."
+    )
+    commands = np.stack([log.v, log.w], axis=1)
+    draw = partial(series.clearance, log.t_ns, log.clearance_m, commands, episodes, ends)
+    pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, draw))
+    caption = "The true path coloured by that room: orange is where it was tight, \u25bc where tightest."
+    draw = partial(maps.clearance_on_map, world, truth, log.clearance_m)
+    pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, draw))
+    pictures += _particle_pictures(stage, world, truth, album, prefix)
+    if album.animate:
+        pictures.append(_run_animation(stage, world, truth, estimate, log, album, prefix))
+    return pictures
+
+
+def _run_animation(
+    stage: Stage,
+    world: OccupancyGrid | None,
+    truth: Trajectory,
+    estimate: Trajectory | None,
+    log: RunLog,
+    album: Album,
+    prefix: str,
+) -> Picture:
+    goals = stage.metrics.get("goals") or []
+
+    def draw() -> bytes:
+        scans_at = estimate if estimate is not None else stage.truth
+        recording = read_again(stage.folder)
+        return animation.gif(animation.run(world, truth, log.goal_index, goals, recording, scans_at))
+
+    caption = "The true path, the scan where the robot believes it is: it should lie on the walls"
+    caption += "; goals orange while pursued, green once reached." if goals else "."
+    return album.add_animation(f"{prefix}-animation", "The run, moving", caption, draw)
 
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
@@ -197,9 +230,13 @@ def _particle_pictures(
         return []
     start = int(truth.stamps_ns[0])
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
-    shown = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
-    caption = "The particle cloud, more often at the start; the black arrow is the true pose."
-    return [album.add(f"{prefix}-particles", "Particles", caption, maps.particles(world, shown, truth))]
+    snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
+    caption = (
+        "Each stroke is one guess of where the robot is; the cloud should close in on the true pose, the "
+        "black arrow. More often at the start."
+    )
+    draw = partial(maps.particles, world, snapshots, truth)
+    return [album.add(f"{prefix}-particles", "Particles", caption, draw)]
 
 
 def particle_clouds(bag: Path) -> list[tuple[int, SE2]]:

@@ -14,9 +14,11 @@ from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
 from reports.figures import style
 from reports.figures.album import Picture
 from reports.index import COLUMNS, Line
-from reports.numbers import Number, lookup, shown
+from reports.numbers import lookup, shown
 from reports.provenance import packages, recipe
+from reports.specs import SPECS
 from reports.stages import Group
+from reports.words import WORDS, explained
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
 THEMED = {
@@ -34,7 +36,10 @@ class Tile:
     label: str
     value: str
     note: str
+    meaning: str
     mood: str = NEUTRAL
+    key: str = ""
+    number: float | None = None
 
 
 def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
@@ -48,7 +53,7 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         tiles=tiles(chapters),
         steps=recipe(groups),
         packages=packages(groups),
-        chapter_numbers=chapter_numbers,
+        words=WORDS,
     )
 
 
@@ -83,6 +88,7 @@ def fill(template: str, **values: object) -> str:
         lstrip_blocks=True,
     )
     environment.filters["themed"] = themed
+    environment.filters["explained"] = explained
     environment.filters["short"] = lambda digest: digest[:12]
     style_text, script = (Markup((folder / name).read_text()) for name in ("report.css", "report.js"))
     return environment.get_template(template).render(style=style_text, script=script, **values)
@@ -93,11 +99,6 @@ def themed(svg: str) -> Markup:
     for colour, variable in THEMED.items():
         svg = svg.replace(colour, variable)
     return Markup(svg)
-
-
-def chapter_numbers(part: Part) -> list[tuple[Number, list[tuple[str, str]]]]:
-    """The numbers of a part with the hashes of what they are computed from."""
-    return [(number, sorted(number.evidence().items())) for number in part.numbers]
 
 
 def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
@@ -121,12 +122,13 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
     if goals:
         reached = sum(goal.get("status") == "reached" for goal in goals)
         mood = GOOD if reached == len(goals) else BAD
-        found.append(Tile("goals reached", f"{reached} of {len(goals)}", _tasks(runs), mood))
+        meaning = "Goals of all runs that the goal checker accepted in time."
+        found.append(Tile("goals reached", f"{reached} of {len(goals)}", _tasks(runs), meaning, mood))
     if runs:
         hits = sum(collision_count(part.metrics) for part in runs)
-        found.append(
-            Tile("collisions", str(hits), f"in {len(runs)} run{'s' * (len(runs) > 1)}", BAD if hits else GOOD)
-        )
+        note = f"in {len(runs)} run{'s' * (len(runs) > 1)}"
+        meaning = "Episodes of contact with anything but the floor, of all runs, counted by the simulator."
+        found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
     for path, label, unit, worst in (
         ("ate_m.rmse", "map trajectory error", "cm", max),
         ("relations.trans_m.mean", "relations error", "m4", max),
@@ -136,14 +138,16 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         ("scans", "scans", "count", max),
     ):
         values = [
-            (value, f"{name}/{part.stage.label}")
+            (value, f"{name}/{part.stage.label}", part.stage.kind)
             for name, part in parts
             if isinstance(value := lookup(part.metrics, path), (int, float))
         ]
         if values and not (path == "scans" and found):
-            value, name = worst(values)
+            value, name, kind = worst(values)
             note = f"worst of {len(values)}: {name}" if len(values) > 1 else name
-            found.append(Tile(label, shown(value, unit), note))
+            meaning = next((spec.meaning for spec in SPECS[kind] if spec.path == path), "")
+            key = f"{name}:{path}" if meaning else ""
+            found.append(Tile(label, shown(value, unit), note, meaning, key=key, number=value))
     return found[:5]
 
 

@@ -15,7 +15,7 @@ from datasets.grid import FREE, OccupancyGrid
 from datasets.types import Trajectory
 from reports.metrics.map import occupied
 
-PIXELS = {"occupied": 28, "unknown": 236, "free": 254}
+PIXELS = {"occupied": 28, "unknown": 224, "free": 254}
 SPACING_M = 0.02
 
 

@@ -133,6 +133,8 @@ def _run(stage: Stage) -> dict[str, Any]:
         "min_clearance_m": min_clearance(log.clearance_m),
         "takeovers": takeovers(log.t_ns, log.owner),
     }
+    if "map" in stage.metrics and stage.map is not None and stage.true_map is not None:
+        found["map"] = map_metrics(stage.map, stage.true_map)
     if stage.metrics.get("localisation_error_m") and stage.trajectory is not None and stage.truth is not None:
         found["localisation_error_m"] = localisation_error(stage.trajectory, stage.truth)
     goals = stage.metrics.get("goals") or []

@@ -1,5 +1,6 @@
 """Small stage outputs with the contract's files, made without simulating anything."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from datasets.bags.writer import BagWriter
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.maps import save_map
-from datasets.outputs import write_json, write_manifest
+from datasets.outputs import sha256_file, write_json, write_manifest
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
 from datasets.seeds import stream
@@ -208,3 +209,11 @@ def fake_plan(folder: Path, map_folder: Path) -> Path:
     inputs = {"map": map_folder / "map.yaml"}
     write_manifest(folder, stage="plan", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
+
+
+def rehash(folder, name):
+    """Make a manifest vouch for a changed file."""
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["outputs"][name] = sha256_file(folder / name)
+    path.write_text(json.dumps(manifest))

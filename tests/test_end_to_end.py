@@ -1,15 +1,18 @@
 """The whole way, by numbers: record, map, navigate, report; through the command line, as a user goes it."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
+from report_fakes import rehash
 
 from datasets.maps import load_map
 from datasets.outputs import sha256_tree
 from datasets.trajectories import load_tum
 from pipeline.cli import main
+from pipeline.verify import verify
 
 LAP = """\
 name: short_lap
@@ -82,6 +85,27 @@ def test_the_report_stands_alone_and_says_where_numbers_come_from(stages):
         manifest = json.loads((stages / stage / "manifest.json").read_text())
         assert manifest["outputs"]["config.yaml"][:12] in page
     assert "turtlebag map" in page
+
+
+def test_every_number_of_the_report_is_computed_again_and_a_lie_of_the_maps_own_check_is_found(
+    stages, tmp_path
+):
+    for name in ("record", "map", "run", "report"):
+        shutil.copytree(stages / name, tmp_path / name)
+    # Nothing is left where it was made: all is found beside the report.
+    found = verify(tmp_path / "report")
+    assert (found.problems, found.unchecked, found.notes) == ([], [], [])
+    assert "turtlebot3_world/map:self_check.revisits" in {check.key for check in found.checks}
+    for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
+        text = file.read_text()
+        file.write_text(re.sub(r'"revisits": \d+', '"revisits": 7', text))
+        assert file.read_text() != text
+        rehash(file.parent, "metrics.json")
+    problems = verify(tmp_path / "report").problems
+    assert any(line.startswith("turtlebot3_world/map:self_check.revisits: reported 7, ") for line in problems)
+    assert (
+        "turtlebot3_world/map:self_check.revisits" in verify(tmp_path / "report", run_again=False).unchecked
+    )
 
 
 def test_the_same_seed_gives_the_same_bytes_wherever_it_is_written(stages, tmp_path):

@@ -13,6 +13,7 @@ from datasets.types import Trajectory
 from reports.metrics.map import map_error, map_metrics, visible_surface
 from reports.metrics.navigation import collision_episodes, collisions, min_clearance, pose_error
 from reports.metrics.trajectory import associate, ate, fit_rigid, rpe, trajectory_metrics
+from sim.worlds import load_world
 
 
 def circle(n: int = 200, period_ns: int = 200_000_000) -> Trajectory:
@@ -148,6 +149,17 @@ def test_a_map_one_cell_off_loses_plain_iou_but_not_the_tolerant_one():
     assert found["iou"] == pytest.approx((mapped & true).sum() / (mapped | true).sum())
     assert found["iou_one_cell"] == 1.0
     assert found["occupied_error_m"]["p95"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("world", ["turtlebot3_world", "turtlebot3_house"])
+def test_the_true_map_itself_half_a_cell_beside_loses_most_of_plain_iou(world):
+    """What the report says of plain IoU, where it asks not to trust it."""
+    true = load_world(world).rasterize(0.18)
+    beside = OccupancyGrid(true.cells, true.resolution, SE2.from_xyt(0.025, 0.025, 0.0) @ true.T_map_grid)
+    found = map_metrics(beside, true)
+    assert found["iou"] < 0.2
+    assert found["iou_one_cell"] == 1.0
+    assert found["occupied_error_m"]["within_one_cell"] == 1.0
 
 
 def test_grids_with_other_origins_are_compared_in_metres():

@@ -1,5 +1,6 @@
 """The report of recordings, maps and runs, made from small stand-ins of their outputs."""
 
+import html
 import json
 import re
 import shutil
@@ -17,7 +18,9 @@ from pipeline.report import make_report
 from reports.content import collision_count, verdict
 from reports.numbers import numbers_of, shown
 from reports.provenance import rename
+from reports.specs import SECTIONS
 from reports.stages import Stage, changed_files, group_stages, load_stage
+from reports.words import WORDS, explained
 
 
 @pytest.fixture(scope="module")
@@ -207,3 +210,33 @@ def test_an_error_names_the_truth_it_was_measured_against():
     (number,) = numbers_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
     assert number.key == "room/map:ate_m.rmse"
     assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
+
+
+def test_words_are_linked_once_to_their_meaning_and_the_text_stays_escaped():
+    said = explained("loops & SLAM, SLAM")
+    assert re.sub(r' title="[^"]*"', "", said) == (
+        '<a class="word" href="#word-loop">loops</a> &amp; <a class="word" href="#word-slam">SLAM</a>, SLAM'
+    )
+    meaning = next(word.meaning for word in WORDS if word.name == "loop")
+    assert f'title="{meaning}">loops' in html.unescape(said)
+    assert explained("slammed <looping>") == "slammed &lt;looping&gt;"
+
+
+def test_every_word_that_is_linked_is_explained_at_the_end(page):
+    text = page.read_text()
+    linked = set(re.findall(r'href="#(word-[^"]*)"', text))
+    assert {"word-odometry", "word-slam", "word-iou", "word-footprint"} <= linked
+    assert linked <= set(re.findall(r'<div id="(word-[^"]*)"', text))
+
+
+def test_of_the_walls_two_numbers_are_the_ones_to_trust():
+    (walls,) = (section for section in SECTIONS["map"] if section.title == "The walls")
+    trusted = [spec.path for spec in walls.specs if spec.trusted]
+    assert trusted == ["map.occupied_error_m.within_one_cell", "map.coverage"]
+    assert all(sum(spec.trusted for spec in s.specs) <= 2 for found in SECTIONS.values() for s in found)
+
+
+def test_the_numbers_come_before_the_details_headline_tiles_verdicts(page):
+    text = page.read_text()
+    order = [text.index(mark) for mark in ("<h1", 'class="tiles"', 'class="verdicts"', "<nav", "<main")]
+    assert order == sorted(order)

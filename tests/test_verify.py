@@ -2,15 +2,15 @@
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_fakes import fake_map, fake_record, fake_run
+from report_fakes import fake_map, fake_record, fake_run, rehash
 
 from datasets.errors import InputError
-from datasets.outputs import sha256_file
 from datasets.runlog import RunLog
 from pipeline.cli import main
 from pipeline.report import make_report
@@ -35,14 +35,6 @@ def tree(original, tmp_path):
     manifest = tmp_path / "tree/report/manifest.json"
     manifest.write_text(manifest.read_text().replace(f'"path": "{original}', '"path": "/nowhere'))
     return tmp_path / "tree"
-
-
-def rehash(folder, name):
-    """Make a manifest vouch for a changed file."""
-    path = folder / "manifest.json"
-    manifest = json.loads(path.read_text())
-    manifest["outputs"][name] = sha256_file(folder / name)
-    path.write_text(json.dumps(manifest))
 
 
 def edit_metrics(folder, change):
@@ -95,8 +87,38 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
     marked = f'data-key="{key}" data-value="{value}">'
     page.write_text(page.read_text().replace(marked + text, marked + "0.01\u202fcm"))
     rehash(tree / "report", "index.html")
+    problems = verify(tree / "report").problems
+    assert any("room/map:ate_m.max" in problem for problem in problems)
+
+
+@pytest.mark.parametrize(
+    ("said", "lie"),
+    [
+        ("2 of 3</dd>", "3 of 3</dd>"),
+        ("0 of 1 task succeeded</h1>", "1 of 1 task succeeded</h1>"),
+        ("<dd>Heading, counted", "<dd>Heading, not counted"),
+        ("2 of 3 goals reached, 1 collision.", "3 of 3 goals reached, no collision."),
+        ("2 edges, the", "3 edges, the"),
+    ],
+)
+def test_a_tile_a_verdict_and_a_caption_changed_on_the_page_are_named(tree, said, lie):
+    page = tree / "report/index.html"
+    text = page.read_text()
+    assert said in text
+    page.write_text(text.replace(said, lie, 1))
+    rehash(tree / "report", "index.html")
     (problem,) = verify(tree / "report").problems
-    assert "room/map:ate_m.max" in problem
+    assert problem.startswith("index.html: says ")
+    assert re.sub("<[^>]*>", "", said) in problem.partition("; computed ")[2]
+
+
+def test_a_tile_that_shows_another_number_than_the_stages_is_named(tree):
+    page = tree / "report/index.html"
+    key, value, text = next(item for item in page_numbers(page) if item[0] == "room/map:ate_m.rmse")
+    tile = f'<dd data-key="{key}" data-value="{value}">'
+    page.write_text(page.read_text().replace(tile + text, tile + "0.01\u202fcm"))
+    rehash(tree / "report", "index.html")
+    assert any("room/map:ate_m.rmse" in line for line in verify(tree / "report").problems)
 
 
 def test_a_number_changed_in_the_reports_metrics_only_is_named(tree):

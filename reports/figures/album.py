@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,38 +29,48 @@ class Picture:
 
 @dataclass
 class Album:
-    """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG."""
+    """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG.
 
-    folder: Path
+    Without a folder nothing is drawn: titles and captions only.
+    """
+
+    folder: Path | None
     animate: bool = True
     paper: bool = False
     pictures: list[Picture] = field(default_factory=list)
 
-    def add(self, name: str, title: str, caption: str, figure: Figure) -> Picture:
-        """Save `name.png` and keep the SVG; names are unique within a report."""
+    def add(self, name: str, title: str, caption: str, draw: Callable[[], Figure]) -> Picture:
+        """Draw, save `name.png` and keep the SVG; names are unique within a report."""
         if any(picture.name == name for picture in self.pictures):
             raise ValueError(f"two pictures are called {name}")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with styled():
-            # Laid out once; each saving would do it again, and draw twice.
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")
-            save_png(figure, self.folder / f"{name}.png")
-            if self.paper:
-                save_pdf(figure, self.folder / f"{name}.pdf")
-            picture = Picture(name, title, caption, svg_text(figure, name))
-            if self.paper:
-                (self.folder / f"{name}.svg").write_text(standalone(picture.svg))
+        svg = "" if self.folder is None else self._saved(self.folder, name, draw)
+        picture = Picture(name, title, caption, svg)
         self.pictures.append(picture)
         return picture
 
-    def add_animation(self, name: str, title: str, caption: str, data: bytes) -> Picture:
+    def _saved(self, folder: Path, name: str, draw: Callable[[], Figure]) -> str:
+        folder.mkdir(parents=True, exist_ok=True)
+        with styled():
+            figure = draw()
+            # Laid out once; each saving would do it again, and draw twice.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            save_png(figure, folder / f"{name}.png")
+            svg = svg_text(figure, name)
+            if self.paper:
+                save_pdf(figure, folder / f"{name}.pdf")
+                (folder / f"{name}.svg").write_text(standalone(svg))
+        return svg
+
+    def add_animation(self, name: str, title: str, caption: str, draw: Callable[[], bytes]) -> Picture:
         """Save `name.gif` and carry it in the page."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        (self.folder / f"{name}.gif").write_bytes(data)
-        picture = Picture(
-            name, title, caption, gif=_address("gif", data), still=_address("png", last_frame(data))
-        )
+        picture = Picture(name, title, caption)
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            data = draw()
+            (self.folder / f"{name}.gif").write_bytes(data)
+            gif, still = _address("gif", data), _address("png", last_frame(data))
+            picture = Picture(name, title, caption, gif=gif, still=still)
         self.pictures.append(picture)
         return picture
 

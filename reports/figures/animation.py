@@ -26,7 +26,7 @@ SUPER = 2
 
 UNSEEN, FREE, WALL, INK, BLUE, ORANGE, GREEN, RED, SKY, GREY = range(10)
 COLOURS = (
-    (238, 240, 243),
+    (218, 223, 229),
     (254, 254, 254),
     (60, 68, 77),
     (28, 32, 36),

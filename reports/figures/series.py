@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from datasets.se2 import Array, wrap
 from datasets.types import Stamps, Trajectory
@@ -49,10 +50,11 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
         axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **LINES[kind])
     for axis in axes[:2]:
         axis.set_yscale("symlog", linthresh=1.0)
+        axis.yaxis.set_major_formatter(ScalarFormatter())
         axis.set_ylim(bottom=0.0)
     axes[0].set_ylabel("position\nerror [cm]")
     axes[1].set_ylabel("yaw\nerror [°]")
-    axes[0].legend(loc="upper left", ncol=2)
+    axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=2, borderaxespad=0.2)
     t, v, w = speeds(truth)
     axes[2].plot(t, v, color=INK, linewidth=0.9)
     axes[2].set_ylabel("speed\n[m/s]")

@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#eef0f3"
+INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#e1e5ea"
 TRUTH, ODOMETRY, SLAM, AMCL = INK, "#d98c00", "#0072b2", "#009e73"
 GOOD, BAD, WARN, ACCENT = "#009e73", "#d55e00", "#d98c00", "#cc79a7"
 
@@ -34,9 +34,9 @@ LINES: dict[str, dict[str, Any]] = {
 
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.labelsize": 9.0,
+    "font.size": 10.0,
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 10.0,
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
@@ -54,7 +54,7 @@ STYLE: dict[Any, Any] = {
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "legend.frameon": False,
-    "legend.fontsize": 8.5,
+    "legend.fontsize": 9.5,
     "figure.facecolor": PAPER,
     "savefig.facecolor": PAPER,
     "savefig.dpi": 160,

@@ -1,0 +1,100 @@
+"""A stage run again from what it read: for the numbers its files alone do not hold.
+
+The report knows data files only; running a stage is the pipeline's. The recorded command is used with its
+inputs where they lie now and with the very settings of its `config.yaml`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_file
+from pipeline.cli import build_parser, joined
+from pipeline.console import log
+from reports.metrics.area import area_metrics
+from reports.provenance import rename
+from reports.stages import Group, Stage, read_json
+from sim.robots import load_robot
+
+AGAIN = ("map", "localise", "plan")
+"""Stages that are functions of files alone; a drive is judged by its bag."""
+
+
+@dataclass(frozen=True)
+class Remade:
+    """A stage's metrics when run again, and which of its data files came out with other bytes."""
+
+    metrics: dict[str, Any]
+    other_bytes: list[str]
+
+
+def places_of(groups: Sequence[Group]) -> dict[str, str]:
+    """Where the outputs named in the recorded commands lie now."""
+    stages = [stage for group in groups for stage in group.stages]
+    return {out.rstrip("/"): str(stage.folder) for stage in stages if (out := stage.option("out"))}
+
+
+def remade(stage: Stage, places: Mapping[str, str]) -> Remade | None:
+    """Run a stage again; None when it cannot be: another kind, or what it read is gone or not the same."""
+    if stage.kind not in AGAIN or len(stage.command) < 2 or not stage.has("config.yaml"):
+        return None
+    log.debug("running %s again", stage.folder)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "again"
+        level = log.level
+        try:
+            log.setLevel("CRITICAL")
+            args = build_parser(stage.kind).parse_args(joined(command_again(stage, places, out)))
+            args.command_line, args.no_cache = [], True
+            args.run(args)
+            again = read_json(out / "manifest.json")
+            if _read(again) != _read(stage.manifest):
+                return None
+            changed = [
+                path
+                for path, digest in stage.outputs.items()
+                if not (out / path).is_file() or sha256_file(out / path) != digest
+            ]
+            return Remade(read_json(out / "metrics.json"), changed)
+        except (InputError, OSError):
+            return None
+        finally:
+            log.setLevel(level)
+
+
+def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
+    """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
+    words: list[str] = []
+    following = iter(joined(stage.command[1:]))
+    for word in following:
+        option, equals, _ = word.partition("=")
+        if option in ("--out", "--config", "--set"):
+            if not equals:
+                next(following, None)
+        elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
+            words.append(rename(word, dict(places)))
+    return [*words, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
+
+
+def _read(manifest: Mapping[str, Any]) -> list[str]:
+    """Hashes of everything a stage read, sorted."""
+    inputs = manifest.get("inputs", {}).values()
+    return sorted(digest for entry in inputs for digest in entry["sha256"].values())
+
+
+def floor_seen_again(stage: Stage, T_world_base: Any) -> dict[str, Any]:
+    """The `area` of a run's metrics from the bag's true poses and the true map; empty where unknown."""
+    name, grid = stage.fact("robot"), stage.true_map
+    if "area" not in stage.metrics or name is None or grid is None:
+        return {}
+    try:
+        robot = load_robot(name)
+    except InputError:
+        return {}
+    reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
+    return {"area": area_metrics(grid, T_world_base, robot.T_base_lidar, reach, radius)}

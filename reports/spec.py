@@ -1,0 +1,41 @@
+"""How a number is described: its name, unit, meaning, and the files it is computed from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A number by its dotted path in the metrics: its name, unit, meaning and what it is computed from.
+
+    `sources` are files of the stage; `topics` the bag topics among them. `trusted`: the one of its
+    section to go by.
+    """
+
+    path: str
+    label: str
+    unit: str
+    meaning: str
+    sources: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()
+    trusted: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """Numbers under one heading; `hint` says how to read them."""
+
+    title: str
+    hint: str
+    specs: tuple[Spec, ...]
+
+
+BAG = ("bag/",)
+TRAJECTORY = ("trajectory.tum",)
+MAP_FILES = ("map.pgm", "map.yaml")
+GRAPH = ("graph.g2o", "graph.json")
+LOG = ("runlog.csv",)
+SEEN = ("truth/trajectory.tum", "truth/map.yaml")
+ODOMETRY = ("/odom", "/ground_truth/odom")
+TRUTH = ("/ground_truth/odom",)

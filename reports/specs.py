@@ -1,0 +1,264 @@
+"""Which numbers a report shows of each stage, in which order and under which headings."""
+
+from __future__ import annotations
+
+from reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, SEEN, TRAJECTORY, TRUTH, Section, Spec
+from reports.spec_map import MAP, WALLS
+
+RECORD = (
+    Section(
+        "What was recorded",
+        "",
+        (
+            Spec("scans", "scans", "count", "Lidar sweeps in the bag.", BAG, ("/scan",)),
+            Spec(
+                "duration_s",
+                "duration",
+                "s",
+                "From the first scan to the last, simulated time.",
+                BAG,
+                ("/scan",),
+            ),
+            Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
+        ),
+    ),
+    Section(
+        "How far the wheels were wrong",
+        "Wheel odometry adds up its errors: these are what mapping has to put right.",
+        (
+            Spec(
+                "odometry_ate_m.rmse",
+                "odometry error, RMSE",
+                "cm",
+                "Wheel odometry against the truth at the scans, no alignment: both start at the same pose.",
+                BAG,
+                ODOMETRY,
+            ),
+            Spec(
+                "odometry_ate_m.max",
+                "odometry error, largest",
+                "cm",
+                "Largest distance between wheel odometry and truth.",
+                BAG,
+                ODOMETRY,
+            ),
+            Spec(
+                "odometry_rpe.trans_m",
+                "odometry drift per metre",
+                "cm/m",
+                "Relative pose error of the odometry over each metre of true path, RMSE.",
+                BAG,
+                ODOMETRY,
+            ),
+            Spec(
+                "odometry_rpe.rot_rad",
+                "odometry turn error per metre",
+                "deg/m",
+                "The same for the heading.",
+                BAG,
+                ODOMETRY,
+            ),
+        ),
+    ),
+)
+
+RUN = (
+    Section(
+        "What it did",
+        "Contacts and clearance were counted by the simulator as the run was made: a bag holds neither.",
+        (
+            Spec("goals_reached", "goals reached", "count", "Goals the goal checker accepted in time.", LOG),
+            Spec(
+                "collisions.visible",
+                "collisions with visible things",
+                "count",
+                "Episodes of contact with something that crosses the lidar plane, from the run log.",
+                LOG,
+            ),
+            Spec(
+                "collisions.low",
+                "contacts with low things",
+                "count",
+                "Episodes of contact with something below the lidar plane, which no lidar sees, from the run "
+                "log.",
+                LOG,
+            ),
+            Spec(
+                "min_clearance_m",
+                "least clearance",
+                "cm",
+                "Footprint to the nearest surface up to the robot's height, at the worst moment, from the "
+                "run log; verify checks that the true path on the true map leaves no less room than that.",
+                LOG,
+            ),
+            Spec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
+            Spec(
+                "takeovers.count",
+                "takeovers",
+                "count",
+                "Times that someone took the commands over from navigation, by the run log's owner of each "
+                "tick.",
+                LOG,
+            ),
+            Spec(
+                "takeovers.time_s",
+                "time taken over",
+                "s",
+                "Simulated time that navigation did not drive.",
+                LOG,
+            ),
+            Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
+        ),
+    ),
+    Section(
+        "The floor it saw",
+        "For runs without a goal: how much of the world came into view.",
+        (
+            Spec(
+                "area.share",
+                "floor seen, of what can be seen",
+                "percent",
+                "Of the true free floor in line of sight from anywhere the robot can get to.",
+                SEEN,
+                trusted=True,
+            ),
+            Spec(
+                "area.seen_m2",
+                "floor seen",
+                "m2",
+                "True free floor in line of sight of the lidar, within its range, at one of the true poses.",
+                SEEN,
+            ),
+        ),
+    ),
+    Section(
+        "How well it knew where it was",
+        "The robot's own estimate (AMCL on the map) against the truth, at each scan.",
+        (
+            Spec(
+                "localisation_error_m.rmse",
+                "localisation error, RMSE",
+                "cm",
+                "Distance between the estimate and the true position at the estimate's stamps.",
+                ("trajectory.tum", "bag/"),
+                TRUTH,
+                trusted=True,
+            ),
+            Spec(
+                "localisation_error_m.max",
+                "localisation error, largest",
+                "cm",
+                "Largest of those distances.",
+                ("trajectory.tum", "bag/"),
+                TRUTH,
+            ),
+        ),
+    ),
+    WALLS,
+)
+
+LOCALISE = (
+    Section(
+        "Where it was",
+        "",
+        (
+            Spec(
+                "localisation_error_m.rmse",
+                "localisation error, RMSE",
+                "cm",
+                "Distance between the estimate and the true position at the scans.",
+                TRAJECTORY,
+                trusted=True,
+            ),
+            Spec(
+                "localisation_error_m.max",
+                "localisation error, largest",
+                "cm",
+                "Largest of those.",
+                TRAJECTORY,
+            ),
+            Spec(
+                "localisation_error_rad.rmse",
+                "heading error, RMSE",
+                "deg",
+                "The same for the heading.",
+                TRAJECTORY,
+            ),
+        ),
+    ),
+    Section(
+        "How the filter stood",
+        "",
+        (
+            Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
+            Spec("updates", "filter updates", "count", "Scans the filter weighed its particles with."),
+            Spec(
+                "converged.share",
+                "time converged",
+                "percent",
+                "Share of the scans with one tight cloud of particles.",
+            ),
+        ),
+    ),
+)
+
+PLAN = (
+    Section(
+        "The path",
+        "",
+        (
+            Spec("length_m", "length", "m", "Length of the planned path.", ("path.csv",), trusted=True),
+            Spec(
+                "min_clearance_m",
+                "least clearance",
+                "cm",
+                "Footprint to the nearest occupied or unknown cell, at the tightest pose.",
+                ("path.csv",),
+            ),
+            Spec("poses", "poses", "count", "Poses of the path.", ("path.csv",)),
+        ),
+    ),
+)
+
+SECTIONS: dict[str, tuple[Section, ...]] = {
+    "record": RECORD,
+    "map": MAP,
+    "localise": LOCALISE,
+    "plan": PLAN,
+    "navigate": RUN,
+}
+SPECS: dict[str, tuple[Spec, ...]] = {
+    kind: tuple(spec for section in sections for spec in section.specs) for kind, sections in SECTIONS.items()
+}
+GOAL_SOURCES = (*LOG, *BAG)
+GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
+
+# Inputs of the stage that a number is measured against.
+REFERENCES = {
+    "ate_m": ("truth",),
+    "ate_aligned_m": ("truth",),
+    "rpe": ("truth",),
+    "map": ("truth",),
+    "relations": ("relations",),
+    "relations_cartographer": ("relations",),
+}
+
+# What each picture of a stage is drawn from, by the end of its name; a record's truth goes without saying.
+PICTURE_SOURCES = {
+    "record-drive": ("bag/", "truth/"),
+    "map-error": MAP_FILES,
+    "map-paths": TRAJECTORY,
+    "map-map": (*MAP_FILES, *TRAJECTORY),
+    "map-time": TRAJECTORY,
+    "map-graph": GRAPH,
+    "map-animation": (*TRAJECTORY, *MAP_FILES),
+    "localise-path": TRAJECTORY,
+    "localise-error": TRAJECTORY,
+    "plan-path": ("path.csv",),
+    "navigate-path": (*LOG, *TRAJECTORY, "metrics.json"),
+    "navigate-localisation": (*TRAJECTORY, *LOG),
+    "navigate-clearance": LOG,
+    "navigate-tight": LOG,
+    "navigate-particles": BAG,
+    "navigate-animation": (*LOG, *BAG),
+}
