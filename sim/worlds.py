@@ -12,6 +12,7 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
+from sim.clutter import cluttered
 from sim.generators import GENERATORS, LIMITS
 from sim.movers import Mover
 from sim.rasterize import true_map
@@ -66,7 +67,11 @@ def load_world(name_or_path: str) -> World:
 
     Options of a world follow its name: `turtlebot3_house:gate=open`. Generated worlds are named by
     generator and seed: `maze:7`, `office:3`, `forest:5,density=0.5`. A .world or .sdf file is imported.
+    Any of them may be followed by `+clutter:SEED,boxes=3,movers=2`: things that no map of it shows.
     """
+    base, plus, clutter = name_or_path.partition("+clutter:")
+    if plus:
+        return cluttered(load_world(base), clutter)
     name, _, settings = name_or_path.partition(":")
     if name.endswith((".world", ".sdf")):
         return _from_sdf(Path(name), settings)
