@@ -119,7 +119,9 @@ def _box(number: int, floor: _Floor, placed: Sequence[Solid], rng: np.random.Gen
         one = box(
             f"clutter_{number}", (float(xy[0]), float(xy[1])), (float(width), float(depth)), yaw, (0.0, 0.5)
         )
-        if floor.is_clear(xy, 0.5 * math.hypot(width, depth)) and floor.leaves_ways([*placed, one]):
+        apart = all(np.linalg.norm(np.array(other.center) - xy) > 0.35 for other in placed)
+        clear = floor.is_clear(xy, 0.5 * math.hypot(width, depth))
+        if apart and clear and floor.leaves_ways([*placed, one]):
             return one
     raise InputError(f"{where}: no room for box {number + 1} of the clutter")
 

@@ -65,4 +65,4 @@ def test_mistakes_are_named(settings, message):
 
 def test_a_floor_that_is_full_is_said():
     with pytest.raises(InputError, match="no room for box"):
-        load_world("maze:1,cells=2,cell=0.9+clutter:1,boxes=20")
+        load_world("maze:1,cells=2,cell=1.2+clutter:1,boxes=20")
