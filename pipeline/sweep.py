@@ -11,7 +11,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, check_free, sha256_text, write_json, write_manifest
-from pipeline.campaign.case import ROW
+from pipeline.campaign.case import CACHE, ROW, SHARED, throw_away
 from pipeline.campaign.engine import run_cases
 from pipeline.campaign.plan import Campaign, Case, cases, load_campaign
 from pipeline.campaign.table import write_parquet
@@ -45,6 +45,7 @@ def sweep(
     todo = cases(campaign)
     rows = _run(campaign, todo, folder / "cases", scheduler, workers)
     timing = _collect_timing(folder / "cases")
+    _tidy(folder, campaign)
     write_results(campaign, rows, folder)
     write_manifest(
         folder,
@@ -108,6 +109,13 @@ def _collect_timing(folder: Path) -> dict[str, float]:
         timing[path.parent.name] = float(json.loads(path.read_text())["wall_s"])
         path.unlink()
     return timing
+
+
+def _tidy(folder: Path, campaign: Campaign) -> None:
+    """What only the running campaign needed goes; of shared outputs stays what stays of any stage."""
+    shutil.rmtree(folder / CACHE, ignore_errors=True)
+    if (folder / SHARED).is_dir():
+        throw_away(folder / SHARED, campaign.keep)
 
 
 def write_results(campaign: Campaign, rows: Sequence[dict[str, Any]], folder: Path) -> None:

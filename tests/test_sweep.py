@@ -81,6 +81,15 @@ def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
         cases(load(tmp_path, text.replace("0.1*x", "x*x")))
 
 
+def test_levels_can_stand_for_texts(tmp_path):
+    text = CAMPAIGN.replace("\"--odd 'two words'\"", '"{size:--a [0, 0]|--b|--c [1]}"')
+    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
+    assert found[0].commands["make"][-3:] == ["--a", "[0,", "0]"]
+    assert [case.commands["make"][-1] for case in found[4::4]] == ["--b", "[1]"]
+    with pytest.raises(InputError, match="no text for level 3"):
+        cases(load(tmp_path, text.replace("|--c [1]", "")))
+
+
 def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
     text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
     with pytest.raises(InputError, match="needs `sample`"):
@@ -101,6 +110,7 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
         ("y: good", "y: bad", "no result"),
         ("question:", "questoin:", "unknown key"),
+        ("compare: size", "shared: [cook]", "cook is no stage"),
     ],
 )
 def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
@@ -192,6 +202,34 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, no_comm
     monkeypatch.setattr("pipeline.cli.main", fake_main)
     assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", scheduler=scheduler) == 0
     assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
+
+
+def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, no_commands, scheduler, monkeypatch):
+    from pipeline.sweep import sweep
+
+    ran = []
+
+    def counted(argv):
+        ran.append(argv[1 : argv.index("--quiet")])
+        return fake_main(argv)
+
+    monkeypatch.setattr("pipeline.cli.main", counted)
+    text = CAMPAIGN.replace("--seed {seed} {kind}", "--seed {seed}").replace(
+        "metrics.json", "metrics.json {kind}"
+    )
+    (tmp_path / "campaign.yaml").write_text(text)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "alone", scheduler=scheduler) == 0
+    assert len(ran) == 2 * 24
+    ran.clear()
+    (tmp_path / "campaign.yaml").write_text(text + "shared: [make]\n")
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "together", scheduler=scheduler) == 0
+    assert len(ran) == 24 + 12
+    rows = [(tmp_path / name / "summary.json").read_bytes() for name in ("alone", "together")]
+    assert rows[0] == rows[1]
+    shared = list((tmp_path / "together/shared").iterdir())
+    assert len(shared) == 12
+    assert {path.name for path in shared[0].iterdir()} == {"metrics.json", "manifest.json"}
+    assert not (tmp_path / "together/cache").exists()
 
 
 def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, scheduler):

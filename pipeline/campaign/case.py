@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import json
+import os
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from datasets.outputs import write_json
+from pipeline.cache import PLACE_VARIABLE
 from reports.stages import read_json
 
 ROW = "row.json"
+SHARED, CACHE = "shared", "cache"
+"""Beside the cases: outputs that several use, and the stage cache."""
 
 
 def run_case(
-    case: Mapping[str, Any], results: Mapping[str, str], folder: str, keep: Sequence[str]
+    case: Mapping[str, Any],
+    results: Mapping[str, str],
+    folder: str,
+    keep: Sequence[str],
+    shared: Collection[str] = (),
 ) -> dict[str, Any]:
     """Run a case in `folder` (its own) and return its row; a stage that breaks makes a `failed` row.
 
-    What was finished before is not run again. The row is written last: where it is, the case is done.
+    What was finished before is not run again; a stage in `shared` whose command another case gives too is
+    run once for both, beside the cases. The row is written last: where it is, the case is done.
     """
     place = Path(folder)
     row_path = place / ROW
@@ -31,13 +41,15 @@ def run_case(
     place.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     error = ""
-    for stage, words in case["commands"].items():
-        error = _run_stage(stage, [word.format(**_folders(case, place)) for word in words], place)
-        if error:
-            break
+    folders = stage_folders(case["commands"], place, shared)
+    with _cache_of_the_campaign(place):
+        for stage, words in case["commands"].items():
+            error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place)
+            if error:
+                break
     row: dict[str, Any] = {"case": case["name"], **case["factors"], "failed": bool(error), "error": error}
-    row |= {name: None if error else _value(place, where) for name, where in results.items()}
-    _throw_away(place, keep)
+    row |= {name: None if error else _value(folders, where) for name, where in results.items()}
+    throw_away(place, keep)
     timing = {"wall_s": round(time.perf_counter() - started, 3)}
     (place / "timing.json").write_text(json.dumps(timing))
     unfinished = place / (ROW + ".partial")
@@ -46,43 +58,71 @@ def run_case(
     return row
 
 
-def _folders(case: Mapping[str, Any], place: Path) -> dict[str, str]:
-    return {stage: str(place / stage) for stage in case["commands"]}
+def stage_folders(
+    commands: Mapping[str, Sequence[str]], place: Path, shared: Collection[str]
+) -> dict[str, Path]:
+    """Where each stage's output lies: in the case's folder, or beside the cases, named by what makes it."""
+    folders: dict[str, Path] = {}
+    recipes: dict[str, str] = {}
+    for stage, words in commands.items():
+        # With the recipes of earlier stages in their braces: the same recipe is the same output.
+        recipes[stage] = json.dumps([word.format(**recipes) for word in words])
+        name = hashlib.sha256(recipes[stage].encode()).hexdigest()[:12]
+        folders[stage] = place.parents[1] / SHARED / name if stage in shared else place / stage
+    return folders
 
 
-def _run_stage(stage: str, words: Sequence[str], place: Path) -> str:
+@contextlib.contextmanager
+def _cache_of_the_campaign(place: Path) -> Iterator[None]:
+    """Steps of the stages are kept beside the cases, for those that differ only in what comes later."""
+    before = os.environ.get(PLACE_VARIABLE)
+    os.environ[PLACE_VARIABLE] = str(place.parents[1] / CACHE)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[PLACE_VARIABLE]
+        else:
+            os.environ[PLACE_VARIABLE] = before
+
+
+def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path) -> str:
     """Run one command into its folder; the reason in one line when it did not finish its outputs."""
     from pipeline.cli import main
 
-    out = place / stage
     if (out / "manifest.json").is_file():
         return ""
+    mine = out if out.parent == place else place / stage
     told, said = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
-            code = main([*words, "--quiet", "--out", str(out), "--force"])
+            code = main([*words, "--quiet", "--out", str(mine), "--force"])
     except (Exception, SystemExit) as error:
         # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
         return f"{stage}: {type(error).__name__}: {error}".replace("\n", " ")
-    if (out / "manifest.json").is_file():
-        return ""
-    last = told.getvalue().strip().splitlines()[-1:] or [f"exit code {code}"]
-    return f"{stage}: {last[0]}".replace(str(place), "CASE")
+    if not (mine / "manifest.json").is_file():
+        last = told.getvalue().strip().splitlines()[-1:] or [f"exit code {code}"]
+        return f"{stage}: {last[0]}".replace(str(place), "CASE")
+    if mine != out:
+        out.parent.mkdir(exist_ok=True)
+        with contextlib.suppress(OSError):  # another case was quicker: its output is the same
+            mine.rename(out)
+        shutil.rmtree(mine, ignore_errors=True)
+    return ""
 
 
-def _value(place: Path, where: str) -> Any:
+def _value(folders: Mapping[str, Path], where: str) -> Any:
     """The number at `stage:dotted.path` of a stage's metrics.json; None when it is not there."""
     stage, _, path = where.partition(":")
-    node: Any = (
-        read_json(place / stage / "metrics.json") if (place / stage / "metrics.json").is_file() else {}
-    )
+    file = folders[stage] / "metrics.json"
+    node: Any = read_json(file) if file.is_file() else {}
     for part in path.split("."):
         node = node.get(part) if isinstance(node, dict) else None
     return node if isinstance(node, (bool, int, float, str)) else None
 
 
-def _throw_away(place: Path, keep: Sequence[str]) -> None:
-    """Delete everything in the stage folders but the files to keep."""
+def throw_away(place: Path, keep: Sequence[str]) -> None:
+    """Delete everything in the stage folders below `place` but the files to keep."""
     if "*" in keep:
         return
     for path in sorted(place.rglob("*"), reverse=True):

@@ -70,6 +70,7 @@ def run_cases(
                 campaign.results,
                 str(place / case.name),
                 campaign.keep,
+                campaign.shared,
                 key=f"{campaign.name}-{case.name}",
                 pure=False,
             ): case

@@ -60,7 +60,9 @@ class Campaign(BaseModel):
     `factors`: a list of values, `{first, last}` for whole numbers, `{low, high}` to draw from, or named
     levels whose text is put into the command as several words and may name other factors. `stages`:
     command lines without `--out`, with `{factor}` and `{stage}` (an earlier stage's folder) in braces;
-    `{factor:1-0.5*x}` is a number computed from the level x. `results`: name -> `stage:path` in that
+    `{factor:1-0.5*x}` is a number computed from the level x, `{factor:a|b|c}` the text that stands where
+    the level stands among its factor's. A stage in `shared` is run once for all cases that give it the
+    same command. `results`: name -> `stage:path` in that
     stage's metrics.json. `against`: the level that `compare`'s other levels are paired with.
     """
 
@@ -71,6 +73,7 @@ class Campaign(BaseModel):
     factors: dict[str, Levels]
     sample: Annotated[int, Field(ge=1)] | None = None
     stages: dict[str, str]
+    shared: list[str] = []
     results: dict[str, str]
     compare: str | None = None
     against: Scalar | None = None
@@ -83,6 +86,9 @@ class Campaign(BaseModel):
             raise ValueError("a factor with low and high needs `sample`: the number of cases to draw")
         if clash := set(self.factors) & set(self.stages):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
+        for stage in self.shared:
+            if stage not in self.stages:
+                raise ValueError(f"shared: {stage} is no stage of this campaign")
         for name, place in self.results.items():
             if place.partition(":")[0] not in self.stages or ":" not in place:
                 raise ValueError(f"results.{name}: expected STAGE:PATH with one of the stages")
@@ -146,13 +152,21 @@ def _levels(levels: Levels) -> list[Scalar]:
 
 
 class LevelText(str):
-    """A level as it stands in a command; `{level:A+B*x}` puts in a linear function of it instead."""
+    """A level as it stands in a command.
 
-    __slots__ = ()
+    `{level:A+B*x}` puts in a linear function of it instead, `{level:a|b|c}` the text of its place.
+    """
+
+    place: int
 
     def __format__(self, spec: str) -> str:
         if not spec:
             return str(self)
+        if "|" in spec:
+            texts = spec.split("|")
+            if self.place >= len(texts):
+                raise ValueError(f"'{spec}' has no text for level {self} (number {self.place + 1})")
+            return texts[self.place]
         found = LINEAR.fullmatch(spec)
         if found is None:
             raise ValueError(f"'{spec}' is not of the form A+B*x")
@@ -161,8 +175,14 @@ class LevelText(str):
         return f"{value:.6g}"
 
 
+def _text(level: Scalar, levels: Levels) -> LevelText:
+    text = LevelText(level)
+    text.place = 0 if isinstance(levels, Uniform) else _levels(levels).index(level)
+    return text
+
+
 def _case(campaign: Campaign, index: int, chosen: dict[str, Scalar]) -> Case:
-    texts: dict[str, str] = {name: LevelText(level) for name, level in chosen.items()}
+    texts: dict[str, str] = {name: _text(level, campaign.factors[name]) for name, level in chosen.items()}
     for name, levels in campaign.factors.items():
         if isinstance(levels, dict):
             others = {other: text for other, text in texts.items() if other != name}
