@@ -1,191 +1,112 @@
-"""Navigation by numbers: every scenario with its success rate, its 95 % interval and a row per episode.
+"""Navigation by numbers: every scenario with its success rate, its 95 % intervals and a row per episode.
 
-python -m benchmarks.navigate [--quick] [--episodes N] [--only NAME ...] [--map MAP.yaml] [--out DIR]
+python -m benchmarks.navigate [--quick] [--only NAME ...] [--episodes N] [--from SEED] [--out DIR]
+python -m benchmarks.navigate --replay NAME SEED --out DIR
 
-Collisions are Bullet's contacts, errors are against the truth. `--map` is the map of the patrol
-(make it with `make map`; without one a tour is recorded and mapped first). BARN worlds are taken from
-the folder `barn` in TURTLEBAG_DATA. Every row names the seed that repeats it.
+Collisions are Bullet's contacts, errors are against the truth. Every map is made by our own SLAM from a
+recorded tour. Rows are written as they come: started again with the same --out, a campaign goes on where
+it was (delete navigate.csv to start anew). `--from` runs other seeds; `--replay` drives one episode again
+and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import math
-import tempfile
+import functools
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks import navigate_cases as cases
+from benchmarks import navigate_clutter as clutter
+from benchmarks.navigate_cases import Case, Scenario
+from benchmarks.navigate_maps import Maps
+from benchmarks.navigate_rows import HEAD, Table, failures, refused_row, row_of, summary
 from benchmarks.no_bag import NoBag
-from pipeline.build_map import build_map
-from pipeline.navigation.episode import Episode, drive
+from datasets.errors import InputError
+from pipeline.navigate import navigate_in
+from pipeline.navigation.episode import drive
 from pipeline.navigation.setup import prepare
-from pipeline.record import record
-from sim.robots import RobotSpec
 from sim.simulator import Simulator
-from sim.worlds import World
 
-COLUMNS = (
-    "scenario",
-    "seed",
-    "world",
-    "robot",
-    "success",
-    "reached",
-    "goals",
-    "reasons",
-    "visible",
-    "low",
-    "moving_contacts",
-    "worst_error_m",
-    "worst_error_rad",
-    "min_clearance_m",
-    "localisation_rmse_m",
-    "distance_m",
-    "time_s",
-    "score",
-    "x_real_time",
-)
+AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 
 
-def wilson(successes: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate."""
-    if n == 0:
-        return 0.0, 1.0
-    z, p = 1.959964, successes / n
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
+    """All scenarios."""
+
+    def of(name: str, count: int, short: int, make: functools.partial) -> Scenario:
+        return Scenario(name, count, short, functools.partial(make, name))
+
+    duration = QUICK_AVOID_S if quick else AVOID_S
+    found = [
+        of("patrol", 100, 3, functools.partial(cases.patrol, maps)),
+        of("house waffle_pi", 200, 3, functools.partial(cases.house_goal, maps, "waffle_pi")),
+        of("house burger", 200, 3, functools.partial(cases.house_goal, maps, "burger")),
+        of("new worlds", 100, 3, functools.partial(cases.new_world_goal, maps)),
+        of("boxes and movers", 200, 3, functools.partial(clutter.obstacles, maps, True)),
+        of("boxes and blind movers", 200, 3, functools.partial(clutter.obstacles, maps, False)),
+        of("avoid guarded", 50, 2, functools.partial(cases.avoid, "guarded", duration)),
+        of("avoid tutorial", 50, 2, functools.partial(cases.avoid, "tutorial", duration)),
+    ]
+    if worlds := cases.barn_worlds():
+        found.append(of("BARN", 3 * len(worlds), len(worlds), functools.partial(cases.barn, worlds)))
+    return found
 
 
-def run(case: cases.Case) -> dict:
+def run(case: Case) -> dict:
     """Drive one episode; its row."""
     started = time.process_time()
-    keepout = () if case.name.startswith("avoid") else case.world.keepout
-    mission = prepare(case.request, case.robot, case.config, keepout)
+    try:
+        mission = prepare(case.request, case.robot, case.config, case.world.keepout)
+    except InputError as error:
+        return refused_row(case, str(error))
     with Simulator(case.world, case.robot, case.config.sim, case.seed) as simulator:
         episode = drive(simulator, mission, NoBag(), lambda line: None)
     return row_of(case, episode, time.process_time() - started)
 
 
-def row_of(case: cases.Case, episode: Episode, cpu_s: float) -> dict:
-    m, log = episode.metrics, episode.log
-    reached = [g for g in m["goals"] if g["status"] == "reached"]
-    moving = np.abs(log.v) > 0.01
-    localisation = m["localisation_error_m"]
-    return {
-        "scenario": case.name,
-        "seed": case.seed,
-        "world": case.world.name,
-        "robot": case.robot.name,
-        "success": int(m["success"]),
-        "reached": len(reached),
-        "goals": len(m["goals"]),
-        "reasons": "; ".join(f"{g['status']} {g.get('reason', '')}" for g in m["goals"] if g not in reached),
-        "visible": m["collisions"]["visible"],
-        "low": m["collisions"]["low"],
-        "moving_contacts": int(((log.contact_visible | log.contact_low) & moving).any()),
-        "worst_error_m": max((g["error_m"] for g in reached), default=math.nan),
-        "worst_error_rad": max((g["error_rad"] for g in reached), default=math.nan),
-        "min_clearance_m": m["min_clearance_m"],
-        "localisation_rmse_m": math.nan if localisation is None else localisation["rmse"],
-        "distance_m": m["distance_m"],
-        "time_s": m["time_s"],
-        "score": math.nan if case.score is None else case.score(m),
-        "x_real_time": m["time_s"] / max(cpu_s, 1e-9),
-    }
+def replay(scenario: Scenario, seed: int, out: Path) -> int:
+    """One episode again, with everything that a run leaves."""
+    case = scenario.make(seed)
+    return navigate_in(case.world, case.robot, case.request, out, config=case.config, force=True)
 
 
-def slam_map(folder: Path) -> Path:
-    """A map of the arena made from a recorded tour."""
-    record("turtlebot3_world", "burger", "tour", 1, folder / "record")
-    build_map(folder / "record", folder / "map")
-    return folder / "map" / "map.yaml"
-
-
-def scenarios(
-    quick: bool, episodes: int | None, map_path: Path | None, folder: Path
-) -> dict[str, Iterator[cases.Case]]:
-    """All scenarios by name; `quick` runs a few episodes of each, `episodes` so many."""
-
-    def maps(world: World, robot: RobotSpec) -> Path:
-        return cases.true_map(world, robot, folder)
-
-    def count(full: int, short: int) -> int:
-        return episodes or (short if quick else full)
-
-    new = [f"{kind}:{1000 + k}" for k in range(10) for kind in ("office", "maze")]
-    return {
-        "patrol": cases.patrol(count(100, 3), lambda: map_path or slam_map(folder)),
-        "house": cases.goals("house", ["turtlebot3_house"], ["waffle_pi", "burger"], count(200, 6), maps),
-        "new worlds": cases.goals("new worlds", new, ["burger"], count(100, 4), maps),
-        "boxes and movers": cases.obstacles("boxes and movers", count(100, 4), maps),
-        "avoid guarded": cases.avoid("guarded", count(50, 2), 600.0 if not quick else 120.0),
-        "avoid tutorial": cases.avoid("tutorial", count(50, 2), 600.0 if not quick else 120.0),
-        "initial pose off": cases.offsets(count(50, 3), maps),
-        "BARN": cases.barn(count(3, 1)),
-    }
-
-
-def summary(name: str, rows: list[dict]) -> str:
-    """One line of the table."""
-    n, ok = len(rows), sum(row["success"] for row in rows)
-    low, high = wilson(ok, n)
-    errors = [row["worst_error_m"] for row in rows if math.isfinite(row["worst_error_m"])]
-    scores = [row["score"] for row in rows if math.isfinite(row["score"])]
-    return (
-        f"| {name} | {n} | {ok} | {ok / n:.3f} | {low:.3f}..{high:.3f} "
-        f"| {sum(r['visible'] for r in rows)} | {sum(r['low'] for r in rows)} "
-        f"| {sum(r['moving_contacts'] for r in rows)} "
-        f"| {max(errors, default=math.nan):.3f} | {np.sum([r['distance_m'] for r in rows]):.0f} "
-        f"| {np.mean(scores) if scores else math.nan:.3f} "
-        f"| {np.median([r['x_real_time'] for r in rows]):.0f} |"
-    )
-
-
-HEAD = (
-    "| scenario | episodes | success | rate | 95 % | visible contacts | low contacts | moving contacts "
-    "| worst error m | driven m | score | x real time |\n" + "|---" * 12 + "|"
-)
+def campaign(chosen: list[Scenario], table: Table, first: int, episodes: int | None, quick: bool) -> None:
+    """Run what is not in the table yet."""
+    for scenario in chosen:
+        count = episodes or (scenario.short if quick else scenario.count)
+        for seed in range(first, first + count):
+            if not table.has(scenario.name, seed):
+                table.add(run(scenario.make(seed)))
+        print(summary(scenario.name, table.of(scenario.name)), flush=True)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--only", nargs="+", metavar="NAME")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a few short episodes of each")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these scenarios")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each scenario")
-    parser.add_argument("--map", type=Path)
+    parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED", help="first seed")
+    parser.add_argument("--replay", nargs=2, metavar=("NAME", "SEED"))
+    parser.add_argument(
+        "--maps", type=Path, default=Path("data/benchmarks/maps"), help="folder that keeps the maps"
+    )
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
+    known = scenarios(Maps(args.maps), args.quick)
+    names = args.replay[:1] if args.replay else args.only or [scenario.name for scenario in known]
+    if unknown := set(names) - {scenario.name for scenario in known}:
+        parser.error(f"no scenario {sorted(unknown)[0]!r}: there are {', '.join(s.name for s in known)}")
+    chosen = [scenario for scenario in known if scenario.name in names]
+    if args.replay:
+        raise SystemExit(replay(chosen[0], int(args.replay[1]), args.out))
     args.out.mkdir(parents=True, exist_ok=True)
-    lines = [HEAD]
-    with tempfile.TemporaryDirectory() as scratch:
-        chosen = {
-            name: found
-            for name, found in scenarios(args.quick, args.episodes, args.map, Path(scratch)).items()
-            if not args.only or name in args.only
-        }
-        with (args.out / "navigate.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            for name, found in chosen.items():
-                rows = []
-                for case in found:
-                    rows.append(run(case))
-                    writer.writerow(rows[-1])
-                    file.flush()
-                if not rows:
-                    print(f"{name}: no worlds (set TURTLEBAG_DATA to the folder that holds barn/)")
-                    continue
-                lines.append(summary(name, rows))
-                print(lines[-1], flush=True)
-    table = "\n".join(lines) + "\n"
-    (args.out / "navigate.md").write_text(table)
-    print(table)
+    table = Table(args.out / "navigate.csv")
+    campaign(chosen, table, args.first, args.episodes, args.quick)
+    lines = [HEAD, *(summary(s.name, table.of(s.name)) for s in known if table.of(s.name))]
+    text = "\n".join([*lines, "", *failures(table.rows)]) + "\n"
+    (args.out / "navigate.md").write_text(text)
+    print(text)
 
 
 if __name__ == "__main__":

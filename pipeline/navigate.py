@@ -18,9 +18,9 @@ from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import Mission, Request, prepare
 from pipeline.navigation.takeover import Source, script_text
-from sim.robots import load_robot
+from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
-from sim.worlds import load_world
+from sim.worlds import World, load_world
 
 
 def navigate(
@@ -39,10 +39,34 @@ def navigate(
     Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
     """
     check_free(out, force=force)
-    watch = Stopwatch()
     arena = load_world(world)
-    robot = robot or arena.robot
-    mission = prepare(request, load_robot(robot), config or NavigateConfig(), arena.keepout)
+    return navigate_in(
+        arena,
+        load_robot(robot or arena.robot),
+        request,
+        out,
+        config=config,
+        force=force,
+        command_line=command_line,
+        say=say,
+    )
+
+
+def navigate_in(
+    arena: World,
+    robot: RobotSpec,
+    request: Request,
+    out: Path,
+    *,
+    config: NavigateConfig | None = None,
+    force: bool = False,
+    command_line: Sequence[str] = (),
+    say: Callable[[str], None] | None = None,
+) -> int:
+    """`navigate` with a world and a robot that are at hand already."""
+    check_free(out, force=force)
+    watch = Stopwatch()
+    mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),
