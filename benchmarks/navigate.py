@@ -18,6 +18,7 @@ from pathlib import Path
 
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_clutter as clutter
+from benchmarks import navigate_faults as faults
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_maps import Maps
 from benchmarks.navigate_rows import HEAD, Table, failures, refused_row, row_of, summary
@@ -48,6 +49,15 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
         of("avoid guarded", 50, 2, functools.partial(cases.avoid, "guarded", duration)),
         of("avoid tutorial", 50, 2, functools.partial(cases.avoid, "tutorial", duration)),
     ]
+    for place in ("arena", "house"):
+        found += [
+            of(f"pose off, {place}", 50, 2, functools.partial(faults.offset, maps, place)),
+            of(f"kidnap, {place}", 100, 2, functools.partial(faults.kidnap, maps, place)),
+            of(f"wheel slip, {place}", 50, 2, functools.partial(faults.slip, maps, place)),
+            of(f"lidar dropout, {place}", 50, 2, functools.partial(faults.dropout, maps, place)),
+            of(f"closed door, {place}", 50, 2, functools.partial(faults.closed_door, maps, place)),
+        ]
+    found.append(of("closed door, no way", 50, 2, functools.partial(faults.no_way, maps)))
     if worlds := cases.barn_worlds():
         found.append(of("BARN", 3 * len(worlds), len(worlds), functools.partial(cases.barn, worlds)))
     return found

@@ -1,7 +1,9 @@
-"""Faults on purpose: commands and scans that come late, scans that are lost, sensors that go silent."""
+"""Faults on purpose: commands and scans that come late or never, sensors that go silent, wheels that slip,
+and a robot that is picked up and put down elsewhere."""
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from typing import Annotated, Any
 
@@ -13,6 +15,8 @@ from datasets.types import Imu, Scan, Twist
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Spans = tuple[tuple[NonNegative, NonNegative], ...]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
 
 class FaultConfig(BaseModel):
@@ -28,13 +32,24 @@ class FaultConfig(BaseModel):
     scan_silent: Spans = ()
     """Spans in which no scan is taken."""
     imu_silent: Spans = ()
+    slip: tuple[tuple[NonNegative, NonNegative, Share, Share], ...] = ()
+    """Start, end, and the shares of the left and the right wheel's turning that move nothing."""
+    kidnap: tuple[tuple[NonNegative, Finite, Finite, Finite], ...] = ()
+    """When, and the true x, y, yaw where the robot is put down; odometry notices nothing."""
 
-    @field_validator("scan_silent", "imu_silent")
+    @field_validator("scan_silent", "imu_silent", "slip")
     @classmethod
-    def _in_order(cls, spans: Spans) -> Spans:
-        if any(end < start for start, end in spans):
+    def _in_order(cls, spans: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        if any(span[1] < span[0] for span in spans):
             raise ValueError("a span must end after it starts")
         return spans
+
+    @field_validator("kidnap")
+    @classmethod
+    def _one_after_the_other(cls, kidnaps: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        if any(b[0] <= a[0] for a, b in itertools.pairwise(kidnaps)):
+            raise ValueError("kidnaps must be in the order of their times")
+        return kidnaps
 
 
 class Faults:
@@ -45,11 +60,46 @@ class Faults:
         self._commands = deque([Twist()] * round(config.command_delay * control_hz))
         self._scan_steps = round(config.scan_delay * control_hz)
         self._scans: deque[tuple[int, Scan, SE2]] = deque()
+        self._control_hz = control_hz
+        self._kidnaps = deque(config.kidnap)
+        self._angles: tuple[float, float] | None = None
+        self._in_vain = [0.0, 0.0]
 
     def command(self, twist: Twist) -> Twist:
         """The command that reaches the motors in this step."""
         self._commands.append(twist)
         return self._commands.popleft()
+
+    def kidnapped(self, step: int) -> SE2 | None:
+        """Where the robot is put down in this step, if it is."""
+        if not self._kidnaps or step < self._kidnaps[0][0] * self._control_hz:
+            return None
+        _, x, y, yaw = self._kidnaps.popleft()
+        return SE2.from_xyt(x, y, yaw)
+
+    def grip(self, step: int, left: float, right: float) -> tuple[float, float]:
+        """Wheel speeds [rad/s] as far as they move the robot."""
+        shares = self._slip(step)
+        return left * (1.0 - shares[0]), right * (1.0 - shares[1])
+
+    def encoders(
+        self, step: int, left: float, right: float, left_speed: float, right_speed: float
+    ) -> tuple[float, float, float, float]:
+        """Angles and speeds that the encoders see, from those that moved the robot."""
+        last = self._angles or (left, right)
+        self._angles = (left, right)
+        scale = [1.0 / (1.0 - share) for share in self._slip(step)]
+        for wheel, (now, before) in enumerate(zip((left, right), last, strict=True)):
+            self._in_vain[wheel] += (scale[wheel] - 1.0) * (now - before)
+        a, b = self._in_vain
+        return left + a, right + b, left_speed * scale[0], right_speed * scale[1]
+
+    def _slip(self, step: int) -> tuple[float, float]:
+        """Shares of each wheel's turning that move nothing in the control step that ends as `step`."""
+        for start, end, left, right in self._config.slip:
+            if start <= step / self._control_hz < end:
+                return left, right
+        return 0.0, 0.0
 
     def scan(self, step: int, scan: Scan | None, T_world_base: SE2) -> tuple[Scan | None, SE2]:
         """The scan that arrives in this step, if any, with the true pose at its stamp."""

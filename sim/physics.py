@@ -157,6 +157,20 @@ class Physics:
         speed = [float(velocity[0]), float(velocity[1]), 0.0]
         bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self._client)
 
+    def put_down(self, T_world_base: SE2) -> None:
+        """Set the robot down elsewhere, at rest; its wheels keep their angles."""
+        x, y, yaw = (float(value) for value in T_world_base.xyt)
+        cx, cy, _ = self._com
+        height = bullet.getBasePositionAndOrientation(self.body, physicsClientId=self._client)[0][2]
+        com = [
+            x + math.cos(yaw) * cx - math.sin(yaw) * cy,
+            y + math.sin(yaw) * cx + math.cos(yaw) * cy,
+            height,
+        ]
+        turn = bullet.getQuaternionFromEuler([0.0, 0.0, yaw])
+        bullet.resetBasePositionAndOrientation(self.body, com, turn, physicsClientId=self._client)
+        bullet.resetBaseVelocity(self.body, [0.0] * 3, [0.0] * 3, physicsClientId=self._client)
+
     def pose(self) -> tuple[float, float, float]:
         """x, y, yaw of base_footprint."""
         (px, py, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(

@@ -113,6 +113,8 @@ class Simulator:
         """
         start = self.world.spawn if T_world_base is None else T_world_base
         self._check_free(start)
+        for kidnap in self.config.faults.kidnap:
+            self._check_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
         dt = 1.0 / CONTROL_HZ
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
@@ -144,8 +146,12 @@ class Simulator:
             for one in self._moving:
                 one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
             self._place_movers(first=self._step % self._steps_per_scan == 0)
-        self._physics.step(*self._motors.step(self._faults.command(command)))
+        wheels = self._motors.step(self._faults.command(command))
+        self._physics.step(*self._faults.grip(self._step + 1, *wheels))
         self._step += 1
+        place = self._faults.kidnapped(self._step)
+        if place is not None:
+            self._put_down(place)
         return self._observe()
 
     @property
@@ -173,10 +179,17 @@ class Simulator:
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
         self._lidar.note_movers(outlines(seen), first or not self.config.lidar.turning)
 
+    def _put_down(self, T_world_base: SE2) -> None:
+        """Carry the robot elsewhere; the sweep under way shows the new place from its start."""
+        self._physics.put_down(T_world_base)
+        self._sweep[:] = T_world_base.xyt
+        if self._lidar3d is not None:
+            self._sweep3d[:] = T_world_base.xyt
+
     def _observe(self) -> Observation:
         stamp = stamp_of(self._step)
         x, y, yaw = self._physics.pose()
-        left, right, left_speed, right_speed = self._physics.wheels()
+        left, right, left_speed, right_speed = self._faults.encoders(self._step, *self._physics.wheels())
         visible, low = self._contacts(x, y)
         pose = np.array([x, y, yaw])
         twist = Twist(*self._physics.velocity(yaw))
@@ -233,12 +246,12 @@ class Simulator:
         touched = [self._visible[number] for number in self._physics.touched()]
         return any(touched), not all(touched)
 
-    def _check_free(self, start: SE2) -> None:
+    def _check_free(self, start: SE2, what: str = "start pose") -> None:
         x, y = float(start.x), float(start.y)
         x_min, x_max, y_min, y_max = self.world.bounds
         beyond = max(x_min - x, x - x_max, y_min - y, y - y_max)
         if not beyond <= OUTSIDE_M:  # also when it is not a number
-            raise InputError(f"start pose {x:g}, {y:g}: outside of world {self.world.name}")
+            raise InputError(f"{what} {x:g}, {y:g}: outside of world {self.world.name}")
         footprint = start @ self._footprint
         standing = self._standing
         solids = self.world.below(self.robot.height)
@@ -248,7 +261,7 @@ class Simulator:
             or contains(solids, self.robot.lidar_height, start.xy[None])[0]
         ):
             raise InputError(
-                f"start pose {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
+                f"{what} {x:g}, {y:g}: the robot would stand in an obstacle of {self.world.name}"
             )
 
 

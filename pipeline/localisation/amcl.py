@@ -192,9 +192,14 @@ class Amcl:
         self._T_odom_base = T_odom_base
 
     @property
+    def agrees(self) -> bool:
+        """Whether the scans of late agree with the map at the estimate as well as those of long."""
+        return self._stranger_share() == 0.0
+
+    @property
     def lost(self) -> bool:
         """Whether the cloud is wide or the scans have stopped to agree with the map at its place."""
-        return not self.converged or self._stranger_share() > 0.0
+        return not (self.converged and self.agrees)
 
     def _search_share(self) -> float:
         """Share of particles to draw from a search now: all at a global start, then now and then while lost.

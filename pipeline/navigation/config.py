@@ -19,6 +19,7 @@ from planners.live import LiveConfig
 from planners.tasks.avoid import AvoidConfig
 from planners.tasks.guarded import GuardConfig
 from planners.tasks.recovery import RecoveryConfig
+from planners.tasks.relocalise import RelocaliseConfig
 from planners.tasks.sequence import SequenceConfig
 from planners.tasks.wiggle import WiggleConfig
 from sim.simulator import SimConfig
@@ -57,6 +58,7 @@ class NavigateConfig(BaseModel):
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     wiggle: WiggleConfig = WiggleConfig()
+    relocalise: RelocaliseConfig = RelocaliseConfig()
     explore: ExploreConfig = ExploreConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()

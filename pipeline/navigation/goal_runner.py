@@ -90,6 +90,10 @@ class GoalRunner:
         command = self._guarded(wanted, last, pose, points_base)
         return command, self._held_up(now_ns, pose, wanted, command)
 
+    def rest(self) -> None:
+        """Time passes without the robot being meant to move."""
+        self._watch.reset()
+
     def _note_progress(self, pose: SE2) -> None:
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))

@@ -48,6 +48,8 @@ class Localiser:
         self._odometry = odometry
         self.T_map_odom: SE2 | None = None
         """Odometry's frame on the map; None while it is not known."""
+        self.updates = 0
+        """Scans that the filter used: those between which the robot moved."""
         self._shown_ns = -self.PARTICLES_EVERY_NS
         self.scan_poses: list[tuple[int, SE2]] = []
         """(stamp [ns], T_map_base) at each sweep taken in: the run's trajectory."""
@@ -74,6 +76,7 @@ class Localiser:
         now = observation.stamp_ns
         self._publisher.map_to_odom(now, self.T_map_odom)
         if updated:
+            self.updates += 1
             self._publisher.amcl_pose(scan.stamp_ns, T_map_base, self.amcl.covariance)
         if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
             self._shown_ns = now

@@ -9,10 +9,18 @@ from datasets.se2 import SE2
 from datasets.types import Observation, Twist
 from pipeline.navigation.goal_runner import GoalRunner, Tools
 from pipeline.navigation.localiser import Localiser, Publisher
+from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing, Sight
 from planners.global_plan import fits
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.wiggle import Wiggle
+
+SILENT_S = 0.5
+"""Without a scan for so long the robot stops."""
+PATIENCE_S = 30.0
+"""Without a scan for so long the goals are given up."""
+LOST = "the robot no longer knows where it is"
+DOUBTS_PER_GOAL = 2
 
 
 class NavigationDriver:
@@ -27,6 +35,7 @@ class NavigationDriver:
         publisher: Publisher,
         plan_seed: int,
         wiggle: Wiggle | None = None,
+        seeker: Seeker | None = None,
     ) -> None:
         self.tools = tools
         self.sensing = sensing
@@ -41,8 +50,11 @@ class NavigationDriver:
         self._runner: GoalRunner | None = None
         self._last = Twist()
         self._now = 0
-        self._wiggle = wiggle
+        self._wiggle, self._seeker = wiggle, seeker
         self._seen_ns = -(10**9)
+        self._heard_ns: int | None = None
+        self._doubted, self._seeking = 0, False
+        self._goal: SE2 | None = None
 
     def step(self, observation: Observation) -> Twist:
         """Localise, ask the task for the goal, pursue it."""
@@ -52,10 +64,14 @@ class NavigationDriver:
         if self.localiser is not None and not self.localiser.amcl.initialised:
             self.sequence.reject_all("no initial pose", now)
             return self._stop("no_pose", finished=True)
-        if sight is not None and T_frame_odom is not None:
-            self._see(sight, T_frame_odom)
+        if self._blind(now, sight):
+            return self._wait_for_sight(now)
         if self._wiggle is not None and self.localiser is not None:
             return self._look_about(self._wiggle, self.localiser, observation)
+        if self._seek(observation):
+            return self._last
+        if sight is not None and T_frame_odom is not None:
+            self._see(sight, T_frame_odom)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
@@ -63,6 +79,8 @@ class NavigationDriver:
         if goal is None or T_frame_odom is None:
             self._runner = None
             return self._stop("wait")
+        if goal is not self._goal:
+            self._goal, self._doubted = goal, 0
         if self._runner is None or goal is not self._runner.goal:
             self._runner = self._start(goal, now)
             if self._runner is None:
@@ -90,14 +108,54 @@ class NavigationDriver:
         wanted = wiggle.command(now, localiser.amcl.converged)
         if wanted is None:
             self._wiggle = None
-            if wiggle.gave_up:
-                self.sequence.reject_all("the robot could not find out where it is", now)
+            if wiggle.gave_up and self._seeker is not None:
+                self._seeker.suspect(now, localiser)
             return self._stop("wiggle")
         self.state = "wiggle"
         points = self.sensing.points_base(observation.odometry.T_odom_base)
         factor = self.tools.monitor.limit(wanted, points)
         self._last = self.tools.controller.ramp(Twist(0.0, wanted.w * factor), self._last)
         return self._last
+
+    def _blind(self, now: int, sight: Sight | None) -> bool:
+        """Whether the lidar has been silent for too long to drive on."""
+        if sight is not None or self._heard_ns is None:
+            self._heard_ns = now
+        return now - self._heard_ns > SILENT_S * 1e9
+
+    def _wait_for_sight(self, now: int) -> Twist:
+        """Stand still; goals run out of time, and are given up when the lidar stays silent."""
+        assert self._heard_ns is not None
+        if self._runner is not None:
+            self._runner.rest()
+        self.sequence.update(now, "the lidar is silent")
+        if now - self._heard_ns > PATIENCE_S * 1e9:
+            self.sequence.fail_all(f"the lidar has been silent for {PATIENCE_S:g} s", now)
+        return self._stop("blind", finished=self.sequence.finished)
+
+    def _seek(self, observation: Observation) -> bool:
+        """Whether the robot is lost, in which case it looks for itself; a goal may be given up for that."""
+        seeker, localiser, now = self._seeker, self.localiser, observation.stamp_ns
+        if seeker is None or localiser is None:
+            return False
+        action = seeker.check(now, localiser)
+        if seeker.jumped(observation, localiser.T_map_odom) or (action != "go" and not self._seeking):
+            self._forget()
+        self._seeking = action != "go"
+        if not self._seeking:
+            return False
+        if action == "give_up" and self.sequence.goal is not None:
+            self.sequence.close("unreachable", LOST, now)
+        elif self.sequence.update(now, LOST) is not None:
+            self.goal_index = self.sequence.index
+        self.state = action
+        self._last = seeker.command(observation, self._last)
+        return True
+
+    def _forget(self) -> None:
+        """Drop what was planned and seen by a pose that was wrong."""
+        self.tools.live.clear()
+        self._runner = None
 
     def _localise(self, observation: Observation) -> SE2 | None:
         """Odometry's frame in the frame of goals and costmap; None while it is not known."""
@@ -135,11 +193,20 @@ class NavigationDriver:
         points = self.sensing.points_base(odometry.T_odom_base)
         self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep)
         self.state = runner.state
-        if verdict is not None:
+        if verdict is not None and verdict.status == "unreachable" and self._suspect(now):
+            self._forget()
+        elif verdict is not None:
             self.sequence.close(verdict.status, verdict.reason, now)
             self._runner = None
             self.state = verdict.status
         return self._last
+
+    def _suspect(self, now: int) -> bool:
+        """Whether a goal seems unreachable only because the robot may be elsewhere; asked twice a goal."""
+        if self._seeker is None or self.localiser is None or self._doubted >= DOUBTS_PER_GOAL:
+            return False
+        self._doubted += 1
+        return self._seeker.suspect(now, self.localiser)
 
     def _stop(self, state: str, *, finished: bool = False) -> Twist:
         """Brake to a standstill."""

@@ -25,6 +25,7 @@ from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.recorder import Bag
+from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.takeover import load_script
 from planners.control.dwa import Dwa
@@ -176,7 +177,9 @@ def make_driver(
         tools = make_tools(robot, _mapless(config), costmap, config.mapless.live)
     looks_about = request.wiggle or request.initial_pose == "global"
     wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
-    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle)
+    guard = Guard(robot.model, config.avoid, config.guard)
+    seeker = Seeker(config.relocalise, config.wiggle, guard, sensing, tools.monitor, tools.controller)
+    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle, seeker)
     return driver, localiser, sequence
 
 

@@ -75,12 +75,16 @@ class GoalSequence:
         """The goal pursued now; None while waiting."""
         return self._queue[self.index].T_map_goal if self._active else None
 
-    def update(self, now_ns: int) -> SE2 | None:
-        """The goal to pursue at this instant; times out the active one, starts the next when due."""
+    def update(self, now_ns: int, trouble: str = "") -> SE2 | None:
+        """The goal to pursue at this instant; times out the active one, starts the next when due.
+
+        `trouble` is added to the reason of a timeout.
+        """
         if self._resume_ns is None:
             self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
         if self._active and now_ns - self._started_ns - self._postponed_ns >= self.config.timeout * 1e9:
-            self.close("timeout", f"not there within {self.config.timeout:g} s", now_ns)
+            late = f"not there within {self.config.timeout:g} s"
+            self.close("timeout", f"{late}: {trouble}" if trouble else late, now_ns)
         while (
             not self._active
             and now_ns >= self._resume_ns + self._postponed_ns
@@ -114,6 +118,10 @@ class GoalSequence:
     def reject_all(self, reason: str, now_ns: int) -> None:
         """Give every goal still to come the status `rejected`."""
         self._close_rest("rejected", reason, now_ns)
+
+    def fail_all(self, reason: str, now_ns: int) -> None:
+        """Give every goal still to come the status `unreachable`."""
+        self._close_rest("unreachable", reason, now_ns)
 
     def expire(self, reason: str, now_ns: int) -> None:
         """Give every goal still to come the status `timeout`: the run is over."""

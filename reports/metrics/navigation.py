@@ -12,6 +12,9 @@ from datasets.se2 import SE2, Array
 from datasets.types import Stamps, Trajectory, yaw_difference
 from reports.metrics.trajectory import associate, summary
 
+MOST_SPEED = 10.0
+"""Nothing on wheels here is faster [m/s]."""
+
 
 def localisation_error(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Distance of the estimate from the truth at its own stamps, unaligned: {rmse, max} [m]."""
@@ -62,5 +65,7 @@ def min_clearance(clearance_m: Array) -> float | None:
 
 
 def distance_driven(trajectory: Trajectory) -> float:
-    """Length of the path [m]."""
-    return trajectory.length()
+    """Length of the path [m], without the steps that no wheel takes: those of a robot that was carried."""
+    steps = np.linalg.norm(np.diff(trajectory.poses.xy, axis=0), axis=1)
+    seconds = np.diff(trajectory.stamps_ns) * 1e-9
+    return float(steps[steps <= MOST_SPEED * seconds].sum())

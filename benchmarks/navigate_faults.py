@@ -1,0 +1,160 @@
+"""Episodes in which something goes wrong: carried off, slipping wheels, a silent lidar, a wrong map or pose.
+
+Each in the arena (burger, the patrol) and in the house (waffle_pi and burger in turn, one goal).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from benchmarks.navigate_cases import Case, floor, goal_request, house_goal, named_floor, patrol, pose_on
+from benchmarks.navigate_maps import Maps
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2
+from datasets.seeds import stream
+from planners.costmap import CostmapConfig, costmap_from_grid
+from planners.tasks.waypoints import tutorial_patrol
+from sim.faults import FaultConfig
+from sim.shapes import Solid, box
+from sim.worlds import World
+
+OFF_M, OFF_RAD = 0.5, math.radians(30.0)
+FAR_M = 4.0
+"""Goals of episodes with a fault are this far from the start: there is time for it."""
+CARRIED_M = 1.5
+SIDE_DOORS = ((2.3, 0.4), (2.3, 4.63))
+"""The two doors between the halves of the house: with one shut, the other is the way round [m]."""
+ONLY_DOORS = ((-6.3092, 0.925), (6.2195, -0.175))
+"""Doors of rooms that have no other [m]."""
+DOOR_M, THICK_M = 0.9, 0.15
+
+
+def house_robot(seed: int) -> str:
+    """waffle_pi and burger in turn."""
+    return ("waffle_pi", "burger")[seed % 2]
+
+
+def drive_to(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """What is done while the fault happens: the patrol in the arena, a far goal in the house."""
+    if place == "arena":
+        return patrol(maps, name, seed)
+    for attempt in range(1000):
+        case = house_goal(maps, house_robot(seed), name, seed + 100_000 * attempt)
+        start, goal = case.request.start, case.request.goal
+        assert start is not None
+        assert goal is not None
+        if np.linalg.norm(start.xy - goal.xy) > FAR_M:
+            request = dataclasses.replace(case.request, seed=seed)
+            return dataclasses.replace(case, seed=seed, request=request)
+    raise ValueError("no two places so far apart")
+
+
+def with_faults(case: Case, faults: FaultConfig) -> Case:
+    """The case with faults of the simulator, which the driver is not told of."""
+    sim = case.config.sim.model_copy(update={"faults": faults})
+    return dataclasses.replace(case, config=case.config.model_copy(update={"sim": sim}))
+
+
+def offset(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """The robot is told a pose that is wrong by 0.5 m and 30 degrees."""
+    case = drive_to(maps, place, name, seed)
+    rng = stream(seed, "offset")
+    start = case.world.spawn if case.request.start is None else case.request.start
+    angle, sign = rng.uniform(-math.pi, math.pi), rng.choice([-1.0, 1.0])
+    wrong = start @ SE2.from_xyt(OFF_M * math.cos(angle), OFF_M * math.sin(angle), sign * OFF_RAD)
+    return dataclasses.replace(case, request=dataclasses.replace(case.request, initial_pose=wrong))
+
+
+def kidnap(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """Carried off once, 1.5 m or more."""
+    case = drive_to(maps, place, name, seed)
+    rng = stream(seed, "kidnap")
+    grid, cells = allowed_floor(case, place)
+    start = case.world.spawn if case.request.start is None else case.request.start
+    while True:
+        pose = pose_on(grid, cells, rng)
+        if np.linalg.norm(pose.xy - start.xy) > CARRIED_M:
+            break
+    when = rng.uniform(20.0, 60.0) if place == "arena" else rng.uniform(6.0, 14.0)
+    return with_faults(case, FaultConfig(kidnap=((when, *pose.xyt.tolist()),)))
+
+
+def allowed_floor(case: Case, place: str) -> tuple[OccupancyGrid, np.ndarray]:
+    """Cells (n, 2) to be put down on: where the robot may be by its own keep-out areas."""
+    if place != "arena":
+        return named_floor(case.world.name, case.robot.name)[2:]
+    grid = case.world.rasterize(case.robot.lidar_height)
+    costmap = costmap_from_grid(grid, CostmapConfig(), tutorial_patrol().keepout)
+    return grid, np.argwhere(costmap.clearance > case.robot.model.circumscribed_radius + 0.05)
+
+
+def slip(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """Twice for 2 s: both wheels lose 70 % of their turning, later one of them 60 %."""
+    rng = stream(seed, "slip")
+    first, second = rng.uniform(5.0, 10.0), rng.uniform(14.0, 20.0)
+    one = (0.6, 0.0) if rng.random() < 0.5 else (0.0, 0.6)
+    spans = ((first, first + 2.0, 0.7, 0.7), (second, second + 2.0, *one))
+    return with_faults(drive_to(maps, place, name, seed), FaultConfig(slip=spans))
+
+
+def dropout(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """The lidar is silent for 2 s, twice."""
+    rng = stream(seed, "dropout")
+    first, second = rng.uniform(4.0, 10.0), rng.uniform(14.0, 20.0)
+    spans = ((first, first + 2.0), (second, second + 2.0))
+    return with_faults(drive_to(maps, place, name, seed), FaultConfig(scan_silent=spans))
+
+
+def closed_door(maps: Maps, place: str, name: str, seed: int) -> Case:
+    """A door that the map shows open is shut, and there is a way round it."""
+    rng = stream(seed, "door")
+    if place == "arena":
+        case = patrol(maps, name, seed)
+        # The patrol's minute for a waypoint is not enough for the long way.
+        request = dataclasses.replace(case.request, timeout_s=150.0)
+        world = with_solids(case.world, _wall_across_the_ring(rng))
+        return dataclasses.replace(case, world=world, request=request)
+    world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
+    x, y = SIDE_DOORS[seed // 2 % 2]
+    shut = with_solids(world, box("shut_door", (x, y), (THICK_M, DOOR_M), 0.0, (0.0, 2.0)))
+    near = np.hypot(*(grid.center_of(cells) - (x, y)).T)
+    sides = [cells[(near < 2.5) & (near > 0.6) & side] for side in _sides(grid, cells, x)]
+    if rng.random() < 0.5:
+        sides.reverse()
+    start, goal = (pose_on(grid, side, rng) for side in sides)
+    path = maps.slam("turtlebot3_house", spec.name)
+    return Case(name, seed, shut, spec, goal_request(seed, path, start, goal))
+
+
+def no_way(maps: Maps, name: str, seed: int) -> Case:
+    """The only door of the room with the goal is shut: to say so is right."""
+    rng = stream(seed, "no way")
+    world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
+    x, y = ONLY_DOORS[seed // 2 % 2]
+    shut = with_solids(world, box("shut_door", (x, y), (DOOR_M, THICK_M), 0.0, (0.0, 2.0)))
+    _, outside = floor(shut, spec)
+    inside = np.array(sorted({tuple(c) for c in cells.tolist()} - {tuple(c) for c in outside.tolist()}))
+    room = inside[np.abs(grid.center_of(inside)[:, 1] - y) > 0.5]
+    start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
+    path = maps.slam("turtlebot3_house", spec.name)
+    case = Case(name, seed, shut, spec, goal_request(seed, path, start, goal))
+    return dataclasses.replace(case, wanted="unreachable")
+
+
+def with_solids(world: World, *solids: Solid) -> World:
+    """The world with more in it than its map shows."""
+    return dataclasses.replace(world, shapes=(*world.shapes, *solids))
+
+
+def _wall_across_the_ring(rng: np.random.Generator) -> Solid:
+    """From the pillars to the arena's wall, between two waypoints: the other way round is left."""
+    x, y = (float(rng.choice([-1.0, 1.0])) * part for part in (0.75, 1.8))
+    return box("shut_ring", (x, y), (0.1, 1.5), 0.0, (0.0, 0.5))
+
+
+def _sides(grid: OccupancyGrid, cells: np.ndarray, x: float) -> tuple[np.ndarray, np.ndarray]:
+    at = grid.center_of(cells)[:, 0]
+    return at < x - 0.4, at > x + 0.4
