@@ -33,7 +33,8 @@ NEW_WORLDS_FROM = 7000
 @dataclasses.dataclass(frozen=True, eq=False)
 class Case:
     """One episode. `score` turns its metrics into a number where the scenario has one; `wanted` is the
-    status that the goals should end with.
+    status that the goals should end with; `within` says how near [m, rad] one that counts as reached must
+    truly be.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Case:
     config: NavigateConfig = dataclasses.field(default_factory=NavigateConfig)
     score: Callable[[dict], float] | None = None
     wanted: str = "reached"
+    within: tuple[float, float] = (0.05, math.radians(5.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,7 +152,8 @@ def barn(worlds: list[Path], name: str, seed: int) -> Case:
     best = float(np.linalg.norm(np.diff(whole, axis=0), axis=1).sum()) / 2.0
     request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
     world = dataclasses.replace(load_world(str(path)), name=path.stem)
-    return Case(name, seed, world, load_robot("jackal"), request, config, _barn_score(best))
+    score = _barn_score(best)
+    return Case(name, seed, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
 def _barn_score(best: float) -> Callable[[dict], float]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from datasets.errors import InputError
 from datasets.types import Twist
 from sim.faults import FaultConfig
 from sim.robots import load_robot
@@ -65,3 +66,46 @@ def test_silent_spans_hold_nothing():
 def test_a_span_that_ends_before_it_starts_is_refused():
     with pytest.raises(ValidationError, match="end after"):
         FaultConfig(scan_silent=((2.0, 1.0),))
+
+
+def test_a_kidnap_moves_the_robot_and_not_its_odometry():
+    faults = FaultConfig(kidnap=((1.0, 2.0, -1.0, 1.5),))
+    with Simulator(load_world("empty"), load_robot("burger"), SimConfig(faults=faults), 1) as simulator:
+        simulator.reset()
+        for _ in range(29):
+            before = simulator.step(Twist())
+        after = simulator.step(Twist())
+        assert simulator.truth.T_world_base.xyt == pytest.approx([2.0, -1.0, 1.5], abs=2e-3)
+        assert after.odometry.T_odom_base.xyt == pytest.approx(before.odometry.T_odom_base.xyt, abs=1e-3)
+        assert simulator.scan_truth.xyt == pytest.approx([2.0, -1.0, 1.5], abs=2e-3)
+        for _ in range(30):
+            after = simulator.step(Twist(0.1, 0.0))
+        # Set down on its wheels: it drives on, in the new direction.
+        assert simulator.truth.T_world_base.y > -1.0 + 0.08
+
+
+def test_a_kidnap_into_a_wall_is_refused():
+    faults = FaultConfig(kidnap=((1.0, 0.0, 0.0, 0.0),))
+    with (
+        Simulator(
+            load_world("turtlebot3_world"), load_robot("burger"), SimConfig(faults=faults)
+        ) as simulator,
+        pytest.raises(InputError, match="kidnap 0, 0: the robot would stand in an obstacle"),
+    ):
+        simulator.reset()
+
+
+def test_slipping_wheels_turn_in_vain():
+    faults = FaultConfig(slip=((1.0, 3.0, 0.5, 0.5), (4.0, 5.0, 0.5, 0.0)))
+    with Simulator(load_world("empty"), load_robot("burger"), SimConfig(faults=faults), 1) as simulator:
+        start = simulator.reset().odometry.T_odom_base
+        for _ in range(105):
+            seen = simulator.step(Twist(0.1, 0.0))
+        driven = float(simulator.truth.T_world_base.x)
+        measured = float((start.inverse() @ seen.odometry.T_odom_base).x)
+        assert measured - driven == pytest.approx(0.1, abs=0.01)
+        for _ in range(60):
+            seen = simulator.step(Twist(0.1, 0.0))
+        # The left wheel lags: the robot turned left, and its odometry does not know.
+        assert simulator.truth.T_world_base.yaw > 0.2
+        assert abs(float(seen.odometry.T_odom_base.yaw)) < 0.02

@@ -91,6 +91,7 @@ class NavigationDriver:
     def stand_by(self, observation: Observation) -> None:
         """Localise and look on while someone else drives; the goal's clock stands."""
         sight = self.sensing.observe(observation)
+        self._blind(observation.stamp_ns, sight)
         if self.localiser is None or self.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
             if sight is not None and T_frame_odom is not None:

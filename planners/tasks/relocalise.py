@@ -16,7 +16,7 @@ class RelocaliseConfig(BaseModel):
     """Seconds, but for `doubts` and `restarts`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    doubts: int = Field(default=6, ge=1)
+    doubts: int = Field(default=2, ge=1)
     """Filter updates in a row that find the robot lost before it stops."""
     settled: float = Field(default=1.0, ge=0.0)
     """So long the cloud must be narrow and the scans agree before it goes on."""
