@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
 
-from datasets.bags.topics import TOPICS
 from datasets.errors import InputError
 from datasets.outputs import sha256_tree
 from pipeline.cli import main
@@ -190,15 +189,6 @@ def test_a_log_without_truth_is_told_by_its_relations():
     metrics = {"scans": 10, "relations": {"trans_m": {"mean": 0.01234}}}
     stage = Stage(Path("x"), "map", "map", {})
     assert verdict(stage, metrics) == ("neutral", "10 scans; mean relations error 0.0123\u202fm.")
-
-
-def test_the_viewer_layout_names_only_topics_our_bags_have(page):
-    layout = json.loads((page.parent / "foxglove-layout.json").read_text())
-    panels = layout["configById"]
-    named = set(panels["3D!turtlebag"]["topics"])
-    for name in ("Plot!speed", "Plot!place"):
-        named |= {path["value"].partition(".")[0] for path in panels[name]["paths"]}
-    assert named <= set(TOPICS)
 
 
 def test_an_error_names_the_truth_it_was_measured_against():
