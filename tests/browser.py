@@ -98,7 +98,7 @@ class Browser:
         while not any(event.get("method") == method for event in self.events):
             self.events.append(self._read())
 
-    def open(self, address, width, *, dark=False):
+    def open(self, address, width, *, dark=False, touch=False):
         """Load a page in a window of that width; the events of loading are kept."""
         self.events.clear()
         self.call(
@@ -106,8 +106,9 @@ class Browser:
             width=width,
             height=900,
             deviceScaleFactor=1,
-            mobile=False,
+            mobile=touch,
         )
+        self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=address)
@@ -130,6 +131,15 @@ class Browser:
             buttons=int(pressed or kind == "mousePressed"),
             clickCount=int(kind != "mouseMoved"),
         )
+
+    def touch(self, kind, *places):
+        """touchStart, touchMove or touchEnd with fingers at these (x, y) of the window."""
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+    def clipboard(self):
+        """Text in the clipboard."""
+        return self.evaluate("navigator.clipboard.readText()")
 
     def problems(self):
         """Errors and warnings the page has logged or thrown."""

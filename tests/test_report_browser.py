@@ -23,6 +23,13 @@ CENTRE = """(() => {
   };
   return {room: p(-1.0, 1.0), right: p(0.0, 1.0), wall: p(0.0, 0.28), inside: p(0.0, 0.0)};
 })()"""
+COPIED = """(async () => {
+  for (let k = 0; k < 100; k++) {
+    if (document.querySelector(".pointer output").textContent.endsWith("copied")) return true;
+    await new Promise((done) => setTimeout(done, 20));
+  }
+  return false;
+})()"""
 READOUT = 'document.querySelector(".pointer output").textContent'
 
 
@@ -107,3 +114,54 @@ def test_a_click_gives_a_goal_and_a_drag_a_heading(browser, address):
     assert (x, y) == pytest.approx((0.0, 1.0), abs=0.03)
     assert abs(yaw) == pytest.approx(3.14, abs=0.03)
     assert browser.problems() == []
+
+
+def goal(text):
+    return tuple(float(part) for part in text.split()[0].removeprefix("--goal=").split(","))
+
+
+def test_what_is_clicked_is_in_the_clipboard(browser, address):
+    browser.open(address, 1400)
+    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.call("Page.bringToFront")
+    places = browser.evaluate(CENTRE)
+    browser.mouse("mousePressed", *places["room"])
+    browser.mouse("mouseReleased", *places["room"])
+    assert browser.evaluate(COPIED) is True
+    assert goal(browser.clipboard()) == pytest.approx((-1.0, 1.0, 0.0), abs=0.03)
+
+
+def test_a_click_into_a_wall_says_that_nobody_can_go_there(browser, address):
+    browser.open(address, 1400)
+    places = browser.evaluate(CENTRE)
+    browser.mouse("mousePressed", *places["wall"])
+    browser.mouse("mouseReleased", *places["wall"])
+    assert "(occupied: not a place to go)" in browser.evaluate(READOUT)
+
+
+def test_a_finger_taps_a_goal_and_drags_a_heading_up_the_page_without_moving_it(browser, address):
+    browser.open(address, 400, touch=True)
+    places = browser.evaluate(CENTRE)
+    scrolled = browser.evaluate("scrollY")
+    browser.touch("touchStart", places["room"])
+    browser.touch("touchEnd")
+    assert goal(browser.evaluate(READOUT)) == pytest.approx((-1.0, 1.0, 0.0), abs=0.03)
+    x, y = places["right"]
+    browser.touch("touchStart", (x, y))
+    for step in (10, 25, 40):
+        browser.touch("touchMove", (x, y - step))
+    browser.touch("touchEnd")
+    assert goal(browser.evaluate(READOUT)) == pytest.approx((0.0, 1.0, 1.57), abs=0.04)
+    assert browser.evaluate("scrollY") == scrolled
+    assert browser.problems() == []
+
+
+def test_two_fingers_set_no_goal(browser, address):
+    browser.open(address, 400, touch=True)
+    places = browser.evaluate(CENTRE)
+    before = browser.evaluate(READOUT)
+    browser.touch("touchStart", places["room"])
+    browser.touch("touchStart", places["room"], places["right"])
+    browser.touch("touchEnd")
+    assert not browser.evaluate(READOUT).startswith("--goal")
+    assert before == "x, y in metres"

@@ -1,4 +1,17 @@
 "use strict";
+// Into the clipboard; the old way too, for pages that came over plain http.
+const copy = async (text) => {
+  try { await navigator.clipboard.writeText(text); return true; } catch { /* not allowed here */ }
+  const field = document.createElement("textarea");
+  field.value = text;
+  field.style.position = "fixed";
+  field.style.opacity = "0";
+  document.body.append(field);
+  field.select();
+  const done = document.execCommand("copy");
+  field.remove();
+  return done;
+};
 // Maps that answer the mouse: coordinates under it, a click as --goal, a drag as a pose with heading.
 for (const box of document.querySelectorAll(".pointer")) {
   const svg = box.querySelector("svg"), out = box.querySelector("output"), arrow = box.querySelector(".aim");
@@ -39,23 +52,26 @@ for (const box of document.querySelectorAll(".pointer")) {
   svg.addEventListener("pointermove", (event) => {
     const p = world(event);
     if (start) { aim(start, p); show(`${number(start.x)}, ${number(start.y)}, yaw ${number(heading(start, p))}`); return; }
-    show(`x ${number(p.x)}  y ${number(p.y)}  ${place(p)}${kept && "   |   copied: " + kept}`);
+    show(`x ${number(p.x)}  y ${number(p.y)}  ${place(p)}${kept && "   |   last: " + kept}`);
   });
   svg.addEventListener("pointerdown", (event) => {
+    // Two fingers move and zoom the page.
+    if (!event.isPrimary) { start = null; arrow.style.visibility = "hidden"; return; }
     if (event.button !== 0) return;
     event.preventDefault();
     start = world(event);
     svg.setPointerCapture(event.pointerId);
   });
-  svg.addEventListener("pointerup", (event) => {
-    if (!start) return;
+  svg.addEventListener("pointerup", async (event) => {
+    if (!start || !event.isPrimary) return;
     const p = world(event), turn = heading(start, p);
     const tip = { x: start.x + 0.4 * Math.cos(turn), y: start.y + 0.4 * Math.sin(turn) };
     aim(start, tip);
     kept = `--goal=${number(start.x)},${number(start.y)},${number(turn)}`;
-    show(`${kept}   (${place(start)})`);
+    const where = place(start), goal = kept;
     start = null;
-    if (navigator.clipboard) navigator.clipboard.writeText(kept).catch(() => {});
+    show(`${goal}   (${where}${where === "free" ? "" : ": not a place to go"})`);
+    if (await copy(goal) && kept === goal) show(`${out.textContent}   copied`);
   });
   svg.addEventListener("pointercancel", () => { start = null; });
 }
