@@ -33,7 +33,7 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-world demo-house record map navigate report verify lint test browser clean \
+.PHONY: help setup demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
   bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 
@@ -98,6 +98,10 @@ verify: $(READY) ## run the demo twice and compare every file; recompute every n
 	diff data/verify/first.sha256 data/verify/second.sha256
 	@echo "the same bytes twice: $$(wc -l < data/verify/first.sha256) files"
 	$(TURTLEBAG) verify data/reports/demo
+
+pictures: demo ## the animations of the README, out of the demo's report
+	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif
+	cp data/reports/demo/figures/turtlebot3-world-patrol-animation.gif docs/images/patrol.gif
 
 bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
 bench-sim: $(READY) ## simulated seconds per second, by world and robot

@@ -87,14 +87,14 @@ def _read(manifest: Mapping[str, Any]) -> list[str]:
     return sorted(digest for entry in inputs for digest in entry["sha256"].values())
 
 
-def floor_seen_again(stage: Stage, T_world_base: Any) -> dict[str, Any]:
-    """The `area` of a run's metrics from the bag's true poses and the true map; empty where unknown."""
-    name, grid = stage.fact("robot"), stage.true_map
-    if "area" not in stage.metrics or name is None or grid is None:
+def floor_seen_again(stage: Stage) -> dict[str, Any]:
+    """The `area` of a run's metrics from its true poses at the scans and its true map, where it has one."""
+    name, grid, truth = stage.fact("robot"), stage.true_map, stage.truth
+    if "area" not in stage.metrics or name is None or grid is None or truth is None:
         return {}
     try:
         robot = load_robot(name)
     except InputError:
         return {}
     reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
-    return {"area": area_metrics(grid, T_world_base, robot.T_base_lidar, reach, radius)}
+    return {"area": area_metrics(grid, truth.poses, robot.T_base_lidar, reach, radius)}
