@@ -5,6 +5,8 @@ Fox 2003 (KLD-sampling), Thrun, Burgard, Fox: Probabilistic Robotics, chapters 4
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from datasets.grid import OccupancyGrid
@@ -146,15 +148,19 @@ class Amcl:
         the filter is not initialised or odometry is not finite.
         """
         self._check(T_odom_base)
-        if not self._moved_enough(T_odom_base):
+        T_last_base = None if self._T_odom_base is None else self._T_odom_base.inverse() @ T_odom_base
+        if not self._moved_enough(T_last_base):
             return False
-        sweep = None if T_odom_base_end is None else T_odom_base.inverse() @ T_odom_base_end
+        T_base_odom = T_odom_base.inverse()
+        sweep = None if T_odom_base_end is None else T_base_odom @ T_odom_base_end
         beams = prepare(scan, self._T_base_lidar, sweep, self._limits)
-        self._predict(T_odom_base)
+        if T_last_base is not None:
+            self._predict(T_last_base)
+        self._T_odom_base = T_odom_base
         if len(beams) > 0:
             self._weigh(beams)
             self._resample(beams)
-        self._estimate_pose(beams, T_odom_base)
+        self._estimate_pose(beams, T_base_odom)
         self._updates += 1
         return True
 
@@ -174,22 +180,20 @@ class Amcl:
         if not np.isfinite(T_odom_base.xyt).all():
             raise ValueError("odometry is not finite")
 
-    def _moved_enough(self, T_odom_base: SE2) -> bool:
-        if self._updates == 0 or self._T_odom_base is None:
+    def _moved_enough(self, T_last_base: SE2 | None) -> bool:
+        if self._updates == 0 or T_last_base is None:
             return True
-        x, y, yaw = (self._T_odom_base.inverse() @ T_odom_base).xyt
-        return bool(np.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a)
+        x, y, yaw = T_last_base.xyt.tolist()
+        return math.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a
 
-    def _predict(self, T_odom_base: SE2) -> None:
-        if self._T_odom_base is not None:
-            c = self.config
-            T_base_new = self._T_odom_base.inverse() @ T_odom_base
-            step = motion.decompose(T_base_new)
-            std = motion.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
-            motion.move(self._poses, step, self._rng.standard_normal(self._poses.shape) * std)
-            if self._fine is not None:
-                self._fine.predict(T_base_new, step, std)
-        self._T_odom_base = T_odom_base
+    def _predict(self, T_last_base: SE2) -> None:
+        """Move cloud and fine pose by odometry since the last update."""
+        c = self.config
+        step = motion.decompose(T_last_base)
+        std = motion.noise_std(step, (c.alpha1, c.alpha2, c.alpha3, c.alpha4))
+        motion.move(self._poses, step, self._rng.standard_normal(self._poses.shape) * std)
+        if self._fine is not None:
+            self._fine.predict(T_last_base, step, std)
 
     @property
     def agrees(self) -> bool:
@@ -267,14 +271,14 @@ class Amcl:
         better = self._search.agreement(there.xyt, beams) - self._search.agreement(here.xyt, beams)
         return found if better > BETTER_BY else None
 
-    def _estimate_pose(self, beams: Beams, T_odom_base: SE2) -> None:
+    def _estimate_pose(self, beams: Beams, T_base_odom: SE2) -> None:
         self._estimate = main_cluster(
             self._poses, self._weights, self.config.kld_bin_xy, self.config.kld_bin_yaw
         )
         T_map_base = self._estimate.T_map_base
         if self._fine is not None:
             T_map_base = self._fine.correct(self._estimate, beams.points)
-        self._T_map_odom = T_map_base @ T_odom_base.inverse()
+        self._T_map_odom = T_map_base @ T_base_odom
         self._watch(self._search.agreement(T_map_base.xyt, beams))
 
     def _watch(self, agreement: float) -> None:

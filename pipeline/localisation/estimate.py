@@ -62,17 +62,18 @@ def moments(
     poses: Array, weights: Array, centre: Array, reach_xy: float, reach_yaw: float
 ) -> tuple[float, Array, Array]:
     """Mass, mean pose (3,) and second moment about `centre` (3, 3) of the particles within reach of it."""
-    mass, total, second, off = 0.0, np.zeros(3), np.zeros((3, 3)), np.empty(3)
+    mass, tx, ty, ta = 0.0, 0.0, 0.0, 0.0
+    xx, xy, xa, yy, ya, aa = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(poses)):
-        off[0], off[1] = poses[i, 0] - centre[0], poses[i, 1] - centre[1]
-        off[2] = (poses[i, 2] - centre[2] + np.pi) % (2.0 * np.pi) - np.pi
-        if off[0] * off[0] + off[1] * off[1] > reach_xy * reach_xy or abs(off[2]) > reach_yaw:
+        x, y, a = poses[i, 0] - centre[0], poses[i, 1] - centre[1], poses[i, 2] - centre[2]
+        a -= 2.0 * np.pi * np.floor((a + np.pi) / (2.0 * np.pi))
+        if x * x + y * y > reach_xy * reach_xy or abs(a) > reach_yaw:
             continue
-        mass += weights[i]
-        for a in range(3):
-            total[a] += weights[i] * off[a]
-            for b in range(3):
-                second[a, b] += weights[i] * off[a] * off[b]
+        w = weights[i]
+        mass, tx, ty, ta = mass + w, tx + w * x, ty + w * y, ta + w * a
+        xx, xy, xa = xx + w * x * x, xy + w * x * y, xa + w * x * a
+        yy, ya, aa = yy + w * y * y, ya + w * y * a, aa + w * a * a
+    second = np.array([[xx, xy, xa], [xy, yy, ya], [xa, ya, aa]])
     if mass <= 0.0:
         return 0.0, centre.copy(), second
-    return mass, centre + total / mass, second / mass
+    return mass, centre + np.array([tx, ty, ta]) / mass, second / mass

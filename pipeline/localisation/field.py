@@ -124,12 +124,23 @@ def sum_over_beams(
     flat = table.ravel()
     x0, y0, yaw0, per_metre = frame
     c0, s0 = np.cos(yaw0), np.sin(yaw0)
+    reach = np.float32(0.0)
+    for j in range(len(points)):
+        reach = max(reach, points[j, 0] * points[j, 0] + points[j, 1] * points[j, 1])
+    reach = np.sqrt(reach) + np.float32(1.0)
     out = np.empty(len(poses))
     for i in range(len(poses)):
         dx, dy = poses[i, 0] - x0, poses[i, 1] - y0
         x, y = np.float32((c0 * dx + s0 * dy) * per_metre), np.float32((c0 * dy - s0 * dx) * per_metre)
         c, s = np.float32(np.cos(poses[i, 2] - yaw0)), np.float32(np.sin(poses[i, 2] - yaw0))
         total = np.float32(0.0)
+        if x > reach and y > reach and x + reach < cols and y + reach < rows:
+            # No beam can leave the table: the lookup needs no test.
+            for j in range(len(points)):
+                gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
+                total += flat[np.uint32(np.int32(gy)) * np.uint32(cols) + np.uint32(np.int32(gx))]
+            out[i] = total
+            continue
         for j in range(len(points)):
             gx, gy = x + c * points[j, 0] - s * points[j, 1], y + s * points[j, 0] + c * points[j, 1]
             # int() cuts towards 0: (-1, 0) falls into the first cell, where the padding says the same.

@@ -13,12 +13,16 @@ from datasets.se2 import Array
 
 @njit(cache=True)
 def multiply(a: Array, b: Array) -> Array:
-    """a (n, k) times b (k, m)."""
+    """a (n, k) times b (k, m); zeros in `a` cost nothing."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
+        row = out[i]
         for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
+            factor, b_k = a[i, k], b[k]
+            if factor == 0.0:
+                continue
+            for j in range(len(row)):
+                row[j] += factor * b_k[j]
     return out
 
 
@@ -37,18 +41,23 @@ def solve(a: Array, b: Array) -> Array:
                 left[k, j], left[pivot, j] = left[pivot, j], left[k, j]
             for j in range(m):
                 x[k, j], x[pivot, j] = x[pivot, j], x[k, j]
+        # Rows as slices: the compiler sees that they do not overlap, and works on several columns at once.
+        left_k, x_k = left[k, k + 1 :], x[k]
         for i in range(k + 1, n):
             factor = left[i, k] / left[k, k]
             if factor == 0.0:
                 continue
-            for j in range(k + 1, n):
-                left[i, j] -= factor * left[k, j]
+            left_i, x_i = left[i, k + 1 :], x[i]
+            for j in range(len(left_k)):
+                left_i[j] -= factor * left_k[j]
             for j in range(m):
-                x[i, j] -= factor * x[k, j]
+                x_i[j] -= factor * x_k[j]
     for k in range(n - 1, -1, -1):
+        x_k = x[k]
+        for i in range(k + 1, n):
+            factor, x_i = left[k, i], x[i]
+            for j in range(m):
+                x_k[j] -= factor * x_i[j]
         for j in range(m):
-            total = x[k, j]
-            for i in range(k + 1, n):
-                total -= left[k, i] * x[i, j]
-            x[k, j] = total / left[k, k]
+            x_k[j] /= left[k, k]
     return x

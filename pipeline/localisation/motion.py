@@ -47,4 +47,4 @@ def move(poses: Array, motion: tuple[float, float, float], noise: Array) -> None
         poses[i, 0] += step * np.cos(heading)
         poses[i, 1] += step * np.sin(heading)
         yaw = heading + motion[2] + noise[i, 2]
-        poses[i, 2] = (yaw + np.pi) % (2.0 * np.pi) - np.pi
+        poses[i, 2] = yaw - 2.0 * np.pi * np.floor((yaw + np.pi) / (2.0 * np.pi))

@@ -64,15 +64,7 @@ class WallFilter:
 
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, its parts (rot1, trans, rot2) and their standard deviations (3,)."""
-        before = self._x[:3].copy()
-        self._x[:3] = (SE2(before) @ T_base_new).xyt
-        dx, dy = self._x[0] - before[0], self._x[1] - before[1]
-        F = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-        c, s = math.cos(before[2] + motion[0]), math.sin(before[2] + motion[0])
-        G = np.array([[-motion[1] * s, c, 0.0], [motion[1] * c, s, 0.0], [1.0, 0.0, 1.0]])
-        self._P[:3] = F @ self._P[:3]
-        self._P[:, :3] = self._P[:, :3] @ F.T
-        self._P[:3, :3] += (G * std**2) @ G.T
+        move(self._x, self._P, T_base_new.xyt, motion[0], motion[1], std)
 
     def correct(self, points_base: Array) -> None:
         """Take in a scan's end points, (n, 2) in the base frame."""
@@ -128,6 +120,30 @@ class WallFilter:
 
 
 @njit(cache=True)
+def move(x: Array, P: Array, motion: Array, rot1: float, trans: float, std: Array) -> None:
+    """Predict pose and covariance of x (n,), P (n, n) in place: P <- F P F^T + G diag(std^2) G^T.
+
+    `motion` (x, y, yaw) is the step in the base frame; rot1, trans and `std` (3,) are as in `predict`.
+    """
+    c, s = math.cos(x[2]), math.sin(x[2])
+    dx, dy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    c, s = math.cos(x[2] + rot1), math.sin(x[2] + rot1)
+    G = np.array([[-trans * s, c, 0.0], [trans * c, s, 0.0], [1.0, 0.0, 1.0]])
+    yaw = x[2] + motion[2]
+    x[0], x[1], x[2] = x[0] + dx, x[1] + dy, yaw - 2.0 * np.pi * np.floor((yaw + np.pi) / (2.0 * np.pi))
+    for j in range(len(x)):
+        P[0, j] -= dy * P[2, j]
+        P[1, j] += dx * P[2, j]
+    for j in range(len(x)):
+        P[j, 0] -= dy * P[j, 2]
+        P[j, 1] += dx * P[j, 2]
+    for a in range(3):
+        for b in range(3):
+            for k in range(3):
+                P[a, b] += G[a, k] * std[k] ** 2 * G[b, k]
+
+
+@njit(cache=True)
 def normal_equations(sums: Array, right: Array, walls: Indices, weight: float) -> tuple[Array, Array]:
     """Information (m, m) and gradient (m,) over pose and offsets in sight, of beams of equal `weight`.
 
@@ -160,7 +176,13 @@ def posterior(before: Array, prior: Array, x: Array, information: Array, gradien
     without an inverse of P, which may be nearly singular.
     """
     right = multiply(prior, _pull(before, x, information, gradient))
-    return before + solve(np.eye(len(x)) + multiply(prior, information), right)[:, 0]
+    return before + solve(_shrink(prior, information), right)[:, 0]
+
+
+@njit(cache=True)
+def _shrink(prior: Array, information: Array) -> Array:
+    """1 + P I, (m, m): I is the sparse one of these two symmetric matrices, so it stands first below."""
+    return multiply(information, prior).T + np.eye(len(prior))
 
 
 @njit(cache=True)
@@ -193,17 +215,20 @@ def spread(
             columns[i, j] = P[i, state[j]]
         for i in range(m):
             prior[i, j] = P[state[i], state[j]]
-    gain = solve(np.eye(m) + multiply(prior, information), prior)
+    gain = solve(_shrink(prior, information), prior)
     pull = _pull(before, last, information, gradient)
     x += multiply(columns, pull - multiply(information, multiply(gain, pull)))[:, 0]
-    half = multiply(columns, information - multiply(multiply(information, gain), information))
+    lost = multiply(information, multiply(information, gain).T.copy())  # I K I: K is symmetric
+    half = multiply(columns, information - lost)
     rows = columns.T.copy()
     for i in range(n):
+        row = P[i, : i + 1]
         for k in range(m):
+            factor, other = half[i, k], rows[k]
             for j in range(i + 1):
-                P[i, j] -= half[i, k] * rows[k, j]
+                row[j] -= factor * other[j]
         for j in range(i):
-            P[j, i] = P[i, j]
+            P[j, i] = row[j]
 
 
 def _turn(yaw: float) -> Array:
