@@ -21,8 +21,10 @@ from planners.pose_planner import solve_poses
 from planners.smoothing import densify, path_length, relax, shortcut, with_headings
 from planners.wavefront import descend, wave
 
-BAND_PULL, BAND_PUSH, BAND_SWEEPS = 0.5, 0.1, 60
-"""Weights and sweeps of the elastic band."""
+BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
+"""Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
+TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
+"""The same for pulling a path tight."""
 
 
 class PlanConfig(BaseModel):
@@ -30,8 +32,10 @@ class PlanConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ompl: OmplConfig = OmplConfig()
-    margins: tuple[float, ...] = (0.10, 0.04, 0.0)
-    """Room kept round the robot's circumscribed circle, tried in this order."""
+    margins: tuple[float, ...] = Field(default=(0.10, 0.07, 0.04, 0.0), min_length=1)
+    """Room kept round the robot's circumscribed circle, tried in this order; the last one only in need."""
+    stretch: float = Field(default=1.05, ge=1.0)
+    """Room is bought with length up to this times the shortest way with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0)
     """Obstacles push the path away as far as this, beyond the disc itself."""
     cost_scaling_factor: float = Field(default=3.0, gt=0.0)
@@ -85,26 +89,57 @@ def plan_path(
         raise NoPath("the goal is in an obstacle or off the map")
     if config.ompl.space != "disc":
         return _plan_poses(costmap, model, start, goal, config, seed)
-    reason = "the goal is too near an obstacle"
+    best: _Way | None = None
+    reason, limit = "the goal is too near an obstacle", None
     for margin in config.margins:
-        radius = model.circumscribed_radius + margin
-        search = _Search(costmap, radius, config)
-        entry = search.entry(start.xy)
-        exit_ = search.entry(goal.xy) if margin == config.margins[-1] else search.cell(goal.xy)
+        last = margin == config.margins[-1]
+        if last and best is not None:
+            break
+        search = _Search(costmap, model.circumscribed_radius + margin, config)
+        entry, exit_ = search.entry(start.xy), search.entry(goal.xy) if last else search.cell(goal.xy)
         if entry is None or exit_ is None:
             if entry is None:
                 reason = "the robot stands too near an obstacle"
             continue
-        found = search.run(entry, exit_, seed)
-        if found is None:
+        if not search.connected(entry, exit_):
             reason = "no way leads there"
             continue
-        points, attempts = found
-        points = np.concatenate([start.xy[None], points, goal.xy[None]])
-        points = _without_repeats(points)
-        poses = with_headings(points, float(start.yaw), float(goal.yaw))
-        return Plan(costmap.T_map_grid @ poses, path_length(points), margin, config.ompl.planner, attempts)
-    raise NoPath(reason)
+        found = search.run(entry, exit_, seed)
+        if found is None:
+            reason = f"{config.ompl.planner} found no path within its iterations"
+            continue
+        if limit is None:
+            limit = config.stretch * _shortest(costmap, model, start, goal, config)
+        tight, attempts = found
+        points = search.rounded(tight, start.xy, goal.xy, limit)
+        way = _Way(points, path_length(points), margin, attempts)
+        if best is None or way.length < best.length:
+            best = way
+        if best.length <= limit:
+            break
+    if best is None:
+        raise NoPath(reason)
+    poses = with_headings(best.points, float(start.yaw), float(goal.yaw))
+    return Plan(costmap.T_map_grid @ poses, best.length, best.margin, config.ompl.planner, best.attempts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Points (n, 2) in the grid frame."""
+
+    points: Array
+    length: float
+    margin: float
+    attempts: int
+
+
+def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig) -> float:
+    """Length of the tightened grid path with the least room [m]; inf when there is none."""
+    search = _Search(costmap, model.circumscribed_radius + min(config.margins), config)
+    entry, exit_ = search.entry(start.xy), search.entry(goal.xy)
+    if entry is None or exit_ is None or not search.connected(entry, exit_):
+        return np.inf
+    return path_length(search.tightened(search.grid_path(entry, exit_)))
 
 
 def _plan_poses(
@@ -144,6 +179,7 @@ class _Search:
         self.radius = radius
         self.config = config
         self.free: NDArray[np.bool_] = costmap.clearance > radius
+        self._from_goal: tuple[tuple[int, int], NDArray[np.float32]] | None = None
 
     def cell(self, xy: Array) -> tuple[int, int] | None:
         """The free cell under a point."""
@@ -173,27 +209,34 @@ class _Search:
             return None
         return int(cells[best, 0]), int(cells[best, 1])
 
+    def to_goal(self, goal: tuple[int, int]) -> NDArray[np.float32]:
+        """Distance from every cell to the goal's, in cells."""
+        if self._from_goal is None or self._from_goal[0] != goal:
+            self._from_goal = goal, wave(self.free, goal[0], goal[1], np.inf)
+        return self._from_goal[1]
+
     def connected(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
         """Whether the floor of this radius joins two cells."""
-        return bool(np.isfinite(wave(self.free, a[0], a[1], np.inf)[b]))
+        return bool(np.isfinite(self.to_goal(b)[a]))
 
     def center(self, cell: tuple[int, int]) -> Array:
         return (np.array([cell[1], cell[0]], dtype=np.float64) + 0.5) * self.resolution
 
+    def grid_path(self, start: tuple[int, int], goal: tuple[int, int]) -> Array:
+        """The way over the cells, points (n, 2) without its needless corners."""
+        cells = descend(self.to_goal(goal), *start)
+        points = np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
+        return shortcut(self.field, self.resolution, self.radius, points)
+
     def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int] | None:
-        """Points (n, 2) of a smooth path and the number of OMPL runs it took; None: not connected."""
-        from_goal = wave(self.free, goal[0], goal[1], np.inf)
-        shortest = float(from_goal[start])
-        if not np.isfinite(shortest):
-            return None
-        limit = shortest * self.config.ompl.informed_factor + 2.0
+        """Corners (n, 2) of a tight path between joined cells and how many OMPL runs; None: not found."""
+        from_goal = self.to_goal(goal)
+        limit = float(from_goal[start]) * self.config.ompl.informed_factor + 2.0
         from_start = wave(self.free, start[0], start[1], limit)
         # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
         inside = from_start + from_goal <= limit
         a, b = self.center(start), self.center(goal)
-        bound = path_length(
-            shortcut(self.field, self.resolution, self.radius, self._cells_path(from_goal, start))
-        )
+        bound = path_length(self.grid_path(start, goal))
         best: Array | None = None
         attempts = 0
         for attempt in range(self.config.ompl.restarts):
@@ -208,25 +251,35 @@ class _Search:
                 best = tight
             if path_length(best) <= self.config.ompl.good_enough * bound:
                 break
-        if best is None:
-            raise NoPath(f"{self.config.ompl.planner} found no path within its iterations")
-        return self._rounded(best), attempts
+        return None if best is None else (self.tightened(best), attempts)
 
-    def _cells_path(self, from_goal: NDArray[np.float32], start: tuple[int, int]) -> Array:
-        cells = descend(from_goal, *start)
-        return np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
+    def tightened(self, path: Array) -> Array:
+        """Corners (n, 2) of the path drawn tight like a string."""
+        dense = densify(path, self.config.spacing)
+        pulled = self._band(dense, 0.0, TIGHT_PULL, TIGHT_SWEEPS)
+        tight = shortcut(self.field, self.resolution, self.radius, pulled)
+        return tight if path_length(tight) < path_length(path) else path
 
-    def _rounded(self, tight: Array) -> Array:
-        dense = densify(tight, self.config.spacing)
-        band = relax(
+    def rounded(self, tight: Array, start: Array, goal: Array, limit: float) -> Array:
+        """Points (n, 2) from start to goal, pushed off obstacles as far as the length limit lets them."""
+        points = tight
+        for push in BAND_PUSHES:
+            band = self._band(densify(tight, self.config.spacing), push, BAND_PULL, BAND_SWEEPS)
+            whole = np.concatenate([start[None], densify(band, 2.0 * self.config.spacing), goal[None]])
+            points = _without_repeats(whole)
+            if path_length(points) <= limit:
+                break
+        return points
+
+    def _band(self, dense: Array, push: float, pull: float, sweeps: int) -> Array:
+        return relax(
             self.field,
             self.resolution,
             self.radius,
             dense,
             max(self.config.inflation_radius, self.radius),
             self.config.cost_scaling_factor,
-            BAND_PULL,
-            BAND_PUSH,
-            BAND_SWEEPS,
+            pull,
+            push,
+            sweeps,
         )
-        return densify(band, 2.0 * self.config.spacing)

@@ -10,12 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.se2 import Array
 from planners.footprint import Field32, disc_segment_free
 
-# PRM and PRMstar are bound too, but wait for a thread that waits for Python: they never return.
 PlannerName = Literal[
     "RRTConnect",
     "RRT",
@@ -29,7 +28,10 @@ PlannerName = Literal[
     "KPIECE1",
     "BKPIECE1",
     "LBKPIECE1",
+    "PRM",
+    "PRMstar",
 ]
+ROADMAPS = ("PRM", "PRMstar")
 
 
 class OmplConfig(BaseModel):
@@ -51,6 +53,14 @@ class OmplConfig(BaseModel):
     """Only floor on some way at most this much longer than the shortest is searched."""
     range: float = Field(default=1.5, gt=0.0)
     """Longest motion of the tree planners [m]."""
+
+    @model_validator(mode="after")
+    def _check(self) -> OmplConfig:
+        if self.planner == "AORRTC" and self.space == "dubins":
+            raise ValueError(
+                "AORRTC crashes in the dubins space (OMPL 2.0.1): choose another planner or space"
+            )
+        return self
 
 
 def solve(
@@ -87,14 +97,35 @@ def solve(
     info.setup()
     problem = ob.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(space, start), _state(space, goal))
-    planner = make_planner(info, config)
+    path = exact_path(make_planner(info, config), problem, config)
+    return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
+
+
+def exact_path(planner: Any, problem: Any, config: OmplConfig) -> Any | None:
+    """OMPL's path that joins start and goal, or None within the budget."""
     planner.setProblemDefinition(problem)
     planner.setup()
+    if config.planner in ROADMAPS:
+        return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
-    if not problem.hasExactSolution():
-        return None
-    return np.array([[state[0], state[1]] for state in problem.getSolutionPath().getStates()])
+    return problem.getSolutionPath() if problem.hasExactSolution() else None
+
+
+def _path_on_roadmap(planner: Any, problem: Any, iterations: int) -> Any | None:
+    """PRM without its second thread, which asks the termination condition and so waits for Python for ever.
+
+    `solve` with a condition that is true from the start only takes in start and goal, and at its end
+    looks for the way on the roadmap that comes nearest to the goal: one that misses it by nothing is exact.
+    """
+    from ompl import base as ob
+
+    planner.solve(ob.plannerAlwaysTerminatingCondition())
+    problem.clearSolutionPaths()
+    planner.growRoadmapPtc(iteration_limit(iterations))
+    planner.solve(ob.plannerAlwaysTerminatingCondition())
+    joined = problem.hasSolution() and problem.getSolutionDifference() == 0.0
+    return problem.getSolutionPath() if joined else None
 
 
 def make_planner(info: Any, config: OmplConfig) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from datasets.se2 import SE2
 from planners.costmap import Costmap
 from planners.footprint import FootprintSamples, footprint_clearance
-from planners.ompl_planner import OmplConfig, iteration_limit, make_planner
+from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, make_planner
 
 SIMPLIFY_CALLS = 400
 
@@ -52,15 +52,14 @@ def solve_poses(
     info.setup()
     problem = ob.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(space, T_grid_start), _state(space, T_grid_goal))
-    planner = make_planner(info, config)
-    planner.setProblemDefinition(problem)
-    planner.setup()
-    planner.solve(iteration_limit(config.iterations))
-    if not problem.hasExactSolution():
+    path = exact_path(make_planner(info, config), problem, config)
+    if path is None:
         return None
-    path = problem.getSolutionPath()
     og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))
     path.interpolate(max(2, round(path.length() / spacing) + 1))
+    # The planners that grow from the goal, too, check a Dubins curve in the wrong direction.
+    if not all(fits(state) for state in path.getStates()):
+        return None
     return SE2.from_array(np.array([[s.getX(), s.getY(), s.getYaw()] for s in path.getStates()]))
 
 
