@@ -307,6 +307,55 @@ def test_the_wall_filter_finds_the_pose_and_where_the_walls_stand():
     assert all(0.0 < std <= 0.0071 for _, std in track.offsets.values())
 
 
+def wall_filter(start: SE2) -> WallFilter:
+    return WallFilter(
+        fit_surfaces(l_shaped_room().grid()),
+        start,
+        np.diag([0.02, 0.02, 0.02]) ** 2,
+        scale=0.03,
+        beam_std=0.012,
+        patch_beams=4.0,
+        offset_std=0.007,
+    )
+
+
+def scanned(T: SE2, rng: np.random.Generator) -> np.ndarray:
+    """End points of a noisy scan of the L-shaped room in the base frame."""
+    ranges = l_shaped_room().ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), LIDAR.angles, 3.5)
+    noisy = (ranges + 0.01 * rng.standard_normal(360)).astype(np.float32)
+    return prepare(Scan(0, noisy, LIDAR), T_BASE_LIDAR).points
+
+
+def test_the_wall_filter_learns_what_odometry_gets_wrong():
+    """Wheels 3 % too small and a track 4 % too wide, by odometry's reckoning; little noise beside."""
+    T, rng = SE2.from_xyt(1.5, 1.5, 0.0), np.random.default_rng(7)
+    track = wall_filter(T)
+    for k in range(160):
+        step = SE2.from_xyt(0.05, 0.0, 0.0) if (k // 20) % 2 == 0 else SE2.from_xyt(0.0, 0.0, math.pi / 40)
+        told = SE2.from_xyt(step.x / 0.97, 0.0, step.yaw / 1.04)
+        track.predict(told, (0.0, float(told.x), float(told.yaw)), np.full(3, 1e-3))
+        T = T @ step
+        track.correct(scanned(T, rng))
+    errors, std = track.odometry_errors
+    assert np.all(np.abs(errors - [-0.03, 0.04, 0.0]) < np.maximum(3.0 * std, 0.002))
+    assert np.all(std < [0.004, 0.004, 0.004])
+    error = T.inverse() @ track.T_map_base
+    assert np.hypot(error.x, error.y) < 0.02
+
+
+def test_a_slip_of_the_wheels_is_noticed_and_undone_by_the_same_scan():
+    T, rng = SE2.from_xyt(2.0, 2.0, 0.1), np.random.default_rng(8)
+    track = wall_filter(T)
+    usual = [track.correct(scanned(T, rng)) for _ in range(20)]
+    assert max(usual[5:]) < 3.0
+    slip = SE2.from_xyt(0.08, 0.0, 0.05)
+    track.predict(slip, (0.0, 0.08, 0.05), np.full(3, 1e-3))
+    assert track.correct(scanned(T, rng)) > 6.0
+    error = T.inverse() @ track.T_map_base
+    assert np.hypot(error.x, error.y) < 0.015
+    assert abs(float(error.yaw)) < 0.01
+
+
 @given(st.integers(1, 12), st.integers(0, 1000))
 @settings(max_examples=30)
 def test_small_linear_algebra_equals_numpys(n, seed):

@@ -4,9 +4,14 @@ The cloud finds and keeps the right place; its mean is only as fine as the map's
 of particles. Near that mean one pose is predicted by odometry and corrected by point-to-line matching
 of ALL beams (see wall_filter). It starts from the cloud, and starts again whenever
 the two disagree, so it can never be where the cloud is not.
+
+The alphas keep a cloud wide enough to find its way back; odometry's noise beside its systematic error,
+which is a state here, is mostly far smaller. How much smaller is learned from how surprising the scans are.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -21,6 +26,10 @@ from pipeline.localisation.wall_filter import WallFilter
 START_STD = np.array([0.15, 0.15, 0.15])
 # Less than this apart, the two agree whatever the cloud's spread: its field is a cell coarse.
 LEAST_REACH = np.array([0.08, 0.08, 0.08])
+# Share of the alphas' standard deviation: at first, least and most; how fast it follows the scans' surprise,
+# which it holds at this (below 1: residuals of one wall are alike), and the most that one scan may say.
+FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.3, 0.05, 1.0
+SHARE_RATE, USUAL_SURPRISE, MOST_SURPRISE = 0.05, 0.5, 3.0
 
 
 class FinePose:
@@ -30,6 +39,7 @@ class FinePose:
         self._surfaces = fit_surfaces(grid)
         self._config = config
         self._filter: WallFilter | None = None
+        self._share = FIRST_SHARE
 
     def forget(self) -> None:
         """Stop tracking until the cloud is narrow again."""
@@ -38,12 +48,12 @@ class FinePose:
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, decomposed, and the standard deviations (3,) of its parts."""
         if self._filter is not None:
-            self._filter.predict(T_base_new, motion, std)
+            self._filter.predict(T_base_new, motion, self._share * std)
 
     def correct(self, cloud: Estimate, points_base: Array) -> SE2:
         """Pose after a scan's end points (n, 2) in the base frame; the cloud's mean when it is too wide."""
         if self._filter is not None:
-            self._filter.correct(points_base)
+            self._learn(self._filter.correct(points_base))
             if _agree(self._filter.T_map_base, cloud):
                 return self._filter.T_map_base
         self._filter = self._started(cloud)
@@ -52,6 +62,11 @@ class FinePose:
         self._filter.correct(points_base)
         T_map_base = self._filter.T_map_base
         return T_map_base if _agree(T_map_base, cloud) else cloud.T_map_base
+
+    def _learn(self, surprise: float) -> None:
+        """Trust odometry more or less."""
+        share = self._share * math.exp(SHARE_RATE * (min(surprise, MOST_SURPRISE) - USUAL_SURPRISE))
+        self._share = min(max(share, LEAST_SHARE), MOST_SHARE)
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
         if np.any(np.sqrt(np.diag(cloud.core)) > START_STD):

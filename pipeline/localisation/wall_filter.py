@@ -1,9 +1,13 @@
-"""Extended Kalman filter over the pose AND where in its cells each wall stands.
+"""Extended Kalman filter over the pose, odometry's errors, and where in its cells each wall stands.
 
 A grid places a wall to within a cell only, and the same error is met by every beam on that wall in
 every scan: treated as noise it would look small after a few scans while it is not. So each wall (patch
 of surfaces) in sight gets a state of its own, its offset along the normal, known beforehand to a
 fraction of a cell, and is estimated jointly with the pose (Smith, Self, Cheeseman 1990).
+
+Odometry is wrong by nearly constant shares (a wheel's radius, the track: Censi et al. 2013), and that is
+a state, too: learned where walls are in sight, it carries the pose along a bare corridor, where they tell
+nothing about the way along it.
 """
 
 from __future__ import annotations
@@ -23,10 +27,19 @@ MAX_ITERATIONS = 4
 STEP_DONE = 1e-4
 # Walls kept in the state; beyond, the one longest out of sight is forgotten.
 MAX_WALLS = 150
+# States before the walls': the pose (x, y, yaw), then odometry's errors: share of distance, share of turn,
+# and turn by distance [rad/m]; their standard deviations beforehand, and what they gain in a metre.
+POSE, FIXED = 3, 6
+ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
+ODOMETRY_WALK = 5e-4
+# A correction of 0.1 mm or 0.006 deg is no surprise whatever was expected.
+LEAST_EXPECTED = 1e-8
+# From this surprise on, odometry slipped, by about so much (x, y [m], yaw [rad]).
+SLIP, SLIP_STD = 6.0, np.array([0.1, 0.1, 0.1])
 
 
 class WallFilter:
-    """State: pose in the frame of the surfaces (x, y, yaw), then the offset of each known wall [m]."""
+    """State: pose in the frame of the surfaces, odometry's errors, then the offset of each known wall [m]."""
 
     def __init__(
         self,
@@ -44,8 +57,10 @@ class WallFilter:
         self._offset_variance = offset_std**2
         T_surfaces_map = surfaces.T_map_surfaces.inverse()
         turn = _turn(float(T_surfaces_map.yaw))
-        self._x = (T_surfaces_map @ T_map_base).xyt.copy()
-        self._P = turn @ covariance @ turn.T
+        self._x = np.concatenate([(T_surfaces_map @ T_map_base).xyt, np.zeros(3)])
+        self._P = np.zeros((FIXED, FIXED))
+        self._P[:POSE, :POSE] = turn @ covariance @ turn.T
+        self._P[range(POSE, FIXED), range(POSE, FIXED)] = ODOMETRY_STD**2
         self._walls = np.zeros(0, dtype=np.int32)  # patch of each offset in the state
         self._last_seen = np.zeros(0, dtype=np.int64)
         self._place = np.full(surfaces.patches, -1, dtype=np.int64)  # of a patch in the list of walls
@@ -59,24 +74,44 @@ class WallFilter:
     @property
     def offsets(self) -> dict[int, tuple[float, float]]:
         """Offset and its standard deviation [m] of each known wall, by patch."""
-        std = np.sqrt(np.diag(self._P)[3:])
-        return {int(p): (float(o), float(s)) for p, o, s in zip(self._walls, self._x[3:], std, strict=True)}
+        std, offsets = np.sqrt(np.diag(self._P)[FIXED:]), self._x[FIXED:]
+        return {int(p): (float(o), float(s)) for p, o, s in zip(self._walls, offsets, std, strict=True)}
+
+    @property
+    def odometry_errors(self) -> tuple[Array, Array]:
+        """Share of distance, share of turn, turn by distance [rad/m] that odometry lacks, and their std."""
+        return self._x[POSE:FIXED].copy(), np.sqrt(np.diag(self._P)[POSE:FIXED])
 
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, its parts (rot1, trans, rot2) and their standard deviations (3,)."""
         move(self._x, self._P, T_base_new.xyt, motion[0], motion[1], std)
 
-    def correct(self, points_base: Array) -> None:
-        """Take in a scan's end points, (n, 2) in the base frame."""
+    def correct(self, points_base: Array) -> float:
+        """Take in a scan's end points, (n, 2) in the base frame; how surprising they were (see `surprise`).
+
+        A great surprise is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
+        """
         self._scans += 1
+        x, P = self._x.copy(), self._P.copy()
+        found = self._take_in(points_base)
+        if found > SLIP:
+            n = len(x)
+            self._x[:n], self._P[:n, :n] = x, P
+            self._P[:n, n:] = self._P[n:, :n] = 0.0
+            self._x[n:], self._P[n:, n:] = 0.0, self._offset_variance * np.eye(len(self._x) - n)
+            self._P[range(POSE), range(POSE)] += SLIP_STD**2
+            self._take_in(points_base)
+        return found
+
+    def _take_in(self, points_base: Array) -> float:
         s = self._surfaces
         tables = (s.points, s.normals, s.trust, s.patch, s.nearest, 1.0 / s.resolution)
         offsets = np.zeros(s.patches)
-        offsets[self._walls] = self._x[3:]
+        offsets[self._walls] = self._x[FIXED:]
         sums, right = match_beams(*tables, self._x[:3], points_base, offsets, self._scale, self._patch_beams)
         seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
         walls = self._walls[seen]
-        state = np.concatenate([[0, 1, 2], 3 + seen])
+        state = np.concatenate([range(POSE), FIXED + seen])
         before, prior = self._x[state], self._P[state][:, state].copy()
         x = before
         for iteration in range(MAX_ITERATIONS):
@@ -91,7 +126,9 @@ class WallFilter:
             x, last = new, x
             if step < STEP_DONE:
                 break
+        P_predicted = self._P[:POSE, :POSE].copy()
         spread(self._x, self._P, state, before, last, information, gradient)
+        return surprise(before[:POSE], P_predicted, self._x[:POSE], self._P[:POSE, :POSE])
 
     def _admit(self, seen: Indices) -> NDArray[np.int64]:
         """Give every wall in sight a state; where in the list of walls they are."""
@@ -104,7 +141,7 @@ class WallFilter:
             self._P, self._x = P, np.concatenate([self._x, np.zeros(more)])
             self._walls = np.concatenate([self._walls, new])
             self._last_seen = np.concatenate([self._last_seen, np.zeros(more, dtype=np.int64)])
-            self._place[new] = np.arange(size - 3, size - 3 + more)
+            self._place[new] = np.arange(size - FIXED, size - FIXED + more)
         self._last_seen[self._place[seen]] = self._scans
         if len(self._walls) > MAX_WALLS:
             self._forget_longest_unseen(max(MAX_WALLS, len(seen)))
@@ -112,7 +149,7 @@ class WallFilter:
 
     def _forget_longest_unseen(self, most: int) -> None:
         kept = np.sort(np.argsort(-self._last_seen, kind="stable")[:most])
-        states = np.concatenate([[0, 1, 2], 3 + kept])
+        states = np.concatenate([range(FIXED), FIXED + kept])
         self._x, self._P = self._x[states], self._P[states][:, states].copy()
         self._walls, self._last_seen = self._walls[kept], self._last_seen[kept]
         self._place[:] = -1
@@ -121,23 +158,27 @@ class WallFilter:
 
 @njit(cache=True)
 def move(x: Array, P: Array, motion: Array, rot1: float, trans: float, std: Array) -> None:
-    """Predict pose and covariance of x (n,), P (n, n) in place: P <- F P F^T + G diag(std^2) G^T.
+    """Predict x (n,), P (n, n) in place: P <- F P F^T + G diag(std^2) G^T.
 
-    `motion` (x, y, yaw) is the step in the base frame; rot1, trans and `std` (3,) are as in `predict`.
+    `motion` (x, y, yaw) is odometry's step in the base frame; rot1, trans and `std` (3,) as in `predict`.
     """
     c, s = math.cos(x[2]), math.sin(x[2])
-    dx, dy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    rx, ry = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    dx, dy = (1.0 + x[3]) * rx, (1.0 + x[3]) * ry
     c, s = math.cos(x[2] + rot1), math.sin(x[2] + rot1)
     G = np.array([[-trans * s, c, 0.0], [trans * c, s, 0.0], [1.0, 0.0, 1.0]])
-    yaw = x[2] + motion[2]
+    yaw = x[2] + (1.0 + x[4]) * motion[2] + x[5] * motion[0]
     x[0], x[1], x[2] = x[0] + dx, x[1] + dy, yaw - 2.0 * np.pi * np.floor((yaw + np.pi) / (2.0 * np.pi))
     for j in range(len(x)):
-        P[0, j] -= dy * P[2, j]
-        P[1, j] += dx * P[2, j]
+        P[0, j] += rx * P[3, j] - dy * P[2, j]
+        P[1, j] += ry * P[3, j] + dx * P[2, j]
+        P[2, j] += motion[2] * P[4, j] + motion[0] * P[5, j]
     for j in range(len(x)):
-        P[j, 0] -= dy * P[j, 2]
-        P[j, 1] += dx * P[j, 2]
+        P[j, 0] += rx * P[j, 3] - dy * P[j, 2]
+        P[j, 1] += ry * P[j, 3] + dx * P[j, 2]
+        P[j, 2] += motion[2] * P[j, 4] + motion[0] * P[j, 5]
     for a in range(3):
+        P[POSE + a, POSE + a] += ODOMETRY_WALK**2 * abs(trans)
         for b in range(3):
             for k in range(3):
                 P[a, b] += G[a, k] * std[k] ** 2 * G[b, k]
@@ -229,6 +270,15 @@ def spread(
                 row[j] -= factor * other[j]
         for j in range(i):
             P[j, i] = row[j]
+
+
+@njit(cache=True)
+def surprise(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Array) -> float:
+    """Square of a pose's correction over what was expected of it, per degree of freedom: 1 on average."""
+    step = (corrected - predicted).reshape(-1, 1)
+    step[2, 0] = (step[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
+    expected = P_predicted - P_corrected + LEAST_EXPECTED * np.eye(3)
+    return (step * solve(expected, step)).sum() / 3.0
 
 
 def _turn(yaw: float) -> Array:
