@@ -22,6 +22,9 @@ MIN_NORMAL_DOT = 0.6
 # Standard deviation of a fitted line's direction [rad]: what a normal's error alone can fake of
 # information along a straight corridor (see `observable`).
 NORMAL_NOISE_RAD = 0.06
+# Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point
+# slides along its partner's line meanwhile, which the distance to the line does not notice.
+SAME_PARTNERS_M, TURN_REACH_M = 0.005, 2.0
 # Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
 # weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
 PRIOR_SHARE = 0.01
@@ -69,7 +72,7 @@ def align(
     stride = 1 + (int(clouds.starts[scan + 1]) - int(clouds.starts[scan]) - 1) // most_points
     if prior is None or prior_information is None:
         prior, prior_information = np.zeros(3), np.zeros((3, 3))
-    xyt, hessian, matched, usable, rms, cost = _align(
+    xyt, hessian, matched, usable, rms, cost = align_kernel(
         clouds.points,
         clouds.normals,
         clouds.centers,
@@ -128,8 +131,8 @@ def find_partner(
     return best
 
 
-@njit(cache=True)
-def _align(
+@njit(cache=True, nogil=True)
+def align_kernel(
     points: Array,
     normals: Array,
     centers: Array,
@@ -149,12 +152,15 @@ def _align(
     prior_information: Array,
     prior_soft: float,
 ) -> tuple[Array, Array, int, int, float, float]:
+    """`align` on plain arrays: pose (3,), Hessian (3, 3), matched and usable points, rms [m], summed cost."""
     pose = start_pose.copy()
     lo, hi = starts[scan], starts[scan + 1]
     n_keys = len(keys)
     hessian = np.zeros((3, 3))
     matched, usable, rms, cost = 0, 0, 0.0, 0.0
     relative = np.zeros((n_keys, 4))
+    partners = np.empty(((hi - lo - 1) // stride + 1, n_keys), dtype=np.int32)
+    moved = 2.0 * SAME_PARTNERS_M
     inv_s2 = 1.0 / (sigma * sigma)
     for iteration in range(iterations + 1):
         for k in range(n_keys):
@@ -167,10 +173,14 @@ def _align(
         g0, g1, g2 = 0.0, 0.0, 0.0
         matched, usable = 0, 0
         squares, weights, cost = 0.0, 0.0, 0.0
+        search = moved > SAME_PARTNERS_M
+        if search:
+            moved = 0.0
         for i in range(lo, hi, stride):
             if not line_ok[i]:
                 continue
             usable += 1
+            of_point = partners[(i - lo) // stride]
             px, py = points[i, 0], points[i, 1]
             hit = False
             best_e = 1e9
@@ -178,8 +188,11 @@ def _align(
                 c, s = relative[k, 2], relative[k, 3]
                 x = relative[k, 0] + c * px - s * py
                 y = relative[k, 1] + s * px + c * py
-                row = find_partner(x, y, keys[k], points, table, origin, gate)
-                if row < 0 or not line_ok[row]:
+                if search:
+                    row = find_partner(x, y, keys[k], points, table, origin, gate)
+                    of_point[k] = row if row >= 0 and line_ok[row] else -1
+                row = of_point[k]
+                if row < 0:
                     continue
                 nx, ny = normals[row, 0], normals[row, 1]
                 # the partner's normal turned into this scan's base frame
@@ -220,6 +233,7 @@ def _align(
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
+        moved += abs(step[0]) + abs(step[1]) + TURN_REACH_M * abs(step[2])
         if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
             break
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
+from pipeline.slam.threads import in_parts
 
 # Neighbours on a surface are looked for within this many beam spacings, at least this far apart.
 WINDOW_BEAMS = 4
@@ -77,9 +78,15 @@ def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = 
             points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment)
-    normals, centers, line_ok = _fit_lines(points, starts, origin, increment)
     n_bins = max(8, round(2.0 * math.pi / increment))
-    table = _bearing_tables(points, starts, origin, n_bins)
+    normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
+    table = np.full((len(recording), n_bins), -1, dtype=np.int32)
+
+    def prepare(scans: slice) -> None:
+        _fit_lines(points, starts[scans.start : scans.stop + 1], origin, increment, normals, centers, line_ok)
+        _bearing_tables(points, starts[scans.start : scans.stop + 1], origin, table[scans])
+
+    in_parts(prepare, len(recording))
     return Clouds(points, normals, centers, line_ok, starts, table, origin)
 
 
@@ -98,15 +105,17 @@ def _deskewed(points: Array, motion: SE2, scan_of: NDArray, fraction: Array) -> 
     return SE2(delta) @ points
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _fit_lines(
-    points: Array, starts: NDArray, origin: Array, increment: float
-) -> tuple[Array, Array, NDArray]:
-    """Total least squares line through each point's neighbours in beam order."""
-    n = len(points)
-    normals = np.zeros((n, 2))
-    centers = points.copy()
-    ok = np.zeros(n, dtype=np.bool_)
+    points: Array,
+    starts: NDArray,
+    origin: Array,
+    increment: float,
+    normals: Array,
+    centers: Array,
+    ok: NDArray,
+) -> None:
+    """Total least squares line through each point's neighbours in beam order, into the last three."""
     for scan in range(len(starts) - 1):
         lo, hi = starts[scan], starts[scan + 1]
         for i in range(lo, hi):
@@ -148,16 +157,14 @@ def _fit_lines(
             normals[i, 0], normals[i, 1] = nx, ny
             centers[i, 0], centers[i, 1] = px + mx, py + my
             ok[i] = True
-    return normals, centers, ok
 
 
-@njit(cache=True)
-def _bearing_tables(points: Array, starts: NDArray, origin: Array, n_bins: int) -> NDArray:
-    """Row of the nearest point in each bearing bin about the lidar, per scan; -1 where none."""
-    n_scans = len(starts) - 1
-    table = np.full((n_scans, n_bins), -1, dtype=np.int32)
+@njit(cache=True, nogil=True)
+def _bearing_tables(points: Array, starts: NDArray, origin: Array, table: NDArray) -> None:
+    """Row of the nearest point in each bearing bin about the lidar, per scan, into a table of -1."""
+    n_bins = table.shape[1]
     scale = n_bins / (2.0 * math.pi)
-    for scan in range(n_scans):
+    for scan in range(len(starts) - 1):
         for i in range(starts[scan], starts[scan + 1]):
             dx, dy = points[i, 0] - origin[0], points[i, 1] - origin[1]
             b = math.floor((math.atan2(dy, dx) + math.pi) * scale) % n_bins
@@ -167,4 +174,3 @@ def _bearing_tables(points: Array, starts: NDArray, origin: Array, n_bins: int) 
                 if ox * ox + oy * oy <= dx * dx + dy * dy:
                     continue
             table[scan, b] = i
-    return table

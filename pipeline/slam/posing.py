@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
-from datasets.se2 import SE2
-from pipeline.slam.align import align
+from datasets.se2 import SE2, Array
+from pipeline.slam.align import align_kernel
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.threads import in_parts
 from pipeline.slam.tracking import Track
+
+ITERATIONS = 5
 
 
 class PosingConfig(BaseModel):
@@ -50,21 +55,52 @@ def pose_all_scans(clouds: Clouds, track: Track, T_map_keys: SE2, config: Posing
     information = np.diag([config.carried_m**-2, config.carried_m**-2, (0.5 * config.carried_m) ** -2])
     is_key = np.zeros(len(poses), dtype=bool)
     is_key[track.keys] = True
-    for scan in np.flatnonzero(~is_key & track.usable):
-        result = align(
-            clouds,
-            int(scan),
-            poses[scan],
-            track.keys[near[scan]],
-            T_map_keys.xyt[near[scan]],
-            gate=config.gate_m,
-            sigma=config.sigma_m,
-            iterations=5,
-            most_points=config.most_points,
-            prior=poses[scan],
-            prior_information=information,
-        )
-        shift = np.linalg.norm(result.T_map_base.xy - poses[scan, :2])
-        if result.overlap >= config.min_overlap and shift <= config.max_shift_m:
-            poses[scan] = result.T_map_base.xyt
+    scans = np.flatnonzero(~is_key & track.usable)
+
+    def aligned(part: slice) -> tuple[Array, Array]:
+        return _align_each(
+            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
+            clouds.origin, scans[part], poses[scans[part]], track.keys, near[scans[part]], T_map_keys.xyt,
+            config.gate_m, config.sigma_m, config.most_points, information,
+        )  # fmt: skip
+
+    found = in_parts(aligned, len(scans))
+    new, overlap = (np.concatenate([part[k] for part in found]) for k in (0, 1))
+    shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
+    good = (overlap >= config.min_overlap) & (shift <= config.max_shift_m)
+    poses[scans[good]] = new[good]
     return SE2(poses)
+
+
+@njit(cache=True, nogil=True)
+def _align_each(
+    points: Array,
+    normals: Array,
+    centers: Array,
+    line_ok: NDArray,
+    starts: NDArray,
+    table: NDArray,
+    origin: Array,
+    scans: NDArray,
+    poses: Array,
+    keys: NDArray,
+    near: NDArray,
+    key_poses: Array,
+    gate: float,
+    sigma: float,
+    most_points: int,
+    information: Array,
+) -> tuple[Array, Array]:
+    """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,)."""
+    out, overlap = poses.copy(), np.zeros(len(scans))
+    for k in range(len(scans)):
+        scan = scans[k]
+        stride = 1 + (starts[scan + 1] - starts[scan] - 1) // most_points
+        pose, _, matched, usable, _, _ = align_kernel(
+            points, normals, centers, line_ok, starts, table, origin, scan, stride, poses[k],
+            keys[near[k]], key_poses[near[k]], gate, sigma, ITERATIONS, poses[k], information, 0.0,
+        )  # fmt: skip
+        out[k] = pose
+        if usable > 0:
+            overlap[k] = matched / usable
+    return out, overlap

@@ -20,6 +20,7 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.threads import in_parts
 
 
 class RefineConfig(BaseModel):
@@ -100,20 +101,14 @@ def pair_constraints(
     config: RefineConfig,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
-    relative, information, overlap = linearise_pairs(
-        clouds.points,
-        clouds.normals,
-        clouds.centers,
-        clouds.line_ok,
-        clouds.starts,
-        clouds.table,
-        clouds.origin,
-        keys,
-        T_map_keys.xyt,
-        pairs,
-        gate,
-        sigma,
-    )
+    found = in_parts(
+        lambda part: linearise_pairs(
+            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
+            clouds.origin, keys, T_map_keys.xyt, pairs[part], gate, sigma,
+        ),
+        len(pairs),
+    )  # fmt: skip
+    relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
     return [
         Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
         for k, (i, j) in enumerate(pairs)
@@ -121,7 +116,7 @@ def pair_constraints(
     ]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linearise_pairs(
     points: Array,
     normals: Array,

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.threads import in_parts
 from pipeline.slam.tracking import HYPOTHESES, Track
 
 
@@ -75,14 +76,15 @@ def check_map(clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckCo
     """Check a finished map."""
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
-    both_ways = [
-        denied_shares(
-            clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt, way,
-            config.wall_m, config.through_m,
-        )
-        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
-    ]  # fmt: skip
-    share = np.fmax(*both_ways)
+    both_ways = np.concatenate([pairs, pairs[:, ::-1]])
+    found = in_parts(
+        lambda part: denied_shares(
+            clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt,
+            both_ways[part], config.wall_m, config.through_m,
+        ),
+        len(both_ways),
+    )  # fmt: skip
+    share = np.fmax(*np.concatenate(found).reshape(2, -1))
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
@@ -136,7 +138,7 @@ def _longest_blind(track: Track) -> tuple[int, int] | None:
     return (int(first), int(end) - 1) if end - first >= 25 else None
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def denied_shares(
     points: Array,
     starts: NDArray,

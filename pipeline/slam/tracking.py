@@ -62,6 +62,7 @@ class TrackingConfig(BaseModel):
     sigma_m: float = Field(default=0.05, gt=0.0)
     recovery_m: float = Field(default=1.0, gt=0.0)
     recovery_rad: float = Field(default=0.8, gt=0.0)
+    calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
     odometry: OdometryNoise = OdometryNoise()
     kiss: KissConfig = KissConfig()
 
@@ -173,7 +174,7 @@ class Tracker:
 
     def calibrated(self) -> Calibration:
         """The odometry's systematic errors as far as the key scans show them."""
-        if self.odometry is None or len(self.keys) < 2:
+        if self.odometry is None or not self.config.calibration or len(self.keys) < 2:
             return Calibration()
         keys = np.array(self.keys)
         return calibrate(self.clouds, keys, SE2(np.array(self.key_poses)), SE2(self.odometry[keys]))
@@ -187,9 +188,14 @@ class Tracker:
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
+        searched: list[Array] = []
         points = self.clouds.of(scan)[:: max(1, usable // 90)]
         keys, poses = self._references()
         for source, start in starts:
+            # a start within half a step of the search from another one finds the same peak
+            if any(self._same_search(other, start) for other in searched):
+                continue
+            searched.append(start)
             coarse, _ = best_pose(
                 self.field, points, start, config.search_m, config.search_rad, config.search_step_rad
             )
@@ -215,6 +221,12 @@ class Tracker:
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
+
+    def _same_search(self, a: Array, b: Array) -> bool:
+        delta, config = np.abs(between(a, b)), self.config
+        return bool(
+            delta[:2].max() <= 0.5 * config.field_resolution_m and delta[2] <= 0.5 * config.search_step_rad
+        )
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window about each centre: the track may be lost."""

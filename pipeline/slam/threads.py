@@ -1,0 +1,27 @@
+"""Independent items shared between two threads: kernels that release the GIL run side by side.
+
+Every item is worked on by itself and the parts come back in order, so the result depends neither on the
+number of cores nor on which thread was faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+THREADS = 2
+# Fewer items than this are not worth a thread.
+WORTH_IT = 64
+Part = TypeVar("Part")
+
+
+def in_parts(work: Callable[[slice], Part], n: int) -> list[Part]:
+    """`work` done on successive slices of n items, two at a time; its results in order."""
+    if n < WORTH_IT:
+        return [work(slice(0, n))]
+    # more parts than threads: one with the harder items does not keep the other waiting long
+    borders = [round(k * n / (4 * THREADS)) for k in range(4 * THREADS + 1)]
+    parts = [slice(a, b) for a, b in zip(borders[:-1], borders[1:], strict=True)]
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(work, parts))
