@@ -295,6 +295,30 @@ def rooms(seed: int) -> Log:
     )
 
 
+def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Log:
+    """A hall of table and chair legs, `density` a square metre: two laps with no surface in sight."""
+    rng = stream(seed, "posts")
+    plan = FloorPlan(size + 2.0, size + 2.0)
+    plan.carve(1.0, 1.0, size + 1.0, size + 1.0)
+    a, b = 6.0, size - 4.0
+    lap = [(b, a), (b, b), (a, b), (a, a)]
+    route = np.array([(a + 2.0, a), *lap, *lap, (a + 4.0, a)])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
+    along = np.arange(0.0, length[-1], 0.1)
+    driven = np.stack([np.interp(along, length, route[:, k]) for k in (0, 1)], axis=1)
+    placed = np.empty((0, 2))
+    for xy in rng.uniform(1.3, size + 0.7, (20 * round(density * size * size), 2)):
+        apart = np.linalg.norm(placed - xy, axis=1).min(initial=np.inf)
+        if np.linalg.norm(driven - xy, axis=1).min() > 0.5 and apart > 0.35:
+            placed = np.vstack([placed, xy])
+            plan.pillar(float(xy[0]), float(xy[1]), radius)
+        if len(placed) >= density * size * size:
+            break
+    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+    drive = Drive(v=0.22, w=1.0, ahead=0.3)
+    return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=WHEELS[seed], seed=seed)
+
+
 LOGS: dict[str, Callable[[], Log]] = {
     **{f"ring-{r}m-{s}": (lambda s=s, r=r: ring(s, float(r))) for r in (8, 80) for s in (1, 2, 3)},
     **{f"hall-{s}": (lambda s=s: hall(s)) for s in (1, 2, 3)},
@@ -303,5 +327,6 @@ LOGS: dict[str, Callable[[], Log]] = {
     **{f"office-{m}-{s}": (lambda s=s, m=m: office(s, m)) for m in MISHAPS for s in (1, 2)},
     **{f"arena-{d}-{s}": (lambda s=s, d=d: arena(s, d)) for d in ("slow", "fast", "spiral") for s in (1, 2)},
     **{f"rooms-{s}": (lambda s=s: rooms(s)) for s in (1, 2)},
+    **{f"posts-{s}": (lambda s=s: posts(s)) for s in (1, 2, 3)},
 }
 """Every log by name; calling makes it."""

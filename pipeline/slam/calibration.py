@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.refine import linearise_pairs
+from pipeline.slam.refine import match_pairs
 
 # Key scans are compared over this much driving or turning: far enough for shares to stand out of the
 # noise of a match, near enough for the views to overlap.
@@ -102,10 +102,7 @@ def _matched(
     for gate in GATES_M:
         poses = np.zeros((2 * len(pairs), 3))
         poses[1::2] = T_i_j
-        T_i_j, information, overlap = linearise_pairs(
-            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-            clouds.origin, own_keys, poses, own_pairs, gate, SIGMA_M,
-        )  # fmt: skip
+        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, gate, SIGMA_M)
     return T_i_j, information, overlap
 
 

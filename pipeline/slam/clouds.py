@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -18,6 +19,15 @@ from datasets.se2 import SE2, Array
 from datasets.types import Recording
 from pipeline.slam.threads import in_parts
 
+# Fewer points with a surface line than this place nothing by their lines; so does a scan most of whose
+# points have none: posts, table legs, thin trunks.
+MIN_LINES, LINE_SHARE = 8, 0.3
+# Fewer points than this place nothing at all.
+MIN_POINTS = 8
+# A range below this is how some drivers write "no return".
+NOTHING_M = 0.01
+# Between scans farther apart than this the robot may have done anything.
+LONGEST_STEP_S = 1.0
 # Neighbours on a surface are looked for within this many beam spacings, at least this far apart.
 WINDOW_BEAMS = 4
 MIN_WINDOW_M = 0.12
@@ -54,10 +64,23 @@ class Clouds:
         """Points of one scan that have a surface line."""
         return int(np.count_nonzero(self.line_ok[self.starts[scan] : self.starts[scan + 1]]))
 
+    def placed_by(self, scan: int) -> Literal["lines", "points", "nothing"]:
+        """What a scan is matched by."""
+        points, lines = int(self.starts[scan + 1] - self.starts[scan]), self.lines(scan)
+        if lines >= max(MIN_LINES, LINE_SHARE * points):
+            return "lines"
+        return "points" if points >= MIN_POINTS else "nothing"
+
     def lines_per_scan(self) -> NDArray[np.int64]:
         """Points with a surface line in each scan, (n,)."""
         total = np.concatenate([[0], np.cumsum(self.line_ok)])
         return np.asarray(np.diff(total[self.starts]))
+
+
+def point_information(points: Array) -> Array:
+    """What matched points (n, 2) tell of the pose they are seen from, (3, 3), for errors of 1 m each."""
+    n, (x, y) = len(points), points.sum(axis=0)
+    return np.array([[n, 0.0, -y], [0.0, n, x], [-y, x, float((points**2).sum())]])
 
 
 def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = None) -> Clouds:
@@ -67,7 +90,8 @@ def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = 
     log's own odometry where the beams are taken one after another.
     """
     lidar = recording.lidar
-    valid = (recording.ranges >= lidar.range_min) & (recording.ranges <= min(lidar.range_max, usable_range))
+    least = max(lidar.range_min, NOTHING_M)
+    valid = (recording.ranges >= least) & (recording.ranges <= min(lidar.range_max, usable_range))
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     scan_of, beam_of = np.nonzero(valid)
     points_lidar = lidar.directions[beam_of] * recording.ranges[valid][:, None].astype(np.float64)
@@ -97,6 +121,21 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
     start = recording.odometry.at(recording.stamps_ns)
     return start.inverse() @ recording.odometry.at(recording.stamps_ns + sweep_ns)
+
+
+def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
+    """As `sweep_motion`, from where the scans themselves were placed (n,): for logs without odometry.
+
+    A scan that is not corrected yet is placed as of the middle of its sweep, so the speed during the
+    sweep is the mean of those before and after.
+    """
+    sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
+    seconds = np.diff(recording.stamps_ns) * 1e-9
+    steps = (T_track_base[:-1].inverse() @ T_track_base[1:]).xyt
+    known = (seconds > 0.0) & (seconds < LONGEST_STEP_S)
+    speed = np.where(known[:, None], steps / np.where(known, seconds, 1.0)[:, None], 0.0)
+    around = np.concatenate([speed[:1], speed, speed[-1:]])
+    return SE2(0.5 * (around[:-1] + around[1:]) * sweep_s)
 
 
 def _deskewed(points: Array, motion: SE2, scan_of: NDArray, fraction: Array) -> Array:

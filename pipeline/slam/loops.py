@@ -19,7 +19,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import align, observable, without_direction
+from pipeline.slam.align import Alignment, align, observable, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.open3d_icp import IcpCheck
@@ -50,7 +50,10 @@ class LoopConfig(BaseModel):
         default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
     )
     inflation: float = Field(default=50.0, gt=0.0)
-    open3d: bool = Field(default=True, description="verify with Open3D's ICP")
+    open3d: bool = Field(default=True, description="ask Open3D's ICP about loops that are in doubt")
+    doubtful_gate_m: float = Field(
+        default=2.0, ge=0.0, description="found in a wider gate than this, or with a rival: in doubt"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,9 +196,20 @@ class LoopFinder:
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
-        result = align(
-            self.clouds, int(self.keys[i]), fine, self.keys[place], to_j, gate=0.2, sigma=0.05, iterations=15
-        )
+        by_points = self.clouds.placed_by(int(self.keys[i])) == "points"
+        if by_points:
+            result = self._aligned_by_points(query, to_i, place, to_j, fine)
+        else:
+            result = align(
+                self.clouds,
+                int(self.keys[i]),
+                fine,
+                self.keys[place],
+                to_j,
+                gate=0.2,
+                sigma=0.05,
+                iterations=15,
+            )
         loop = replace(
             loop,
             T_j_i=result.T_map_base.xyt,
@@ -215,9 +229,21 @@ class LoopFinder:
             return replace(loop, verdict="bad fit")
         if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
             return replace(loop, verdict="alignment left the peak")
-        if self.check is not None:
+        doubtful = gate > config.doubtful_gate_m or second > config.rival_share * best
+        if self.check is not None and doubtful and not by_points:
             target = points_in_map(self.clouds.points, self.clouds.starts, self.keys[place], to_j)
             source = self.clouds.of(int(self.keys[i]))
             if not self.check.agrees(source, target, loop.T_j_i):
                 return replace(loop, verdict="open3d disagrees")
         return loop
+
+    def _aligned_by_points(
+        self, query: NDArray[np.int64], to_i: Array, place: NDArray[np.int64], to_j: Array, start: Array
+    ) -> Alignment:
+        """The key scans of the query together on the points of the place: there are no surfaces."""
+        source = points_in_map(self.clouds.points, self.clouds.starts, self.keys[query], to_i)
+        target = points_in_map(self.clouds.points, self.clouds.starts, self.keys[place], to_j)
+        found = IcpCheck().match(source, target, start, 0.2)
+        return Alignment(
+            SE2(found.T_target_source), found.information, found.overlap, found.rmse, 1.0 - found.overlap
+        )

@@ -19,7 +19,7 @@ from datasets.errors import InputError
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
-from pipeline.slam.clouds import sweep_motion
+from pipeline.slam.clouds import NOTHING_M, sweep_motion
 
 MAX_CELLS = 400_000_000
 
@@ -79,7 +79,7 @@ def beam_lengths(
 
     A lone beam without return between two returns is a dropout, not open space: it says nothing.
     """
-    returned = (ranges >= range_min) & (ranges <= usable)
+    returned = (ranges >= max(range_min, NOTHING_M)) & (ranges <= usable)
     far = (ranges > usable) & (ranges <= range_max)
     nothing = np.isposinf(ranges)
     padded = np.pad(nothing | far, ((0, 0), (1, 1)), mode="edge")

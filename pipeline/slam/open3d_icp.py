@@ -1,47 +1,74 @@
-"""A second opinion on a loop: Open3D's ICP, another algorithm on the same points."""
+"""Open3D's ICP: aligns places without surfaces, and gives a second opinion on a doubtful loop."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from datasets.se2 import SE2, Array
+from pipeline.slam.clouds import point_information
 from pipeline.slam.open3d_loader import open3d
-from pipeline.slam.tracking import between
 
 CORRESPONDENCE_M = 0.15
 MIN_FITNESS = 0.6
 MAX_SHIFT_M, MAX_TURN_RAD = 0.08, 0.03
+# Standard deviation of a point on a post: the sides it is seen from differ.
+POINT_SIGMA_M = 0.02
+# Fewer matched points than this fix no pose.
+MIN_MATCHED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class PointMatch:
+    """Points on points: `T_target_source` (3,), the share of source points matched, their rms [m], and
+    the information (3, 3) about the pose, in the source frame."""
+
+    T_target_source: Array
+    overlap: float
+    rmse: float
+    information: Array
 
 
 class IcpCheck:
-    """Point-to-point ICP from a given alignment must stay there and keep most points matched."""
+    """Point-to-point ICP (Besl and McKay 1992) as Open3D has it, imported when first asked."""
 
-    def __init__(self) -> None:
-        self._o3d = open3d()
-
-    def agrees(self, source: Array, target: Array, T_target_source: Array) -> bool:
-        """Whether ICP, started at `T_target_source` (3,), converges next to it; points are (n, 2)."""
-        registration = self._o3d.pipelines.registration
+    def match(
+        self, source: Array, target: Array, T_target_source: Array, gate: float, iterations: int = 20
+    ) -> PointMatch:
+        """Points (n, 2) matched with points (m, 2), started at `T_target_source` (3,); `gate` in metres."""
+        registration = open3d().pipelines.registration
         start = np.eye(4)
         start[:2, :2] = SE2(T_target_source).matrix()[:2, :2]
         start[:2, 3] = T_target_source[:2]
         result = registration.registration_icp(
-            self._cloud(source),
-            self._cloud(target),
-            CORRESPONDENCE_M,
+            _cloud(source),
+            _cloud(target),
+            gate,
             start,
             registration.TransformationEstimationPointToPoint(),
-            registration.ICPConvergenceCriteria(max_iteration=20),
+            registration.ICPConvergenceCriteria(max_iteration=iterations),
         )
-        shift = between(T_target_source, SE2.from_matrix(np.asarray(result.transformation)).xyt)
+        pose = SE2.from_matrix(np.asarray(result.transformation)).xyt
+        matched = source[np.asarray(result.correspondence_set).reshape(-1, 2)[:, 0]]
+        if len(matched) < MIN_MATCHED:
+            return PointMatch(pose, 0.0, 0.0, np.zeros((3, 3)))
+        information = point_information(matched) / POINT_SIGMA_M**2
+        return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)
+
+    def agrees(self, source: Array, target: Array, T_target_source: Array) -> bool:
+        """Whether ICP, started at `T_target_source` (3,), stays next to it and keeps most points matched."""
+        found = self.match(source, target, T_target_source, CORRESPONDENCE_M)
+        shift = (SE2(T_target_source).inverse() @ SE2(found.T_target_source)).xyt
         return bool(
-            result.fitness >= MIN_FITNESS
+            found.overlap >= MIN_FITNESS
             and np.hypot(shift[0], shift[1]) < MAX_SHIFT_M
             and abs(shift[2]) < MAX_TURN_RAD
         )
 
-    def _cloud(self, points: Array):  # type: ignore[no-untyped-def]
-        cloud = self._o3d.geometry.PointCloud()
-        flat = np.column_stack([points, np.zeros(len(points))])
-        cloud.points = self._o3d.utility.Vector3dVector(flat)
-        return cloud
+
+def _cloud(points: Array) -> Any:
+    cloud = open3d().geometry.PointCloud()
+    cloud.points = open3d().utility.Vector3dVector(np.column_stack([points, np.zeros(len(points))]))
+    return cloud

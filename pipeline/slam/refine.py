@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import Constraint, optimise
 from pipeline.slam.threads import in_parts
 
@@ -101,6 +102,23 @@ def pair_constraints(
     config: RefineConfig,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
+    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
+    return [
+        Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
+        for k, (i, j) in enumerate(pairs)
+        if overlap[k] >= config.min_overlap
+    ]
+
+
+def match_pairs(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    pairs: NDArray[np.int64],
+    gate: float,
+    sigma: float,
+) -> tuple[Array, Array, Array]:
+    """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
         lambda part: linearise_pairs(
             clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
@@ -109,11 +127,16 @@ def pair_constraints(
         len(pairs),
     )  # fmt: skip
     relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
-    return [
-        Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
-        for k, (i, j) in enumerate(pairs)
-        if overlap[k] >= config.min_overlap
-    ]
+    by_points = np.array([clouds.placed_by(int(key)) == "points" for key in keys])
+    both = np.flatnonzero(by_points[pairs[:, 0]] & by_points[pairs[:, 1]])
+    if len(both) > 0:
+        icp, start = IcpCheck(), (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
+        for k in both:
+            i, j = pairs[k]
+            match = icp.match(clouds.of(keys[j]), clouds.of(keys[i]), start[k], gate)
+            relative[k], information[k] = match.T_target_source, match.information
+            overlap[k] = match.overlap
+    return relative, information, overlap
 
 
 @njit(cache=True, nogil=True)

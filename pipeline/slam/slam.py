@@ -16,7 +16,7 @@ from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import Recording, Trajectory
 from pipeline.cache import StageCache
-from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion
+from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.pose_graph import Constraint
@@ -155,17 +155,24 @@ def _session(recording: Recording, run: _Run) -> _Session:
     recording, config = _with_sensors(recording, run.config)
     usable = min(recording.lidar.range_max, config.usable_range_m)
     motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
-    clouds = once(lambda: make_clouds(recording, usable, motion))
 
-    def front_end() -> Track:
+    def front_end(clouds: Clouds) -> Track:
         if config.sensors == "odometry":
-            return dead_reckoning(recording, clouds(), config.tracking)
+            return dead_reckoning(recording, clouds, config.tracking)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        return track_log(recording, clouds(), config.tracking, usable, scans)
+        return track_log(recording, clouds, config.tracking, usable, scans)
 
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    track, key = run.cache.step("front end", content, front_end)
+    if motion is None and recording.lidar.time_increment > 0.0 and len(recording) > 1:
+        # nobody says how the robot moved during a sweep but the scans themselves, placed once before
+        motion, _ = run.cache.step(
+            "sweeps",
+            content,
+            lambda: sweep_motion_by_track(recording, front_end(make_clouds(recording, usable)).T_track_base),
+        )
+    clouds = once(lambda: make_clouds(recording, usable, motion))
+    track, key = run.cache.step("front end", content, lambda: front_end(clouds()))
     steps = step_constraints(track, config.tracking)
     run = replace(run, config=config)
     return _Session(recording, clouds, motion, track, *_optimised(clouds, track, steps, key, run))

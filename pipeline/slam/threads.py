@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import TypeVar
 
 THREADS = 2
@@ -22,6 +23,6 @@ def in_parts(work: Callable[[slice], Part], n: int) -> list[Part]:
         return [work(slice(0, n))]
     # more parts than threads: one with the harder items does not keep the other waiting long
     borders = [round(k * n / (4 * THREADS)) for k in range(4 * THREADS + 1)]
-    parts = [slice(a, b) for a, b in zip(borders[:-1], borders[1:], strict=True)]
+    parts = [slice(a, b) for a, b in pairwise(borders)]
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(work, parts))

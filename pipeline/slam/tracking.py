@@ -1,9 +1,10 @@
 """Front end: each scan matched with the last key scans, several hypotheses competing.
 
 Odometry can lie (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
-therefore aligned from several starts - odometry, constant velocity, KISS-ICP - and scored by how well
-it fits; the alignment itself carries odometry as a heavy-tailed prior, which decides the directions
-the scan cannot see and gives way where the scan contradicts it.
+therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits;
+the alignment itself carries odometry as a heavy-tailed prior, which decides the directions the scan
+cannot see and gives way where the scan contradicts it. Scans without surfaces (posts, legs) are
+registered by KISS-ICP.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from datasets.se2 import SE2, Array, wrap
 from datasets.types import Recording
 from pipeline.slam.align import Alignment, align, observable
 from pipeline.slam.calibration import Calibration, calibrate
-from pipeline.slam.clouds import Clouds
+from pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from pipeline.slam.correlative import best_pose, make_field
 from pipeline.slam.odometry import KissConfig, LidarOdometry
 
@@ -88,8 +89,8 @@ class Track:
     usable: NDArray[np.bool_]
 
 
-# Fewer points with a surface line than this place nothing.
-MIN_LINES = 8
+# A score must be that much higher to prefer a steady motion to the odometry's.
+SURELY_BETTER = 0.05
 # Odometry is calibrated anew whenever the key scans have doubled since this many.
 FIRST_CALIBRATION = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
@@ -100,7 +101,9 @@ class Tracker:
 
     def __init__(self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float):
         self.clouds, self.config = clouds, config
-        self.kiss = LidarOdometry(config.kiss, max_range) if config.kiss.enabled else None
+        self.max_range = max_range
+        self.kiss: LidarOdometry | None = None
+        self._kiss_scan = -1
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
@@ -114,8 +117,6 @@ class Tracker:
         """The first scan defines the map."""
         self.pose = np.array(T_map_base, dtype=np.float64)
         self._add_key(scan)
-        if self.kiss is not None:
-            self.kiss.update(self.clouds.of(scan), self.pose, self.pose)
 
     def step(self, scan: int) -> tuple[Alignment, int]:
         """Pose of the next scan."""
@@ -128,11 +129,23 @@ class Tracker:
         information = self.config.odometry.information(prior_step)
         if odometry_step is None:
             information = information * 0.05
-        starts = [(0, guess)]
-        if odometry_step is not None:
-            starts.append((1, steady))
-        if self.kiss is not None:
-            starts.append((2, self.kiss.register(self.clouds.of(scan), guess)))
+        if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
+            result, source = self._by_points(scan, guess, steady)
+        else:
+            starts = [(0, guess)] if odometry_step is None else [(0, guess), (1, steady)]
+            result, source = self._by_lines(scan, starts, information)
+        new = result.T_map_base.xyt
+        self.velocity = between(self.pose, new)
+        self.pose = new
+        if self._moved_enough() and self.can_be_key(scan):
+            self._add_key(scan)
+        return result, source
+
+    def _by_lines(
+        self, scan: int, starts: list[tuple[int, Array]], information: Array
+    ) -> tuple[Alignment, int]:
+        """The scan on the surfaces of the last key scans; where it fits none, the first start."""
+        guess = starts[0][1]
         best = self._best(scan, starts, guess, information)
         if best is None or best[2] > self._usual_cost + 0.25:
             wide = self._recover(scan, [pose for _, pose in starts])
@@ -140,24 +153,45 @@ class Tracker:
             if again is not None and (best is None or again[2] < best[2] - 0.05):
                 best = again
         if best is None:
-            result, source = Alignment(SE2(guess), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
-        else:
-            result, source = best[0], best[1]
-            self._usual_cost += 0.02 * (best[2] - self._usual_cost)
-        new = result.T_map_base.xyt
-        self.velocity = between(self.pose, new)
-        self.pose = new
-        if self.kiss is not None:
-            self.kiss.update(self.clouds.of(scan), new, guess)
-        if self._moved_enough() and self.clouds.lines(scan) >= MIN_LINES:
-            self._add_key(scan)
-        return result, source
+            return Alignment(SE2(guess), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
+        self._usual_cost += 0.02 * (best[2] - self._usual_cost)
+        return best[0], best[1]
+
+    def _by_points(self, scan: int, guess: Array, steady: Array) -> tuple[Alignment, int]:
+        """The scan by KISS-ICP: posts and legs are points without a surface to slide along."""
+        points, config = self.clouds.of(scan), self.config
+        if self.kiss is None or self._kiss_scan != scan - 1:
+            self.kiss = self._kiss_of_keys()
+        self._kiss_scan = scan
+        found = [self.kiss.register(points, start) for start in (guess, steady)]
+        scores = [best_pose(self.field, points, pose, 0.0, 0.0, 1.0)[1] for pose in found]
+        best = int(scores[1] > scores[0] + SURELY_BETTER)
+        if scores[best] < config.kiss.min_score:
+            self.kiss.update(points, guess, guess)
+            return Alignment(SE2(guess), np.zeros((3, 3)), scores[best], 0.0, 1.0), 0
+        self.kiss.update(points, found[best], guess)
+        information = point_information(points) / config.sigma_m**2
+        return Alignment(SE2(found[best]), information, scores[best], 0.0, 1.0 - scores[best]), 2
+
+    def _kiss_of_keys(self) -> LidarOdometry:
+        """KISS-ICP with the map of the last key scans."""
+        kiss = LidarOdometry(self.config.kiss, self.max_range)
+        n = self.config.field_keys
+        for key, pose in zip(self.keys[-n:], self.key_poses[-n:], strict=True):
+            kiss.update(self.clouds.of(key), pose, pose)
+        return kiss
+
+    def can_be_key(self, scan: int) -> bool:
+        """Whether other scans can be matched with this one."""
+        if self.clouds.lines(scan) >= MIN_LINES:
+            return True
+        return self.config.kiss.enabled and self.clouds.placed_by(scan) == "points"
 
     def _carry(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
         """Before the first scan with surfaces there is nothing to match with: odometry carries."""
         if odometry_step is not None:
             self.pose = compose(self.pose, odometry_step)
-        if self.clouds.lines(scan) >= MIN_LINES:
+        if self.can_be_key(scan):
             self._add_key(scan)
         return Alignment(SE2(self.pose), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
 
@@ -252,7 +286,7 @@ class Tracker:
     def _add_key(self, scan: int) -> None:
         self.keys.append(scan)
         self.key_poses.append(self.pose)
-        self._has_reference = self._has_reference or self.clouds.lines(scan) >= MIN_LINES
+        self._has_reference = self._has_reference or self.can_be_key(scan)
         if len(self.keys) == self._next_calibration:
             self.calibration = self.calibrated()
             self._next_calibration *= 2
@@ -286,7 +320,7 @@ def track_log(
     calibration = tracker.calibrated()
     steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
     keys = np.array(tracker.keys)
-    usable = clouds.lines_per_scan() >= MIN_LINES
+    usable = np.array([tracker.can_be_key(scan) for scan in range(n)])
     return Track(SE2(poses), keys, overlap, rmse, information, source, steps, calibration, usable)
 
 
@@ -300,7 +334,8 @@ def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig)
         if np.hypot(step[0], step[1]) > config.key_distance_m or abs(step[2]) > config.key_turn_rad:
             keys.append(scan)
     steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
-    blind, usable = np.zeros((n, 3, 3)), clouds.lines_per_scan() >= MIN_LINES
+    blind = np.zeros((n, 3, 3))
+    usable = clouds.lines_per_scan() >= MIN_LINES
     source = np.zeros(n, dtype=np.int8)
     return Track(T, np.array(keys), np.zeros(n), np.zeros(n), blind, source, steps, Calibration(), usable)
 
