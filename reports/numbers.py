@@ -14,6 +14,7 @@ from reports.stages import Stage
 DASH = "\u2013"
 # How a unit is shown: factor from the stored SI value, symbol, decimals.
 DISPLAY = {
+    "mm": (1000.0, "mm", 1),
     "cm": (100.0, "cm", 2),
     "m": (1.0, "m", 2),
     "m2": (1.0, "m²", 1),

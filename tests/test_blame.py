@@ -9,10 +9,21 @@ from report_fakes import fake_record
 
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
-from pipeline.campaign.oracle import with_sensors, with_truth
+from datasets.maps import save_map
+from datasets.se2 import SE2
+from datasets.types import Trajectory
+from pipeline.cache import StageCache
+from pipeline.campaign.oracle import true_drive, true_steps, with_sensors, with_truth
 from pipeline.cli import main
-from pipeline.slam.slam import SlamConfig
+from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.setup import Request, prepare
+from pipeline.slam.slam import SlamConfig, run_slam
+from reports.metrics.trajectory import ate
 from reports.stages import load_stage
+from sim.robots import load_robot
+from sim.simulator import SimConfig
+from sim.worlds import load_world
+from tests.slam_rooms import ROOM, around_the_room, drifted, recording
 
 ROOT = Path(__file__).parents[1]
 
@@ -55,9 +66,87 @@ def test_true_poses_are_taken_as_they_are():
 def test_what_cannot_be_replaced_is_refused(record, tmp_path, capsys):
     out = ["--out", str(tmp_path / "out")]
     assert main(["blame", str(record), "--replace", "luck", *out]) == 2
-    assert "known are none, odometry, deskew, poses" in capsys.readouterr().err
+    assert "known are none, odometry, deskew, front_end" in capsys.readouterr().err
     assert main(["blame", str(tmp_path), *out]) == 2
     stage = load_stage(record)
     (record / "truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
     with pytest.raises(InputError, match="one pose for each scan"):
         with_truth(load_stage(stage.folder), ["odometry"])
+
+
+@pytest.fixture(scope="module")
+def room():
+    """A log of two laps with noisy scans, and the true poses."""
+    poses = around_the_room(100, laps=2)
+    return recording(ROOM, poses, odometry=drifted(poses), noise=0.03), SE2.from_array(poses)
+
+
+def left_over(room, parts, **settings):
+    log, truth = room
+    result = run_slam(log, SlamConfig.model_validate(settings), steps=true_steps(truth, parts))
+    found = ate(result.trajectory, Trajectory(log.stamps_ns, truth), align=False)["rmse"]
+    return found, result
+
+
+def test_the_true_front_end_is_exact_until_others_move_it(room):
+    off = {"loops": {"enabled": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}}
+    assert left_over(room, [], **off)[0] > 0.004
+    assert left_over(room, ["front_end"], **off)[0] < 1e-9
+
+
+def test_true_loops_are_all_closed_where_they_truly_are(room):
+    truth = room[1]
+    _, usual = left_over(room, [])
+    _, result = left_over(room, ["loops"], refine={"rounds": 0})
+    closed = [edge for edge in result.constraints if edge.kind == "loop"]
+    assert len(closed) == len(result.loops) == len(usual.loops) > 0
+    for edge in closed:
+        i, j = result.keys[edge.i], result.keys[edge.j]
+        np.testing.assert_allclose(edge.T_i_j, (truth[i].inverse() @ truth[j]).xyt)
+    off = {"refine": {"rounds": 0}, "posing": {"enabled": False}}
+    assert left_over(room, ["loops"], **off)[0] < left_over(room, [], **off)[0]
+
+
+def test_what_the_truth_made_is_never_kept_for_others(room, tmp_path):
+    cache = StageCache(tmp_path)
+    run_slam(room[0], SlamConfig(), cache=cache, steps=true_steps(room[1], ["front_end"]))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def short_drive(tmp_path_factory):
+    """A way to one goal in the arena on the true map, with wheels that lie."""
+    folder = tmp_path_factory.mktemp("drive")
+    world, robot = load_world("turtlebot3_world"), load_robot("burger")
+    grid = world.rasterize(robot.lidar_height)
+    true_map = save_map(grid, folder, "true")
+    sim = SimConfig(odometry={"radius_error": 0.1, "track_error": 0.2})
+    way = folder / "way.yaml"
+    way.write_text("waypoints:\n  - {x: -1.6, y: -0.55, yaw: 0.5}\n")
+    request = Request("patrol", 2, map_path=true_map, initial_pose="start", waypoints_path=way)
+    return world, prepare(request, robot, NavigateConfig(sim=sim), world.keepout), true_map
+
+
+def test_parts_of_the_drive_are_replaced_alone(short_drive):
+    world, mission, true_map = short_drive
+    usual, located, wheels = (
+        true_drive(world, mission, true_map, p) for p in ([], ["localisation"], ["odometry"])
+    )
+    assert usual.metrics["localisation_error_m"]["rmse"] > 0.001
+    assert located.metrics["localisation_error_m"]["rmse"] < 1e-12
+    assert located.metrics["success"]
+    lie = np.abs(located.log.T_odom_base.xyt - located.log.T_world_base.xyt).max()
+    assert lie > 0.005
+    np.testing.assert_array_equal(wheels.log.T_odom_base.xyt, wheels.log.T_world_base.xyt)
+    assert wheels.metrics["localisation_error_m"]["rmse"] > 0.0
+
+
+def test_the_true_plan_goes_by_the_true_map(short_drive, tmp_path):
+    world, mission, _ = short_drive
+    grid = world.rasterize(0.182)
+    grid.cells[:, 30:] = 100
+    walled = save_map(grid, tmp_path, "walled")
+    usual = true_drive(world, mission, walled, ["localisation"])
+    informed = true_drive(world, mission, walled, ["localisation", "plan"])
+    assert usual.metrics["goals"][0]["status"] == "reached"
+    assert informed.metrics["goals"][0]["status"] in ("unreachable", "rejected")

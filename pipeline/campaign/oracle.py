@@ -1,26 +1,50 @@
-"""Truth put in the place of one part of the mapping: for the study of who is to blame, and nothing else.
+"""Truth put in the place of one part of the pipeline: for the study of who is to blame, and nothing else.
 
-This is the one exception to the rule that truth stays out of estimators. Only the command `blame` may
-import it; a test reads every import of the project to make sure.
+This is the one exception to the rule that truth stays out of estimators, planners and controllers. Only
+the command `blame` may import it; a test reads every import of the project to make sure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.recordings import load_recording
-from datasets.types import Recording
-from pipeline.slam.slam import SlamConfig
+from datasets.se2 import SE2
+from datasets.types import Observation, Odometry, Recording, Twist
+from pipeline.navigation.episode import Episode, drive
+from pipeline.navigation.localiser import Localiser
+from pipeline.navigation.navigator import NavigationDriver
+from pipeline.navigation.recorder import Bag
+from pipeline.navigation.sensing import Sensing
+from pipeline.navigation.setup import Made, Mission, make_driver, prepare
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.loops import Loop, LoopConfig, close_loops
+from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.slam import SlamConfig, Steps
+from pipeline.slam.tracking import Track, TrackingConfig, track_log
 from reports.stages import Stage
+from sim.simulator import Simulator
+from sim.worlds import World
 
 PARTS = {
-    "odometry": "the pose that predicts each scan's place is the true one",
-    "deskew": "the motion during a sweep is the true one",
+    "odometry": "the wheels tell the true motion",
+    "deskew": "the motion during a sweep is the true one; in the drive the lidar takes all beams at once",
+    "front_end": "scan matching says the true pose of every scan",
+    "loops": "every loop that was looked at is closed, with the true relative pose",
     "poses": "every scan is put where it truly was: only the grid is left to err",
+    "localisation": "the robot that drives on the map knows where it is",
+    "plan": "it plans on the true map",
 }
+SURE = np.diag([1e6, 1e6, 1e6])
+"""Information of a loop that the truth closes: a millimetre, a thousandth of a radian."""
 
 
 def with_truth(record: Stage, parts: Collection[str]) -> Recording:
@@ -39,3 +63,103 @@ def with_truth(record: Stage, parts: Collection[str]) -> Recording:
 def with_sensors(config: SlamConfig, parts: Collection[str]) -> SlamConfig:
     """The settings under which replaced poses are taken as they are."""
     return config.model_copy(update={"sensors": "odometry"}) if "poses" in parts else config
+
+
+def true_steps(T_world_scans: SE2, parts: Collection[str]) -> Steps:
+    """The steps of mapping, with front end and loop closure as asked for; poses (n,), one for each scan."""
+    usual = Steps()
+    return Steps(
+        front_end=_true_front_end(T_world_scans) if "front_end" in parts else usual.front_end,
+        close_loops=_true_loops(T_world_scans) if "loops" in parts else usual.close_loops,
+    )
+
+
+def _true_front_end(truth: SE2) -> Callable[..., Track]:
+    def front_end(
+        recording: Recording, clouds: Clouds, config: TrackingConfig, reach: float, scans: Iterable[int]
+    ) -> Track:
+        return replace(track_log(recording, clouds, config, reach, scans), T_track_base=truth)
+
+    return front_end
+
+
+def _true_loops(truth: SE2) -> Callable[..., tuple[SE2, list[Constraint], list[Loop]]]:
+    def closed(
+        clouds: Clouds,
+        keys: NDArray[np.int64],
+        T_map_keys: SE2,
+        steps: Sequence[Constraint],
+        config: LoopConfig,
+        batches: Iterable[int],
+    ) -> tuple[SE2, list[Constraint], list[Loop]]:
+        _, _, record = close_loops(clouds, keys, T_map_keys, steps, config, batches)
+        T = truth[keys]
+        loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in record]
+        return (optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys), loops, record
+
+    return closed
+
+
+def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection[str]) -> Episode:
+    """A mission driven with the named parts replaced; nothing is recorded. `true_map` is its yaml."""
+    config, request = mission.config, mission.request
+    if "plan" in parts:
+        informed = prepare(replace(request, map_path=true_map), mission.robot, config, world.keepout)
+        mission = replace(mission, costmap=informed.costmap)
+    if "deskew" in parts:
+        lidar = config.sim.lidar.model_copy(update={"turning": False})
+        config = config.model_copy(update={"sim": config.sim.model_copy(update={"lidar": lidar})})
+        mission = replace(mission, config=config)
+    simulators = _TrueWheels if "odometry" in parts else Simulator
+    with simulators(world, mission.robot, config.sim, request.seed) as simulator:
+
+        def make(mission: Mission, first: Observation, bag: Bag, say: Callable[[str], None]) -> Made:
+            driver, localiser, sequence = make_driver(mission, first, bag, say)
+            if "localisation" in parts and localiser is not None and isinstance(driver, NavigationDriver):
+                localiser = driver.localiser = _TrueLocaliser(localiser, driver.sensing, bag, simulator)
+            return driver, localiser, sequence
+
+        silent: Any = _Silent()
+        return drive(simulator, mission, silent, silent, make=make)
+
+
+class _TrueWheels(Simulator):
+    """Odometry without error."""
+
+    def reset(self, T_world_base: SE2 | None = None) -> Observation:
+        """As ever, with true odometry."""
+        return self._true(super().reset(T_world_base))
+
+    def step(self, command: Twist) -> Observation:
+        """As ever, with true odometry."""
+        return self._true(super().step(command))
+
+    def _true(self, observation: Observation) -> Observation:
+        odometry = Odometry(observation.stamp_ns, self.truth.T_world_base, self.truth.twist)
+        return replace(observation, odometry=odometry)
+
+
+class _TrueLocaliser(Localiser):
+    """Knows where the robot is. The filter that it takes the place of only says that it was told its pose."""
+
+    def __init__(self, usual: Localiser, sensing: Sensing, bag: Bag, simulator: Simulator) -> None:
+        super().__init__(usual.amcl, sensing.odometry, bag)
+        self.T_map_odom = usual.T_map_odom
+        self._simulator = simulator
+
+    def observe(self, observation: Observation) -> None:
+        """The truth, whatever was observed."""
+        T_world_base = self._simulator.truth.T_world_base
+        self.T_map_odom = T_world_base @ observation.odometry.T_odom_base.inverse()
+        if observation.scan is not None:
+            self.scan_poses.append((observation.scan.stamp_ns, self._simulator.scan_truth))
+
+
+class _Silent:
+    """Takes every message and every call, and forgets it."""
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return self
+
+    def __call__(self, *args: object) -> None:
+        return None

@@ -14,7 +14,7 @@ from pipeline.navigation.driver import Driver
 from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
-from pipeline.navigation.setup import MAX_SIMULATED_S, Mission, make_driver
+from pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
 from pipeline.record import static_transforms
 from planners.control.monitor import CollisionMonitor
@@ -43,14 +43,16 @@ def drive(
     bag: Bag,
     say: Callable[[str], None],
     takeovers: Source | None = None,
+    make: DriverMaker = make_driver,
 ) -> Episode:
     """Observe, decide, log, act, until the driver is done.
 
     `takeovers` says when someone else has the commands; without it, the script of the configuration does.
+    `make` makes the driver.
     """
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
-    driver, localiser, sequence = make_driver(mission, observation, bag, say)
+    driver, localiser, sequence = make(mission, observation, bag, say)
     owner = _owner(driver, mission, takeovers)
     recorder = RunRecorder(simulator, bag)
     while True:

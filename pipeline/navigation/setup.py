@@ -149,9 +149,11 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
 
 
-def make_driver(
-    mission: Mission, first: Observation, publisher: Bag, say: Callable[[str], None]
-) -> tuple[Driver, Localiser | None, GoalSequence | None]:
+Made = tuple[Driver, Localiser | None, GoalSequence | None]
+DriverMaker = Callable[[Mission, Observation, Bag, Callable[[str], None]], Made]
+
+
+def make_driver(mission: Mission, first: Observation, publisher: Bag, say: Callable[[str], None]) -> Made:
     """The driver of a mission, the localiser it uses and the goals it works through."""
     request, config = mission.request, mission.config
     robot = mission.robot

@@ -102,12 +102,24 @@ class _Session:
 
 
 @dataclass(frozen=True)
+class Steps:
+    """Front end and loop closure: the blame study puts the truth in their place."""
+
+    front_end: Callable[..., Track] = track_log
+    close_loops: Callable[..., tuple[SE2, list[Constraint], list[Loop]]] = close_loops
+
+
+USUAL = Steps()
+
+
+@dataclass(frozen=True)
 class _Run:
     """What every step needs to know of the run."""
 
     config: SlamConfig
     progress: Progress
     cache: StageCache
+    steps: Steps
 
 
 def run_slam(
@@ -117,14 +129,15 @@ def run_slam(
     *,
     more: Sequence[Recording] = (),
     cache: StageCache | None = None,
+    steps: Steps = USUAL,
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
 
     `more` are later recordings of the same place: each is found in the map so far and joins the graph;
     the trajectory holds the scans of all, in that order. InputError when one cannot be placed. Steps
-    whose inputs `cache` has seen before are not done again.
+    whose inputs `cache` has seen before are not done again; it knows the usual `steps` only.
     """
-    run = _Run(config, progress, cache or StageCache())
+    run = _Run(config, progress, cache if cache and steps is USUAL else StageCache(), steps)
     session = _session(recording, run)
     for other in more:
         session = _joined(session, _session(other, run), run)
@@ -160,7 +173,7 @@ def _session(recording: Recording, run: _Run) -> _Session:
         if config.sensors == "odometry":
             return dead_reckoning(recording, clouds, config.tracking)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        return track_log(recording, clouds, config.tracking, usable, scans)
+        return run.steps.front_end(recording, clouds, config.tracking, usable, scans)
 
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
@@ -228,7 +241,7 @@ def _optimised(
         (T_map_keys, closed, loops), key = run.cache.step(
             "loops",
             [key, config.loops],
-            lambda: close_loops(clouds(), keys, T_map_keys, steps, config.loops, batches),
+            lambda: run.steps.close_loops(clouds(), keys, T_map_keys, steps, config.loops, batches),
         )
         constraints += closed
     if config.refine.rounds > 0 and len(keys) > 2:
