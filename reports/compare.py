@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +21,7 @@ from reports.figures.album import Album
 from reports.metrics.map import occupied
 from reports.metrics.trajectory import associate
 from reports.numbers import leaves, lookup, shown
+from reports.provenance import rename
 from reports.specs import SPECS
 from reports.stages import Stage
 
@@ -49,6 +52,8 @@ class Comparison:
     settings: list[tuple[str, str, str]]
     same_bytes: list[str]
     changed: list[str]
+    commands: tuple[str, str]
+    same_source: bool | None
 
 
 def compare(a: Stage, b: Stage) -> Comparison:
@@ -65,9 +70,20 @@ def compare(a: Stage, b: Stage) -> Comparison:
             rows.append(_row(spec.path, spec.label, spec.unit, _number(one), _number(other)))
     files = sorted(set(a.outputs) & set(b.outputs))
     same = [path for path in files if a.outputs[path] == b.outputs[path]]
-    return Comparison(
-        a.kind, rows, changed_settings(a.config, b.config), same, sorted(set(files) - set(same))
-    )
+    settings = changed_settings(a.config, b.config)
+    commands = command_of(a, "A"), command_of(b, "B")
+    known = all("source" in stage.manifest.get("inputs", {}) for stage in (a, b))
+    source = same_input(a, b) if known else None
+    return Comparison(a.kind, rows, settings, same, sorted(set(files) - set(same)), commands, source)
+
+
+def command_of(stage: Stage, name: str) -> str:
+    """The command that made a stage, its output called `name`, of absolute paths the last part only."""
+    out = stage.option("out")
+    words = [word for word in stage.command if word != "--force"]
+    if out is not None:
+        words = [rename(word, {out.rstrip("/"): name}) for word in words]
+    return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
 
 
 def _number(value: Any) -> float | None:
@@ -110,17 +126,21 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
     """Maps over each other, paths over each other, errors over time of both."""
     if a.map is not None and b.map is not None:
         both, only_a, only_b = map_overlap(a.map, b.map)
-        caption = f"Occupied cells: {both} in both (grey), {only_a} only in A, {only_b} only in B."
+        caption = (
+            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Look for colour "
+            "away from the grey: one of the two has a wall there that the other has not."
+        )
         album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
         ground = a.map if a.map is not None else a.true_map
         figure = partial(comparison.paths, ground, path_a, path_b)
-        caption = "A below, B above it." if a.kind == "map" else "True paths: A below, B above it."
+        caption = "SLAM's paths" if a.kind == "map" else "True paths"
+        caption += ": A below, B above it; where A shows beside B they part."
         album.add("paths", "Paths", caption, figure)
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
-        caption = "Distance from the truth in each run's own time."
+        caption = "Distance of the estimate from the truth, each run in its own time; lower is better."
         album.add("errors", "Position error", caption, partial(comparison.errors, errors_a, errors_b))
     elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
         _draw_apart(path_a, path_b, album)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,16 @@ from typing import Any
 from datasets.errors import InputError
 from reports.content import collision_count, verdict
 from reports.numbers import lookup, shown
+from reports.specs import SPECS
 from reports.stages import KINDS, Stage, load_stage, read_json
 
 # (head, path in the metrics, unit)
 COLUMNS = (
-    ("ATE", "ate_m.rmse", "cm"),
+    ("trajectory error (ATE)", "ate_m.rmse", "cm"),
     ("wall cells within one cell", "map.occupied_error_m.within_one_cell", "percent"),
-    ("relations", "relations.trans_m.mean", "m4"),
-    ("localisation", "localisation_error_m.rmse", "cm"),
+    ("surfaces found", "map.coverage", "percent"),
+    ("relations error", "relations.trans_m.mean", "m4"),
+    ("localisation error", "localisation_error_m.rmse", "cm"),
     ("least clearance", "min_clearance_m", "cm"),
     ("distance", "distance_m", "m"),
     ("time", "time_s", "s"),
@@ -49,13 +51,40 @@ def find_outputs(roots: Sequence[Path]) -> Iterator[Path]:
 
 
 def index_lines(roots: Sequence[Path]) -> list[Line]:
-    """A line for each finished record, map or run below the roots; everything else is passed over."""
-    lines = []
-    for root in roots:
-        for folder in find_outputs([root]):
-            if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run"):
-                lines.append(_line(load_stage(folder), _name(folder, root)))
-    return lines
+    """A line for each finished record, map or run below the roots; everything else is passed over.
+
+    What a map or a localisation does not say itself - world, robot, seed - is its recording's, where that is
+    among the outputs.
+    """
+    named = {
+        folder.resolve(): _name(folder, root)
+        for root in roots
+        for folder in find_outputs([root])
+        if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run")
+    }
+    stages = {name: load_stage(folder) for folder, name in named.items()}
+    records = {
+        digest: stage
+        for stage in stages.values()
+        if stage.kind == "record"
+        for path, digest in stage.outputs.items()
+        if path.startswith("bag/bag_")
+    }
+    return [_line(stage, name, _recording_of(stage, records)) for name, stage in stages.items()]
+
+
+def _recording_of(stage: Stage, records: Mapping[str, Stage]) -> Stage | None:
+    return next((records[digest] for digest in stage.linking_hashes() if digest in records), None)
+
+
+def used_columns(lines: Sequence[Line]) -> list[tuple[int, str, str]]:
+    """(place among COLUMNS, head, meaning) of the columns that any line has a value for."""
+    meanings = {spec.path: spec.meaning for specs in SPECS.values() for spec in specs}
+    return [
+        (place, head, meanings.get(path, ""))
+        for place, (head, path, _) in enumerate(COLUMNS)
+        if any(line.values[place][0] for line in lines)
+    ]
 
 
 def _name(folder: Path, root: Path) -> str:
@@ -63,15 +92,19 @@ def _name(folder: Path, root: Path) -> str:
     return root.resolve().name if relative == "." else f"{root.resolve().name}/{relative}"
 
 
-def _line(stage: Stage, name: str) -> Line:
+def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
     metrics = dict(stage.metrics)
+    if stage.kind == "record" and stage.truth is not None:
+        metrics |= {"scans": len(stage.truth), "distance_m": stage.truth.length()}
+    source = recording if recording is not None else stage
+    seed = stage.seed if stage.seed is not None else source.seed
     mood, _ = verdict(stage, metrics) if stage.metrics else ("neutral", "")
     return Line(
         name,
         stage.fact("task") or stage.kind,
-        stage.fact("world") or "",
-        stage.fact("robot") or "",
-        "" if stage.seed is None else str(stage.seed),
+        stage.fact("world") or source.fact("world") or "",
+        stage.fact("robot") or source.fact("robot") or "",
+        "" if seed is None else str(seed),
         mood,
         _result(stage, metrics),
         [_cell(metrics, path, unit) for _, path, unit in COLUMNS],

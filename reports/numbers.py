@@ -29,6 +29,22 @@ DISPLAY = {
     "plain": (1.0, "", 4),
     "yes": (1.0, "", 0),
 }
+# The unit a value is stored in.
+SI = {
+    "cm": "m",
+    "m": "m",
+    "m2": "m2",
+    "m4": "m",
+    "cm/m": "m/m",
+    "deg": "rad",
+    "deg/m": "rad/m",
+    "deg1": "deg",
+    "s": "s",
+    "percent": "1",
+    "count": "1",
+    "plain": "1",
+    "yes": "1",
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,10 @@ from reports.compare import Comparison
 from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
 from reports.figures import style
 from reports.figures.album import Picture
-from reports.index import COLUMNS, Line
+from reports.index import Line, used_columns
 from reports.numbers import lookup, shown
 from reports.provenance import packages, recipe
-from reports.specs import SPECS
+from reports.specs import GOAL_MEANINGS, SPECS
 from reports.stages import Group
 from reports.words import WORDS, explained
 
@@ -54,6 +54,7 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         steps=recipe(groups),
         packages=packages(groups),
         words=WORDS,
+        goal_meanings=GOAL_MEANINGS,
     )
 
 
@@ -74,7 +75,8 @@ def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Seq
 def render_index(lines: Sequence[Line]) -> str:
     """The page of many outputs as HTML text."""
     moods = [line.mood for line in lines]
-    return fill("index.html.j2", lines=lines, columns=COLUMNS, good=moods.count(GOOD), bad=moods.count(BAD))
+    good, bad = moods.count(GOOD), moods.count(BAD)
+    return fill("index.html.j2", lines=lines, columns=used_columns(lines), good=good, bad=bad)
 
 
 def fill(template: str, **values: object) -> str:

@@ -231,6 +231,11 @@ SPECS: dict[str, tuple[Spec, ...]] = {
     kind: tuple(spec for section in sections for spec in section.specs) for kind, sections in SECTIONS.items()
 }
 GOAL_SOURCES = (*LOG, *BAG)
+GOAL_MEANINGS = {
+    "time_s": "From being sent to the goal to being done with it, simulated time.",
+    "error_m": "Distance of the robot's true place from the goal when its goal checker was satisfied.",
+    "error_rad": "The same for the heading.",
+}
 GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
 
 # Inputs of the stage that a number is measured against.

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from reports.content import Chapter, slug
+from reports.content import Chapter, Part, slug
+from reports.numbers import SI
+from reports.specs import GOAL_MEANINGS, GOAL_UNITS
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
-SYMBOLS = {"\u202f": r"\,", "\u2212": r"$-$", "\u2013": "--", "°": r"$^\circ$", "\u2248": r"$\approx$"}
+SYMBOLS = {
+    "\u202f": r"\,",
+    "\u2212": r"$-$",
+    "\u2013": "--",
+    "°": r"$^\circ$",
+    "²": "$^2$",
+    "\u2248": r"$\approx$",
+}
 
 
 def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
@@ -17,12 +27,10 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "numbers.csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["world", "stage", "number", "value", "shown", "meaning"])
+        writer.writerow(["world", "stage", "number", "value", "unit", "shown", "meaning"])
         for chapter in chapters:
             for part in chapter.parts:
-                for number in part.numbers:
-                    row = [number.spec.path, number.value, number.text, number.spec.meaning]
-                    writer.writerow([chapter.name, part.stage.label, *row])
+                writer.writerows([chapter.name, part.stage.label, *row] for row in _rows(part))
     for chapter in chapters:
         for part in chapter.parts:
             name = f"{slug(chapter.name)}-{slug(part.stage.label)}"
@@ -41,6 +49,18 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
                     for goal in part.goals
                 ]
                 (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rllrrr"))
+
+
+def _rows(part: Part) -> Iterator[list[Any]]:
+    """Path in the metrics, value, its unit, as shown and meaning of each number of a part, goals last."""
+    for number in part.numbers:
+        spec = number.spec
+        yield [spec.path, number.value, SI[spec.unit], number.text, spec.meaning]
+    for goal in part.goals:
+        place = goal["number"] - 1
+        for key, value, text in goal["numbers"]:
+            meaning = f"{GOAL_MEANINGS[key]} Goal {goal['number']}, {goal['status']}."
+            yield [f"goals.{place}.{key}", value, SI[GOAL_UNITS[key]], text, meaning]
 
 
 def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:

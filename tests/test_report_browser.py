@@ -4,7 +4,8 @@ import pytest
 from browser import Browser, find_browser
 from report_fakes import fake_map, fake_record, fake_run
 
-from pipeline.report import make_report
+from pipeline.compare import write_comparison
+from pipeline.report import make_index, make_report
 
 pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM"
@@ -38,6 +39,9 @@ def address(tmp_path_factory):
     base = tmp_path_factory.mktemp("page")
     record = fake_record(base / "record")
     run = fake_run(base / "run", fake_map(base / "map", record), missed=True)
+    make_index([base], base / "index")
+    fake_map(base / "other", record, sigma_m=0.02)
+    write_comparison(base / "map", base / "other", base / "comparison")
     return make_report([record, base / "map", run], base / "report").as_uri()
 
 
@@ -165,3 +169,44 @@ def test_two_fingers_set_no_goal(browser, address):
     browser.touch("touchEnd")
     assert not browser.evaluate(READOUT).startswith("--goal")
     assert before == "x, y in metres"
+
+
+@pytest.mark.parametrize("name", ["index", "comparison"])
+@pytest.mark.parametrize(("width", "dark"), [(400, True), (1400, False)])
+def test_the_other_pages_fit_and_complain_of_nothing_too(browser, address, name, width, dark):
+    browser.open(address.replace("/report/", f"/{name}/"), width, dark=dark)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate(OVERFLOW) == []
+    assert browser.problems() == []
+
+
+COLUMN = """(() => {
+  const place = [...document.querySelectorAll("th")].findIndex((head) => head.textContent.startsWith("%s"));
+  return [...document.querySelectorAll("tbody tr")].filter((row) => !row.hidden)
+    .map((row) => row.cells[place].textContent);
+})()"""
+PRESS = (
+    '[...document.querySelectorAll("th button")].find((head) => head.textContent.startsWith("%s")).click()'
+)
+
+
+def test_the_index_sorts_by_number_both_ways_and_keeps_what_is_empty_last(browser, address):
+    browser.open(address.replace("/report/", "/index/"), 1400)
+    unsorted = browser.evaluate(COLUMN % "distance")
+    browser.evaluate(PRESS % "distance")
+    up = browser.evaluate(COLUMN % "distance")
+    browser.evaluate(PRESS % "distance")
+    down = browser.evaluate(COLUMN % "distance")
+    known = sorted((text for text in unsorted if text), key=lambda text: float(text.split("\u202f")[0]))
+    assert [text for text in up if text] == known
+    assert [text for text in down if text] == known[::-1]
+    assert up[len(known) :] == down[len(known) :] == [""] * (len(up) - len(known))
+
+
+def test_the_index_shows_the_lines_that_hold_the_words_typed(browser, address):
+    browser.open(address.replace("/report/", "/index/"), 1400)
+    total = len(browser.evaluate(COLUMN % "output"))
+    browser.evaluate("document.querySelector('.filter').focus()")
+    browser.call("Input.insertText", text="ROOM map")
+    assert browser.evaluate(COLUMN % "stage") == ["map"]
+    assert browser.evaluate("document.querySelector('.count').textContent") == f"1 of {total}"

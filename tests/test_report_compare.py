@@ -85,3 +85,12 @@ def test_map_overlap_counts_cells_in_metres_not_by_index():
     assert map_overlap(grid, cut) == (count, 0, 0)
     empty = OccupancyGrid(np.zeros_like(grid.cells), 0.05, grid.T_map_grid)
     assert map_overlap(grid, empty) == (0, count, 0)
+
+
+def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(tmp_path):
+    record = fake_record(tmp_path / "record")
+    a, b = fake_map(tmp_path / "a", record), fake_map(tmp_path / "b", record, sigma_m=0.01)
+    found = compare_outputs(a, b)
+    assert found.commands == ("turtlebag map record --out A", "turtlebag map record --out B")
+    assert found.same_source is True
+    assert compare_outputs(record, record).same_source is None

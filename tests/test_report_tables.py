@@ -8,7 +8,8 @@ from report_fakes import fake_map, fake_record, fake_run
 
 from pipeline.cli import main
 from pipeline.report import make_index, make_report
-from reports.index import index_lines
+from reports.index import index_lines, used_columns
+from reports.numbers import DISPLAY, SI
 from reports.tables import latex, latex_table
 
 
@@ -35,6 +36,18 @@ def test_the_csv_holds_every_number_in_si_units(report):
     metrics = json.loads((report / "metrics.json").read_text())["record"]["map"]
     assert float(rows["ate_m.rmse"]["value"]) == metrics["ate_m"]["rmse"]
     assert int(rows["loops.accepted"]["value"]) == 5
+
+
+def test_the_csv_holds_the_goals_and_says_the_unit_of_every_value(base, tmp_path):
+    make_report([base / "runs/missed"], tmp_path / "out", animate=False)
+    with (tmp_path / "out/tables/numbers.csv").open() as file:
+        rows = {row["number"]: row for row in csv.DictReader(file)}
+    goals = json.loads((base / "runs/missed/metrics.json").read_text())["goals"]
+    assert float(rows["goals.1.error_m"]["value"]) == goals[1]["error_m"]
+    assert (rows["goals.1.error_m"]["unit"], rows["goals.2.error_rad"]["unit"]) == ("m", "rad")
+    assert rows["goals.1.time_s"]["meaning"].endswith("Goal 2, timeout.")
+    assert (rows["min_clearance_m"]["unit"], rows["goals_reached"]["unit"]) == ("m", "1")
+    assert set(SI) == set(DISPLAY)
 
 
 def test_the_latex_table_has_a_row_for_each_number(report):
@@ -69,6 +82,21 @@ def test_the_index_has_a_line_for_each_output(base):
     assert results["runs/missed"] == ("bad", "2 of 3 goals, 1 collision")
     values = dict(zip([line.name for line in lines], [line.values[0] for line in lines], strict=True))
     assert any(text.endswith("cm") and float(value) < 0.02 for text, value in values.values() if text)
+
+
+def test_the_index_gives_a_map_the_world_and_robot_of_its_recording_and_hides_empty_columns(base):
+    lines = index_lines([base])
+    assert {(line.world, line.robot, line.seed) for line in lines if line.stage in ("map", "record")} == {
+        ("room", "burger", "1")
+    }
+    heads = [head for _, head, _ in used_columns(lines)]
+    assert "relations error" not in heads
+    assert heads[:2] == ["trajectory error (ATE)", "wall cells within one cell"]
+    assert [line.result for line in lines if line.stage == "record"] == ["150 scans"]
+
+
+def test_the_same_output_below_two_roots_has_one_line(base):
+    assert len(index_lines([base, base / "runs"])) == len(index_lines([base]))
 
 
 def test_the_index_is_a_sortable_page_without_machine_paths(base, tmp_path, capsys):

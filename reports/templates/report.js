@@ -99,3 +99,19 @@ for (const table of document.querySelectorAll("table.sortable")) {
     });
   });
 }
+
+// A table of many lines shows those that hold every word typed above it.
+for (const field of document.querySelectorAll(".filter")) {
+  const rows = [...document.querySelector("table.sortable").tBodies[0].rows];
+  const count = document.querySelector(".count");
+  field.addEventListener("input", () => {
+    const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let shown = 0;
+    for (const row of rows) {
+      const text = row.textContent.toLowerCase();
+      row.hidden = !words.every((word) => text.includes(word));
+      shown += !row.hidden;
+    }
+    count.textContent = words.length ? `${shown} of ${rows.length}` : "";
+  });
+}
