@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from reports.figures.album import Album
 from reports.stages import read_json
 
 TABLE = "results.parquet"
+TELL_S = 60.0
 
 
 def sweep(
@@ -95,11 +97,22 @@ def _run(
         log.info(f"going on: {len(rows)} of {len(todo)} cases are done")
     if left:
         found = run_cases(campaign, left, folder, scheduler=scheduler, workers=workers)
-        for row in track(found, campaign.name, total=len(left)):
+        for row in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if row["failed"]:
                 log.warning(f"{row['case']}: {row['error']}")
     return [rows[case.name] for case in todo]
+
+
+def _told(found: Iterable[dict[str, Any]], total: int) -> Iterator[dict[str, Any]]:
+    """The rows; where no progress bar is seen, a line a minute says how far it is."""
+    watch, told_s = Stopwatch(), 0.0
+    for done, row in enumerate(found, start=1):
+        yield row
+        if not sys.stderr.isatty() and watch.seconds() - told_s > TELL_S:
+            told_s = watch.seconds()
+            left_s = told_s / done * (total - done)
+            log.info(f"{done} of {total} cases, about {left_s / 60.0:.0f} min left")
 
 
 def _collect_timing(folder: Path) -> dict[str, float]:

@@ -232,6 +232,19 @@ def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, no_command
     assert not (tmp_path / "together/cache").exists()
 
 
+def test_without_a_terminal_lines_say_how_much_is_left(monkeypatch, caplog):
+    from pipeline import sweep
+
+    monkeypatch.setattr(sweep, "TELL_S", -1.0)
+    monkeypatch.setattr(sweep.Stopwatch, "seconds", lambda watch: 600.0)
+    with caplog.at_level("INFO", logger="turtlebag"):
+        assert list(sweep._told(iter([{"case": "a"}, {"case": "b"}]), 4)) == [{"case": "a"}, {"case": "b"}]
+    assert [record.message for record in caplog.records] == [
+        "1 of 4 cases, about 30 min left",
+        "2 of 4 cases, about 10 min left",
+    ]
+
+
 def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, scheduler):
     from pipeline.sweep import sweep
 

@@ -38,7 +38,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         LocalCluster(
             n_workers=workers or os.cpu_count() or 1,
             threads_per_worker=1,
-            dashboard_address=None,
+            dashboard_address=":0",
             silence_logs=logging.CRITICAL,
             env=threads,
         ) as cluster,
