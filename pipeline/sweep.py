@@ -152,9 +152,8 @@ def write_results(campaign: Campaign, rows: Sequence[dict[str, Any]], folder: Pa
         },
     )
     album = Album(folder / "figures", paper=True)
-    draw_campaign([figure.model_dump() for figure in campaign.figures], rows, campaign.seed, album)
-    units = {figure.y: figure.unit for figure in campaign.figures}
-    text = config_text(campaign)
+    names = {key: (item.label or key.replace("_", " "), item.unit) for key, item in campaign.results.items()}
+    draw_campaign([figure.model_dump() for figure in campaign.figures], rows, campaign.seed, names, album)
     page = render_campaign(
         campaign.name,
         campaign.question,
@@ -163,9 +162,9 @@ def write_results(campaign: Campaign, rows: Sequence[dict[str, Any]], folder: Pa
         pairs,
         compare=campaign.compare or "",
         against=campaign.against,
-        units=units,
+        names=names,
         factors=list(campaign.factors),
         pictures=album.pictures,
-        file=text,
+        file=config_text(campaign),
     )
     (folder / "index.html").write_text(page)

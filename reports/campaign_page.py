@@ -6,33 +6,39 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from reports.campaign import LevelSummary, PairedSummary
+from reports.campaign import LevelSummary, PairedSummary, levels_of
 from reports.content import slug
 from reports.figures.album import Album, Picture
-from reports.figures.campaign import result_over_factor
+from reports.figures.campaign import result_over_factor, words
 from reports.metrics.statistics import Interval
 from reports.numbers import DASH, shown
 from reports.page import fill
 
 Row = Mapping[str, Any]
+Names = Mapping[str, tuple[str, str]]
+"""Result -> (what it is called, unit of reports.numbers.DISPLAY)."""
 
 
-def draw_campaign(figures: Sequence[Mapping[str, Any]], rows: Sequence[Row], seed: int, album: Album) -> None:
-    """Draw the figures a campaign asks for: mappings of x, y, lines, title, unit, log."""
+def draw_campaign(
+    figures: Sequence[Mapping[str, Any]],
+    rows: Sequence[Row],
+    seed: int,
+    names: Names,
+    album: Album,
+) -> None:
+    """Draw the figures a campaign asks for: mappings of x, y, lines, panels, title, log."""
     for number, wish in enumerate(figures, start=1):
+        label, unit = names[wish["y"]]
+        options = {key: wish[key] for key in ("lines", "panels", "log")}
         drawing = partial(
-            result_over_factor,
-            rows,
-            wish["x"],
-            wish["y"],
-            lines=wish["lines"],
-            unit=wish["unit"],
-            log=wish["log"],
-            seed=seed,
+            result_over_factor, rows, wish["x"], wish["y"], label=label, unit=unit, seed=seed, **options
         )
-        caption = f"{wish['y']} over {wish['x']}" + (f", for each {wish['lines']}." if wish["lines"] else ".")
+        shares = [words(wish[key]) for key in ("lines", "panels") if wish[key]]
+        caption = f"{label} over {words(wish['x'])}" + (
+            f", for each {' and '.join(shares)}" if shares else ""
+        )
         name = f"{number:02d}-{slug(wish['y'])}-over-{slug(wish['x'])}"
-        album.add(name, wish["title"] or wish["y"], caption, drawing)
+        album.add(name, wish["title"] or label, caption[0].upper() + caption[1:] + ".", drawing)
 
 
 def render_campaign(
@@ -44,29 +50,37 @@ def render_campaign(
     *,
     compare: str,
     against: Any,
-    units: Mapping[str, str],
+    names: Names,
     factors: Sequence[str],
     pictures: Sequence[Picture],
     file: str,
 ) -> str:
-    """The page as HTML text; `units` says how each result is shown."""
+    """The page as HTML text; `names` says how each result is called and its unit."""
+    compared = [_pair(pair, names) for pair in pairs]
     return fill(
         "campaign.html.j2",
         name=name,
         question=question,
         total=len(rows),
+        sizes=", ".join(f"{words(factor)} {len(levels_of(rows, factor))}" for factor in factors),
         failed=[_failure(row, factors) for row in rows if row["failed"]],
         pictures=pictures,
-        compare=compare,
-        against=against,
-        pairs=[_pair(pair, units.get(pair.result, "plain")) for pair in pairs],
-        levels=[
-            _level(factor, item, units.get(item.result, "plain"))
-            for factor, found in summaries.items()
-            for item in found
-        ],
+        compare=words(compare),
+        against=words(against),
+        pairs=compared,
+        clear=_clear(compared),
+        levels=[_level(factor, item, names) for factor, found in summaries.items() for item in found],
         file=file,
     )
+
+
+def _clear(pairs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """For each result the levels whose difference leaves out 0, and how many others were compared."""
+    found: dict[str, dict[str, Any]] = {}
+    for pair in pairs:
+        entry = found.setdefault(pair["result"], {"result": pair["result"], "differ": [], "rest": []})
+        entry["differ" if pair["clear"] else "rest"].append(pair)
+    return list(found.values())
 
 
 def _failure(row: Row, factors: Sequence[str]) -> dict[str, str]:
@@ -83,25 +97,27 @@ def _texts(interval: Interval, unit: str) -> dict[str, str]:
     }
 
 
-def _level(factor: str, item: LevelSummary, unit: str) -> dict[str, str]:
+def _level(factor: str, item: LevelSummary, names: Names) -> dict[str, str]:
+    label, unit = names[item.result]
     unit = "percent" if item.kind == "share" else unit
     return {
-        "factor": factor,
-        "level": str(item.level),
-        "result": item.result,
+        "factor": words(factor),
+        "level": words(item.level),
+        "result": label,
         "kind": item.kind,
         "failed": str(item.failed),
         **_texts(item.interval, unit),
     }
 
 
-def _pair(pair: PairedSummary, unit: str) -> dict[str, Any]:
+def _pair(pair: PairedSummary, names: Names) -> dict[str, Any]:
+    label, unit = names[pair.result]
     found = pair.found.difference
     clear = found.low is not None and found.high is not None and (found.low > 0.0 or found.high < 0.0)
     less = DASH if pair.found.less is None else shown(pair.found.less, "percent")
     return {
-        "level": str(pair.level),
-        "result": pair.result,
+        "level": words(pair.level),
+        "result": label,
         "clear": clear,
         "less": less,
         **_texts(found, unit),

@@ -25,12 +25,12 @@ factors:
 stages:
   make: "fake --size {size} --seed {seed} {kind}"
   check: "fake --size {size} --of {make}/metrics.json"
-results: {error_m: "make:error.rmse", good: "check:good"}
+results: {error_m: {at: "make:error.rmse", label: error, unit: cm}, good: "check:good"}
 compare: size
 against: 1
 figures:
-  - {x: size, y: error_m, lines: kind, unit: cm}
-  - {x: size, y: good}
+  - {x: size, y: error_m, lines: kind}
+  - {x: size, y: good, panels: kind}
 """
 
 
@@ -111,6 +111,8 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("y: good", "y: bad", "no result"),
         ("question:", "questoin:", "unknown key"),
         ("compare: size", "shared: [cook]", "cook is no stage"),
+        ("unit: cm", "unit: inch", "unit inch: known are"),
+        ("panels: kind", "panels: colour", "colour is no factor"),
     ],
 )
 def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
@@ -173,6 +175,12 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, n
     page = (tmp_path / "out/index.html").read_text()
     assert "8 of them failed" in page
     assert "RuntimeError: a defect" in page
+    assert "24 cases (size 3, kind 2, seed 4)" in page
+    assert (
+        "<strong>error</strong>: 2 10.0\u202fcm (10.0\u202fcm to 10.0\u202fcm); no clear difference for 99"
+        in page
+    )
+    assert "Good over size, for each kind." in page
     summary = json.loads((tmp_path / "out/summary.json").read_text())
     pair = next(p for p in summary["pairs"] if p["level"] == 2 and p["result"] == "error_m")
     assert pair["found"]["difference"]["value"] == pytest.approx(0.1)

@@ -67,7 +67,7 @@ def run_cases(
             client.submit(
                 run_case,
                 asdict(case),
-                campaign.results,
+                {name: result.at for name, result in campaign.results.items()},
                 str(place / case.name),
                 campaign.keep,
                 campaign.shared,

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from datasets.errors import InputError
 from datasets.seeds import stream
 from datasets.yaml_files import checked, find_named, read_mapping
+from reports.numbers import DISPLAY
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
@@ -42,15 +43,38 @@ class Uniform(BaseModel):
 Levels = list[Scalar] | Range | Uniform | dict[str, str]
 
 
+class Result(BaseModel):
+    """A number to keep: `at` is `stage:path` in that stage's metrics.json; how it is called and shown."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    at: str
+    label: str = ""
+    unit: str = "plain"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, data: Any) -> Any:
+        return {"at": data} if isinstance(data, str) else data
+
+    @model_validator(mode="after")
+    def _unit_is_known(self) -> Result:
+        if self.unit not in DISPLAY:
+            raise ValueError(f"unit {self.unit}: known are {', '.join(DISPLAY)}")
+        return self
+
+
 class Figure(BaseModel):
-    """One figure: result `y` over factor `x`, once for each level of `lines`, intervals by bootstrap."""
+    """One figure: result `y` over factor `x`, intervals by bootstrap.
+
+    One line for each level of `lines`, in one panel for each level of `panels`.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     x: str
     y: str
     lines: str | None = None
+    panels: str | None = None
     title: str = ""
-    unit: str = "plain"
     log: bool = False
 
 
@@ -62,8 +86,9 @@ class Campaign(BaseModel):
     command lines without `--out`, with `{factor}` and `{stage}` (an earlier stage's folder) in braces;
     `{factor:1-0.5*x}` is a number computed from the level x, `{factor:a|b|c}` the text that stands where
     the level stands among its factor's. A stage in `shared` is run once for all cases that give it the
-    same command. `results`: name -> `stage:path` in that
-    stage's metrics.json. `against`: the level that `compare`'s other levels are paired with.
+    same command. `results`: name -> `stage:path` in that stage's metrics.json, or
+    `{at: stage:path, label: ..., unit: ...}`. `against`: the level that `compare`'s other levels are
+    paired with.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -74,7 +99,7 @@ class Campaign(BaseModel):
     sample: Annotated[int, Field(ge=1)] | None = None
     stages: dict[str, str]
     shared: list[str] = []
-    results: dict[str, str]
+    results: dict[str, Result]
     compare: str | None = None
     against: Scalar | None = None
     figures: list[Figure] = []
@@ -89,10 +114,11 @@ class Campaign(BaseModel):
         for stage in self.shared:
             if stage not in self.stages:
                 raise ValueError(f"shared: {stage} is no stage of this campaign")
-        for name, place in self.results.items():
-            if place.partition(":")[0] not in self.stages or ":" not in place:
+        for name, result in self.results.items():
+            if result.at.partition(":")[0] not in self.stages or ":" not in result.at:
                 raise ValueError(f"results.{name}: expected STAGE:PATH with one of the stages")
         wanted = [self.compare, *(figure.x for figure in self.figures), *(f.lines for f in self.figures)]
+        wanted += [figure.panels for figure in self.figures]
         for factor in wanted:
             if factor is not None and factor not in self.factors:
                 raise ValueError(f"{factor} is no factor of this campaign")

@@ -13,27 +13,69 @@ from reports.campaign import interval, is_share, levels_of
 from reports.figures.style import ACCENT, AMCL, BAD, INK, MUTED, ODOMETRY, SLAM, new_figure
 from reports.numbers import DISPLAY
 
+Row = Mapping[str, Any]
+COLUMNS = 3
 COLOURS = (SLAM, BAD, AMCL, ODOMETRY, ACCENT, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
 def result_over_factor(
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[Row],
     x: str,
     y: str,
     *,
     lines: str | None,
+    panels: str | None,
+    label: str,
     unit: str,
     log: bool,
     seed: int,
 ) -> Figure:
-    """Median (or share) of `y` with its interval at each level of `x`; single cases as faint dots."""
-    figure = new_figure(3.2)
-    axes = figure.add_subplot()
+    """Median (or share) of `y` with its interval at each level of `x`; single cases as faint dots.
+
+    One line for each level of `lines`; one panel, all to one scale, for each level of `panels`.
+    """
+    share = is_share(rows, y)
+    symbol = "%" if share else DISPLAY[unit][1]
+    groups = levels_of(rows, panels) if panels is not None else [None]
+    columns = min(len(groups), COLUMNS)
+    lanes = -(-len(groups) // columns)
+    figure = new_figure(3.2 if panels is None else 0.6 + 1.5 * lanes)
+    grid = figure.subplots(lanes, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for axes, group in zip(grid, groups, strict=False):
+        chosen = [row for row in rows if panels is None or row[panels] == group]
+        _draw_lines(axes, chosen, x, y, lines, "percent" if share else unit, seed, share)
+        if group is not None:
+            axes.set_title(words(group), fontsize="small")
+    for axes in grid[len(groups) :]:
+        axes.set_visible(False)
+    if log and not share:
+        grid[0].set_yscale("log")
+    else:
+        grid[0].set_ylim(bottom=0.0, top=105.0 if share else None)
+    text = f"{label} [{symbol}]" if symbol else label
+    if panels is None:
+        grid[0].set_xlabel(words(x))
+        grid[0].set_ylabel(text)
+    else:
+        figure.supxlabel(words(x), fontsize="medium")
+        figure.supylabel(text, fontsize="medium")
+    if lines is not None and grid[0].get_legend_handles_labels()[0]:
+        grid[0].legend(loc="best", title=words(lines))
+    return figure
+
+
+def words(level: Any) -> str:
+    """A level or factor as it is written in a figure."""
+    return str(level).replace("_", " ")
+
+
+def _draw_lines(
+    axes: Axes, rows: Sequence[Row], x: str, y: str, lines: str | None, unit: str, seed: int, share: bool
+) -> None:
+    """All lines of one panel."""
     levels = levels_of(rows, x)
     numeric = all(isinstance(level, (int, float)) and not isinstance(level, bool) for level in levels)
-    share = is_share(rows, y)
-    factor, symbol, _ = (100.0, "%", 0) if share else DISPLAY[unit]
     groups = levels_of(rows, lines) if lines is not None else [None]
     for number, group in enumerate(groups):
         chosen = [row for row in rows if lines is None or row[lines] == group]
@@ -41,26 +83,22 @@ def result_over_factor(
         step = 0.012 * (max(levels) - min(levels)) if numeric else 0.5 / len(groups)
         shift = step * (number - (len(groups) - 1) / 2)
         places = [float(level) + shift if numeric else index + shift for index, level in enumerate(levels)]
-        label = None if group is None else str(group)
+        label = None if group is None else words(group)
+        factor = DISPLAY[unit][0]
         _draw_group(
             axes, chosen, x, y, levels, places, factor, seed, number, label, joined=numeric, dots=not share
         )
     if not numeric:
-        axes.set_xticks(range(len(levels)), [str(level) for level in levels])
-    axes.set_xlabel(x)
-    axes.set_ylabel(f"{y} [{symbol}]" if symbol else y)
-    if log and not share:
-        axes.set_yscale("log")
-    else:
-        axes.set_ylim(bottom=0.0, top=105.0 if share else None)
-    if lines is not None and axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="best", title=lines)
-    return figure
+        crowded = len(levels) > 6
+        names = [words(level) for level in levels]
+        axes.set_xticks(
+            range(len(levels)), names, rotation=30 if crowded else 0, ha="right" if crowded else "center"
+        )
 
 
 def _draw_group(
     axes: Axes,
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[Row],
     x: str,
     y: str,
     levels: Sequence[Any],
