@@ -18,6 +18,7 @@ from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import Mission, Request, prepare
 from pipeline.navigation.takeover import Source, script_text
+from pipeline.record import set_aside
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
 from sim.worlds import World, load_world
@@ -67,6 +68,7 @@ def navigate_in(
     check_free(out, force=force)
     watch = Stopwatch()
     mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
+    set_aside(out)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),

@@ -151,7 +151,7 @@ def record_drive(
     """
     timer = Stopwatch()
     check_free(out, force=force)
-    _set_aside(out)
+    set_aside(out)
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
     with deferred_interrupt() as interrupted, staged_output(out, force=force) as folder:
@@ -181,8 +181,8 @@ def record_drive(
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
 
 
-def _set_aside(out: Path) -> None:
-    """Move what a killed recording left where this one will grow: it can still be recovered."""
+def set_aside(out: Path) -> None:
+    """Move what a killed recording (or run) left where this one will grow: it can still be recovered."""
     partial = out.with_name(out.name + ".partial")
     if not any((partial / "bag").glob("*.mcap")):
         return

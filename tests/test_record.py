@@ -216,6 +216,19 @@ def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes
     assert not (tmp_path / "rec.partial").exists()
 
 
+def test_what_a_killed_run_left_is_set_aside_too_but_not_by_a_command_that_is_refused(tmp_path, capsys):
+    left_over = tmp_path / "run.partial" / "bag" / "bag_0.mcap"
+    left_over.parent.mkdir(parents=True)
+    left_over.write_bytes(b"what a killed process left")
+    drive = ["navigate", "--world", "turtlebot3_world", "--task", "avoid", "--out", str(tmp_path / "run")]
+    assert main([*drive, "--duration", "-1"]) == 2
+    assert left_over.exists()
+    assert main([*drive, "--duration", "1"]) == 0
+    assert (tmp_path / "run.unfinished" / "bag" / "bag_0.mcap").read_bytes() == b"what a killed process left"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "run.unfinished"]
+    assert "turtlebag bag recover" in capsys.readouterr().err
+
+
 def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
     for number, source in enumerate((recorded, recorded / "bag", recorded / "bag" / "bag_0.mcap")):
         out = tmp_path / str(number)

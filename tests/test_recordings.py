@@ -2,6 +2,7 @@
 
 import math
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -337,3 +338,18 @@ def test_what_is_not_a_recording_is_one_clear_line(tmp_path):
         writer.observation(observation(1))
     with pytest.raises(InputError, match=r"no /scan .*its topics: .*/odom"):
         load_recording(tmp_path / "no_scan")
+
+
+def test_metadata_that_may_not_be_read_is_one_line_and_nothing_is_tried_beside_it(tmp_path, monkeypatch):
+    folder = tmp_path / "bag"
+    write_drive(folder, seconds=1)
+    read_text = Path.read_text
+
+    def refuse(path, *args, **kwargs):
+        if path.name == "metadata.yaml":
+            raise PermissionError(13, "Permission denied", str(path))
+        return read_text(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "read_text", refuse)
+    with pytest.raises(InputError, match=r"metadata.yaml: cannot be read \(Permission denied\)$"):
+        load_recording(tmp_path)
