@@ -55,9 +55,9 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
             of(f"kidnap, {place}", 100, 2, functools.partial(faults.kidnap, maps, place)),
             of(f"wheel slip, {place}", 50, 2, functools.partial(faults.slip, maps, place)),
             of(f"lidar dropout, {place}", 50, 2, functools.partial(faults.dropout, maps, place)),
-            of(f"closed door, {place}", 50, 2, functools.partial(faults.closed_door, maps, place)),
         ]
-    found.append(of("closed door, no way", 50, 2, functools.partial(faults.no_way, maps)))
+    found.append(of("closed ring, arena", 50, 2, functools.partial(faults.closed_ring, maps)))
+    found.append(of("closed door, house", 50, 2, functools.partial(faults.closed_door, maps)))
     if worlds := cases.barn_worlds():
         found.append(of("BARN", 3 * len(worlds), len(worlds), functools.partial(cases.barn, worlds)))
     return found

@@ -12,8 +12,12 @@ from benchmarks.navigate_maps import Maps
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.seeds import stream
+from planners.costmap import CostmapConfig, costmap_from_grid
 from sim.movers import Mover
 from sim.shapes import Solid, box, cylinder
+
+WALKER_ROOM_M = 0.5
+"""Movers start where they have so much room: one that cannot move is a wall."""
 
 
 def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
@@ -32,7 +36,9 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
         if len(free) > 0.7 * len(cells):
             break
     start, goal = pose_on(true_grid, free, rng), pose_on(true_grid, free, rng)
-    movers = tuple(_mover(k, true_grid, free, start, yields, rng) for k in range(3))
+    clearance = costmap_from_grid(true_grid, CostmapConfig()).clearance
+    wide = free[clearance[free[:, 0], free[:, 1]] > WALKER_ROOM_M]
+    movers = tuple(_mover(k, true_grid, wide, start, yields, rng) for k in range(3))
     world = dataclasses.replace(world, movers=movers)
     path = maps.slam("turtlebot3_house", robot_name)
     return Case(name, seed, world, robot, goal_request(seed, path, start, goal))

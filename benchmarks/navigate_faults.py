@@ -25,10 +25,8 @@ OFF_M, OFF_RAD = 0.5, math.radians(30.0)
 FAR_M = 4.0
 """Goals of episodes with a fault are this far from the start: there is time for it."""
 CARRIED_M = 1.5
-SIDE_DOORS = ((2.3, 0.4), (2.3, 4.63))
-"""The two doors between the halves of the house: with one shut, the other is the way round [m]."""
-ONLY_DOORS = ((-6.3092, 0.925), (6.2195, -0.175))
-"""Doors of rooms that have no other [m]."""
+DOORS = ((2.3, 0.4, 1), (2.3, 4.63, 1), (-6.3092, 0.925, 0), (6.2195, -0.175, 0))
+"""Doors of the house: middle [m], and 1 for one in a wall along y. None has a way round."""
 DOOR_M, THICK_M = 0.9, 0.15
 
 
@@ -108,36 +106,26 @@ def dropout(maps: Maps, place: str, name: str, seed: int) -> Case:
     return with_faults(drive_to(maps, place, name, seed), FaultConfig(scan_silent=spans))
 
 
-def closed_door(maps: Maps, place: str, name: str, seed: int) -> Case:
-    """A door that the map shows open is shut, and there is a way round it."""
+def closed_ring(maps: Maps, name: str, seed: int) -> Case:
+    """The arena's ring is shut between two waypoints: the patrol must find the other way round."""
+    case = patrol(maps, name, seed)
+    # The patrol's minute for a waypoint is not enough for the long way.
+    request = dataclasses.replace(case.request, timeout_s=150.0)
+    world = with_solids(case.world, _wall_across_the_ring(stream(seed, "door")))
+    return dataclasses.replace(case, world=world, request=request)
+
+
+def closed_door(maps: Maps, name: str, seed: int) -> Case:
+    """The only door to the goal's part of the house, open on the map, is shut: to say so is right."""
     rng = stream(seed, "door")
-    if place == "arena":
-        case = patrol(maps, name, seed)
-        # The patrol's minute for a waypoint is not enough for the long way.
-        request = dataclasses.replace(case.request, timeout_s=150.0)
-        world = with_solids(case.world, _wall_across_the_ring(rng))
-        return dataclasses.replace(case, world=world, request=request)
     world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
-    x, y = SIDE_DOORS[seed // 2 % 2]
-    shut = with_solids(world, box("shut_door", (x, y), (THICK_M, DOOR_M), 0.0, (0.0, 2.0)))
-    near = np.hypot(*(grid.center_of(cells) - (x, y)).T)
-    sides = [cells[(near < 2.5) & (near > 0.6) & side] for side in _sides(grid, cells, x)]
-    if rng.random() < 0.5:
-        sides.reverse()
-    start, goal = (pose_on(grid, side, rng) for side in sides)
-    path = maps.slam("turtlebot3_house", spec.name)
-    return Case(name, seed, shut, spec, goal_request(seed, path, start, goal))
-
-
-def no_way(maps: Maps, name: str, seed: int) -> Case:
-    """The only door of the room with the goal is shut: to say so is right."""
-    rng = stream(seed, "no way")
-    world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
-    x, y = ONLY_DOORS[seed // 2 % 2]
-    shut = with_solids(world, box("shut_door", (x, y), (DOOR_M, THICK_M), 0.0, (0.0, 2.0)))
+    x, y, along_y = DOORS[seed // 2 % len(DOORS)]
+    size = (THICK_M, DOOR_M) if along_y else (DOOR_M, THICK_M)
+    shut = with_solids(world, box("shut_door", (x, y), size, 0.0, (0.0, 2.0)))
     _, outside = floor(shut, spec)
     inside = np.array(sorted({tuple(c) for c in cells.tolist()} - {tuple(c) for c in outside.tolist()}))
-    room = inside[np.abs(grid.center_of(inside)[:, 1] - y) > 0.5]
+    # Not in the doorway itself.
+    room = inside[np.hypot(*(grid.center_of(inside) - (x, y)).T) > 1.0]
     start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
     path = maps.slam("turtlebot3_house", spec.name)
     case = Case(name, seed, shut, spec, goal_request(seed, path, start, goal))
@@ -153,8 +141,3 @@ def _wall_across_the_ring(rng: np.random.Generator) -> Solid:
     """From the pillars to the arena's wall, between two waypoints: the other way round is left."""
     x, y = (float(rng.choice([-1.0, 1.0])) * part for part in (0.75, 1.8))
     return box("shut_ring", (x, y), (0.1, 1.5), 0.0, (0.0, 0.5))
-
-
-def _sides(grid: OccupancyGrid, cells: np.ndarray, x: float) -> tuple[np.ndarray, np.ndarray]:
-    at = grid.center_of(cells)[:, 0]
-    return at < x - 0.4, at > x + 0.4

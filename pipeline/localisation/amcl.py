@@ -28,6 +28,8 @@ NOMINAL_AGREEMENT = 0.8
 LEAST_STRANGERS, MOST_STRANGERS = 0.25, 0.5
 # A place found by a search must explain so much more of the scan than where the robot seems to be.
 BETTER_BY = 0.1
+# A place found far away must explain so much more of the scan than one near by.
+NEARER_BY = 0.05
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 
@@ -260,16 +262,28 @@ class Amcl:
         self._weights = np.full(len(kept), 1.0 / len(kept))
 
     def _found(self, share: float, beams: Beams) -> Array | None:
-        """Poses from a search, in random order; None when they explain the scan hardly better than we do."""
+        """Poses from a search, in random order; None when they explain the scan hardly better than we do.
+
+        The neighbourhood goes first: wheels slip more often than robots are carried off, and many a
+        building has a far place that looks as this one does.
+        """
         c = self.config
-        found = self._search.draw(int(share * c.max_particles) + 1, beams, self._rng)
+        count = int(share * c.max_particles) + 1
         if self._T_map_odom is None or self._T_odom_base is None or self._fast == 0.0:
-            return found
-        weights = np.full(len(found), 1.0 / len(found))
-        there = main_cluster(found, weights, c.kld_bin_xy, c.kld_bin_yaw).T_map_base
+            return self._search.draw(count, beams, self._rng)
         here = self._T_map_odom @ self._T_odom_base
-        better = self._search.agreement(there.xyt, beams) - self._search.agreement(here.xyt, beams)
-        return found if better > BETTER_BY else None
+        near = self._search.draw(count, beams, self._rng, here.xyt)
+        far = self._search.draw(count, beams, self._rng)
+        gain_near, gain_far = (self._agreement_of(found, beams) for found in (near, far))
+        found, gain = (near, gain_near) if gain_near > gain_far - NEARER_BY else (far, gain_far)
+        return found if gain > self._search.agreement(here.xyt, beams) + BETTER_BY else None
+
+    def _agreement_of(self, poses: Array, beams: Beams) -> float:
+        """Agreement of scan and map at the main cluster of equally likely poses (n, 3)."""
+        c = self.config
+        weights = np.full(len(poses), 1.0 / len(poses))
+        there = main_cluster(poses, weights, c.kld_bin_xy, c.kld_bin_yaw).T_map_base
+        return self._search.agreement(there.xyt, beams)
 
     def _estimate_pose(self, beams: Beams, T_base_odom: SE2) -> None:
         self._estimate = main_cluster(

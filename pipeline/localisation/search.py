@@ -24,6 +24,8 @@ from pipeline.localisation.sampling import effective_size, low_variance
 # Shaking after each stage: standard deviations [m, m, rad], and the particles left for the next.
 STAGES = ((0.10, 0.10), (0.05, 0.05), (0.03, 0.03))
 STAGE_PARTICLES = 3000
+# Standard deviations of a search about a pose [m, m, rad].
+AROUND = (0.4, 0.4, 0.35)
 # Each weighing is flattened until this share of the candidates still counts.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
@@ -60,9 +62,12 @@ class GlobalSearch:
         best = np.where(np.arange(len(p)) < min(len(beams), MOST_AGREEING), sum(self._noise[1:]), P_SILENT)
         return float(np.mean(p / best)) if len(p) else 0.0
 
-    def draw(self, count: int, beams: Beams, rng: np.random.Generator) -> Array:
-        """`count` poses, (count, 3), likely by this scan alone."""
-        poses = self._free.sample(self._candidates, rng)
+    def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
+        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
+        if around is None:
+            poses = self._free.sample(self._candidates, rng)
+        else:
+            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
         for shake_xy, shake_yaw in STAGES:
             weights = tempered(self._score(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]

@@ -55,6 +55,8 @@ class NavigateConfig(BaseModel):
     dwa: DwaConfig = DwaConfig()
     pursuit: PursuitConfig = PursuitConfig()
     monitor: MonitorConfig = MonitorConfig()
+    wary: MonitorConfig = MonitorConfig(padding=0.25)
+    """The same for things that move, which come nearer while the robot brakes."""
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     wiggle: WiggleConfig = WiggleConfig()

@@ -23,6 +23,8 @@ LOOK_AHEAD_M = 2.5
 TIGHT_M = 0.02
 """A path along which the footprint comes this near to something counts as blocked."""
 
+NOTHING = np.zeros((0, 2))
+
 
 @dataclass(frozen=True, eq=False)
 class Tools:
@@ -31,6 +33,8 @@ class Tools:
     model: RobotModel
     controller: Controller
     monitor: CollisionMonitor
+    wary: CollisionMonitor
+    """The monitor for things that move: it keeps farther off."""
     live: LiveLayer
     plan: PlanConfig
     checker: GoalCheckerConfig
@@ -64,13 +68,25 @@ class GoalRunner:
         self._held_ns = 0
         self._driven = 0.0
         self._at: SE2 | None = None
+        self._points = self._moving = NOTHING
         self._samples = sample_footprint(tools.model, 0.03)
         self._trouble = ""
 
     def step(
-        self, now_ns: int, pose: SE2, measured: Twist, last: Twist, points_base: Array, new_sweep: bool
+        self,
+        now_ns: int,
+        pose: SE2,
+        measured: Twist,
+        last: Twist,
+        points_base: Array,
+        new_sweep: bool,
+        moving_base: Array = NOTHING,
     ) -> tuple[Twist, Verdict | None]:
-        """The next command, and the verdict when the pursuit is over."""
+        """The next command, and the verdict when the pursuit is over.
+
+        `points_base` (n, 2) are all points seen, `moving_base` those of things that move.
+        """
+        self._points, self._moving = points_base, moving_base
         self._note_progress(pose)
         if self._checker.reached(now_ns, pose, measured):
             return self.tools.controller.brake(last), Verdict("reached")
@@ -78,7 +94,7 @@ class GoalRunner:
             wanted = self._manoeuvre.command(now_ns, pose)
             if wanted is not None:
                 self.state = self._manoeuvre.name
-                return self._guarded(wanted, last, pose, points_base), None
+                return self._guarded(wanted, last, pose), None
             self._manoeuvre, self._path = None, None
             self._watch.reset()
         if self._path is None or (new_sweep and self._blocked(now_ns, pose)):
@@ -87,7 +103,7 @@ class GoalRunner:
                 return self.tools.controller.brake(last), verdict
         wanted = self.tools.controller.command(pose, last, self.tools.live.costmap)
         self.state = self.tools.controller.state
-        command = self._guarded(wanted, last, pose, points_base)
+        command = self._guarded(wanted, last, pose)
         return command, self._held_up(now_ns, pose, wanted, command)
 
     def rest(self) -> None:
@@ -148,20 +164,28 @@ class GoalRunner:
         )
         return bool(clearance < TIGHT_M)
 
-    def _guarded(self, wanted: Twist, last: Twist, pose: SE2, points_base: Array) -> Twist:
+    def _guarded(self, wanted: Twist, last: Twist, pose: SE2) -> Twist:
         """The command that the collision monitor lets pass."""
+        factor = self._passed(wanted, pose)
+        if factor >= 1.0:
+            return wanted
+        self.state = "held" if factor == 0.0 else self.state
+        return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), last)
+
+    def _passed(self, wanted: Twist, pose: SE2) -> float:
+        """Factor 0..1 for a command, by the points seen and by the map."""
         monitor, costmap = self.tools.monitor, self.tools.live.static
-        factor = monitor.limit(wanted, points_base)
+        factor = min(
+            monitor.limit(wanted, self._points),
+            self.tools.wary.limit(wanted, self._moving) if len(self._moving) else 1.0,
+        )
         if factor > 0.0:
             x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
             factor = min(
                 factor,
                 monitor.limit_on_map(wanted, costmap.clearance, costmap.resolution, x, y, yaw),
             )
-        if factor >= 1.0:
-            return wanted
-        self.state = "held" if factor == 0.0 else self.state
-        return self.tools.controller.ramp(Twist(wanted.v * factor, wanted.w * factor), last)
+        return factor
 
     def _held_up(self, now_ns: int, pose: SE2, wanted: Twist, command: Twist) -> Verdict | None:
         """Recovery when the monitor holds the robot, or when it does not get on."""
@@ -175,7 +199,7 @@ class GoalRunner:
     def _recover(self, now_ns: int, pose: SE2, trouble: str) -> Verdict | None:
         self._watch.reset()
         self._driven = 0.0
-        self._manoeuvre = self._ladder.climb(now_ns, pose)
+        self._manoeuvre = self._ladder.climb(now_ns, pose, lambda t: self._passed(t, pose) > 0.5)
         if self._manoeuvre is None:
             return Verdict("unreachable", f"{trouble}; given up after {self._ladder.used} recoveries")
         return None

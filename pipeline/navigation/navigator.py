@@ -9,6 +9,7 @@ from datasets.se2 import SE2
 from datasets.types import Observation, Twist
 from pipeline.navigation.goal_runner import GoalRunner, Tools
 from pipeline.navigation.localiser import Localiser, Publisher
+from pipeline.navigation.moving import MovingWatch
 from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing, Sight
 from planners.global_plan import fits
@@ -52,6 +53,7 @@ class NavigationDriver:
         self._now = 0
         self._wiggle, self._seeker = wiggle, seeker
         self._seen_ns = -(10**9)
+        self._moving = MovingWatch()
         self._heard_ns: int | None = None
         self._doubted, self._seeking = 0, False
         self._goal: SE2 | None = None
@@ -64,6 +66,8 @@ class NavigationDriver:
         if self.localiser is not None and not self.localiser.amcl.initialised:
             self.sequence.reject_all("no initial pose", now)
             return self._stop("no_pose", finished=True)
+        if sight is not None and self.localiser is not None:
+            self._moving.observe(sight)
         if self._blind(now, sight):
             return self._wait_for_sight(now)
         if self._wiggle is not None and self.localiser is not None:
@@ -192,7 +196,8 @@ class NavigationDriver:
     def _pursue(self, runner: GoalRunner, observation: Observation, pose: SE2, new_sweep: bool) -> Twist:
         now, odometry = observation.stamp_ns, observation.odometry
         points = self.sensing.points_base(odometry.T_odom_base)
-        self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep)
+        moving = self._moving.points_base(odometry.T_odom_base)
+        self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep, moving)
         self.state = runner.state
         if verdict is not None and verdict.status == "unreachable" and self._suspect(now):
             self._forget()

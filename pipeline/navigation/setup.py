@@ -217,6 +217,7 @@ def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap, live:
         model=robot.model,
         controller=make_controller(robot, config),
         monitor=CollisionMonitor(robot.model, config.monitor),
+        wary=CollisionMonitor(robot.model, config.wary),
         live=LiveLayer(costmap, live),
         plan=config.plan,
         checker=config.goal_checker,

@@ -36,6 +36,8 @@ class RecoveryConfig(BaseModel):
         Rung(kind="rotate", amount=1.6),
         Rung(kind="back_up", amount=0.3),
         Rung(kind="wait", amount=8.0),
+        Rung(kind="rotate", amount=1.6),
+        Rung(kind="wait", amount=15.0),
     )
     total: int = Field(default=20, ge=0)
     """Manoeuvres for one goal altogether; then it is given up."""
@@ -103,8 +105,14 @@ class Ladder:
         """Things go well again: start from the foot at the next trouble."""
         self._rung = 0
 
-    def climb(self, now_ns: int, pose: SE2) -> Manoeuvre | None:
-        """The next manoeuvre; None when there is none left."""
+    def climb(
+        self, now_ns: int, pose: SE2, possible: Callable[[Twist], bool] = lambda twist: True
+    ) -> Manoeuvre | None:
+        """The next manoeuvre; None when there is none left.
+
+        `possible` says of a twist whether the robot may move so: when backing up or turning one way is
+        not, it tries the opposite, and waits a little when that is not either.
+        """
         if self._rung >= len(self.config.ladder) or self.used >= self.config.total:
             return None
         rung = self.config.ladder[self._rung]
@@ -115,14 +123,21 @@ class Ladder:
         if rung.kind == "clear":
             self._clear()
             return Wait(now_ns + 300_000_000, "recover_clear")
+        return self._move(rung, now_ns, pose, possible)
+
+    def _move(self, rung: Rung, now_ns: int, pose: SE2, possible: Callable[[Twist], bool]) -> Manoeuvre:
         if rung.kind == "back_up":
-            twist = Twist(-self.config.back_up_v, 0.0)
-            limit = now_ns + round((rung.amount / self.config.back_up_v + 1.0) * 1e9)
-            return Move(pose, twist, rung.amount, limit, "recover_back_up")
-        sign = 1.0 if self.used % 2 else -1.0
-        amount = min(rung.amount, math.pi - 0.1)
-        limit = now_ns + round((amount / self.config.rotate_w + 1.0) * 1e9)
-        return Move(pose, Twist(0.0, sign * self.config.rotate_w), amount, limit, "recover_rotate")
+            speed, amount = self.config.back_up_v, rung.amount
+            ways = {"recover_back_up": Twist(-speed, 0.0), "recover_go_on": Twist(speed, 0.0)}
+        else:
+            speed, amount = self.config.rotate_w, min(rung.amount, math.pi - 0.1)
+            first = speed if self.used % 2 else -speed
+            ways = {"recover_rotate": Twist(0.0, first), "recover_rotate_back": Twist(0.0, -first)}
+        limit = now_ns + round((amount / speed + 1.0) * 1e9)
+        for name, twist in ways.items():
+            if possible(twist):
+                return Move(pose, twist, amount, limit, name)
+        return Wait(now_ns + 2 * 10**9)
 
 
 class ProgressWatch:
