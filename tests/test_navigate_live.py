@@ -55,7 +55,7 @@ def test_beams_that_pass_clear_and_time_forgets():
 
 def test_the_ladder_is_bounded_and_starts_again_after_progress():
     cleared = []
-    config = RecoveryConfig(total=9)
+    config = RecoveryConfig(total=11)
     ladder = Ladder(config, lambda: cleared.append(1))
     pose = SE2.identity()
     names = [ladder.climb(0, pose).name for _ in config.ladder]

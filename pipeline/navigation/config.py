@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.localisation.parameters import AmclConfig
 from pipeline.navigation.explore import ExploreConfig
+from pipeline.navigation.moving import WaryConfig
 from pipeline.navigation.takeover import TakeoverConfig
 from planners.control.dwa import DwaConfig
 from planners.control.goal_checker import GoalCheckerConfig
@@ -55,8 +56,7 @@ class NavigateConfig(BaseModel):
     dwa: DwaConfig = DwaConfig()
     pursuit: PursuitConfig = PursuitConfig()
     monitor: MonitorConfig = MonitorConfig()
-    wary: MonitorConfig = MonitorConfig(padding=0.25)
-    """The same for things that move, which come nearer while the robot brakes."""
+    wary: WaryConfig = WaryConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     wiggle: WiggleConfig = WiggleConfig()

@@ -9,6 +9,7 @@ import numpy as np
 
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel, Twist
+from pipeline.navigation.moving import Wary
 from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from planners.control.interface import Controller
 from planners.control.monitor import CollisionMonitor
@@ -33,8 +34,7 @@ class Tools:
     model: RobotModel
     controller: Controller
     monitor: CollisionMonitor
-    wary: CollisionMonitor
-    """The monitor for things that move: it keeps farther off."""
+    wary: Wary
     live: LiveLayer
     plan: PlanConfig
     checker: GoalCheckerConfig
@@ -175,10 +175,9 @@ class GoalRunner:
     def _passed(self, wanted: Twist, pose: SE2) -> float:
         """Factor 0..1 for a command, by the points seen and by the map."""
         monitor, costmap = self.tools.monitor, self.tools.live.static
-        factor = min(
-            monitor.limit(wanted, self._points),
-            self.tools.wary.limit(wanted, self._moving) if len(self._moving) else 1.0,
-        )
+        if self.tools.wary.holds(self._moving):
+            return 0.0
+        factor = monitor.limit(wanted, self._points)
         if factor > 0.0:
             x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
             factor = min(

@@ -1,4 +1,4 @@
-"""Which of the points seen now are of things that move: where they are, a sweep before saw through."""
+"""Things that move: which of the points seen now are of such, and when to stand still for them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections import deque
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
+from datasets.types import RobotModel
 from pipeline.navigation.sensing import Sight
+from planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
@@ -22,8 +25,28 @@ COMPANY, COMPANY_M = 3, 0.2
 """A moving point has so many others near it: one alone is noise."""
 
 
+class WaryConfig(BaseModel):
+    """Metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    padding: float = Field(default=0.35, ge=0.0)
+    """Something that moves within so much of the footprint stops the robot, wherever it is going: at
+    0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""
+
+
+class Wary:
+    """Stands still for what moves near by: who walks into a robot sees it, who is run over may not."""
+
+    def __init__(self, model: RobotModel, config: WaryConfig) -> None:
+        self._footprint = padded(model.footprint, config.padding)
+
+    def holds(self, moving_base: Array) -> bool:
+        """Whether one of the moving points (n, 2), in the base frame, is that near."""
+        return any(depth_inside(self._footprint, x, y) > 0.0 for x, y in moving_base)
+
+
 class MovingWatch:
-    """Compares each sweep with one a little older."""
+    """Points that moved: where they are now, a sweep a little older saw through."""
 
     def __init__(self) -> None:
         self.points_odom = np.zeros((0, 2))

@@ -22,6 +22,7 @@ from pipeline.navigation.driver import Driver
 from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.goal_runner import Tools
 from pipeline.navigation.localiser import Localiser
+from pipeline.navigation.moving import Wary
 from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.recorder import Bag
@@ -217,7 +218,7 @@ def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap, live:
         model=robot.model,
         controller=make_controller(robot, config),
         monitor=CollisionMonitor(robot.model, config.monitor),
-        wary=CollisionMonitor(robot.model, config.wary),
+        wary=Wary(robot.model, config.wary),
         live=LiveLayer(costmap, live),
         plan=config.plan,
         checker=config.goal_checker,
