@@ -50,7 +50,9 @@ class LoopConfig(BaseModel):
         default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
     )
     inflation: float = Field(default=50.0, gt=0.0)
-    open3d: bool = Field(default=True, description="ask Open3D's ICP about loops that are in doubt")
+    open3d: bool = Field(
+        default=True, description="align loops without surfaces by Open3D's ICP, and ask it where in doubt"
+    )
     doubtful_gate_m: float = Field(
         default=2.0, ge=0.0, description="found in a wider gate than this, or with a rival: in doubt"
     )
@@ -196,7 +198,7 @@ class LoopFinder:
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
-        by_points = self.clouds.placed_by(int(self.keys[i])) == "points"
+        by_points = config.open3d and self.clouds.placed_by(int(self.keys[i])) == "points"
         if by_points:
             result = self._aligned_by_points(query, to_i, place, to_j, fine)
         else:

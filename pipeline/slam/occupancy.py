@@ -33,6 +33,12 @@ class OccupancyConfig(BaseModel):
         default=0.25, gt=0.0, lt=1.0, description="of the beams that met a cell, returned by it: occupied"
     )
     min_hits: int = Field(default=2, ge=1, description="returns that make a cell occupied")
+    behind_share: float = Field(
+        default=0.5, ge=0.0, le=1.0, description="of the hits of the wall before it: less is overshoot"
+    )
+    before_share: float = Field(
+        default=0.25, ge=0.0, le=1.0, description="of the hits of the wall behind it: less fell short"
+    )
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
     clear_without_return: bool = True
     no_return_m: float = Field(
@@ -96,7 +102,57 @@ def classify(
     cells = np.full(hits.shape, UNKNOWN, dtype=np.int8)
     cells[misses > 0] = FREE
     cells[(hits >= config.min_hits) & (hits >= config.occupied_share * seen)] = OCCUPIED
-    return cells
+    return thinned(cells, hits, config.behind_share, config.before_share)
+
+
+@njit(cache=True)
+def thinned(
+    cells: NDArray[np.int8], hits: NDArray[np.uint16], behind: float, before: float
+) -> NDArray[np.int8]:
+    """Walls as thin as the range noise allows: of two occupied cells one behind the other the weaker goes.
+
+    A cell behind a wall (no free neighbour) becomes unknown when a neighbour that does face free space
+    was hit more than 1 / `behind` times as often: its hits overshot. A cell that faces free space becomes
+    free when the occupied one right behind it was hit more than 1 / `before` times as often: its hits
+    fell short. Where both are hit alike the surface lies on their border, and both stay.
+    """
+    rows, cols = cells.shape
+    out = cells.copy()
+    for row in range(rows):
+        for col in range(cols):
+            if cells[row, col] != OCCUPIED or _beside(cells, row, col, FREE):
+                continue
+            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                r, c = row + dr, col + dc
+                if not (0 <= r < rows and 0 <= c < cols) or cells[r, c] != OCCUPIED:
+                    continue
+                if hits[row, col] < behind * hits[r, c] and _beside(cells, r, c, FREE):
+                    out[row, col] = UNKNOWN
+    kept = out.copy()
+    for row in range(1, rows - 1):
+        for col in range(1, cols - 1):
+            # what stands beside the unknown closes the wall: it stays
+            if kept[row, col] != OCCUPIED or _beside(kept, row, col, UNKNOWN):
+                continue
+            for dr, dc in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                r, c = row + dr, col + dc
+                if cells[row - dr, col - dc] != FREE or kept[r, c] != OCCUPIED:
+                    continue
+                if hits[row, col] < before * hits[r, c]:
+                    out[row, col] = FREE
+    return out
+
+
+@njit(cache=True)
+def _beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
+    """Whether one of the four neighbours is `what`."""
+    rows, cols = cells.shape
+    return (
+        (row > 0 and cells[row - 1, col] == what)
+        or (row < rows - 1 and cells[row + 1, col] == what)
+        or (col > 0 and cells[row, col - 1] == what)
+        or (col < cols - 1 and cells[row, col + 1] == what)
+    )
 
 
 def _trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:

@@ -39,6 +39,7 @@ class RefineConfig(BaseModel):
     soft: float = Field(
         default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
     )
+    open3d: bool = Field(default=True, description="match pairs without surfaces by Open3D's ICP")
     inflation: float = Field(default=4.0, gt=0.0, description="how much a pair's information is divided by")
 
 
@@ -102,7 +103,9 @@ def pair_constraints(
     config: RefineConfig,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
-    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
+    relative, information, overlap = match_pairs(
+        clouds, keys, T_map_keys, pairs, gate, sigma, by_points=config.open3d
+    )
     return [
         Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
         for k, (i, j) in enumerate(pairs)
@@ -117,6 +120,8 @@ def match_pairs(
     pairs: NDArray[np.int64],
     gate: float,
     sigma: float,
+    *,
+    by_points: bool = True,
 ) -> tuple[Array, Array, Array]:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
@@ -127,8 +132,8 @@ def match_pairs(
         len(pairs),
     )  # fmt: skip
     relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
-    by_points = np.array([clouds.placed_by(int(key)) == "points" for key in keys])
-    both = np.flatnonzero(by_points[pairs[:, 0]] & by_points[pairs[:, 1]])
+    bare = np.array([by_points and clouds.placed_by(int(key)) == "points" for key in keys])
+    both = np.flatnonzero(bare[pairs[:, 0]] & bare[pairs[:, 1]])
     if len(both) > 0:
         icp, start = IcpCheck(), (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
         for k in both:
