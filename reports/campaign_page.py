@@ -26,9 +26,10 @@ def draw_campaign(
     names: Names,
     album: Album,
 ) -> None:
-    """Draw the figures a campaign asks for: mappings of x, y, lines, panels, title, log."""
+    """Draw the figures a campaign asks for: mappings of x, y, lines, panels, title, unit, log."""
     for number, wish in enumerate(figures, start=1):
         label, unit = names[wish["y"]]
+        unit = wish["unit"] or unit
         options = {key: wish[key] for key in ("lines", "panels", "log")}
         drawing = partial(
             result_over_factor, rows, wish["x"], wish["y"], label=label, unit=unit, seed=seed, **options

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import get_args
 
 import yaml
 from fuzz_inputs import broken, tree_broken
 
 from pipeline.cli import main
+from planners.ompl_planner import PlannerName
 
 SIM = Path(__file__).parents[1] / "sim"
 ROOM = """\
@@ -30,6 +32,8 @@ movers:
 """
 SHORT = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[0.3, 0.05]]}\n  - {turn_deg: 20}\n"
 POINTS = "waypoints:\n  - {x: 0.3, y: 0.0, yaw: 0.0}\n  - {x: 0.3, y: 0.1, quaternion: [0, 0, 0, 1]}\n"
+TAKEN = "- {begin: 0.5, end: 1.0, v: 0.1, w: 0.0}\n- {begin: 1.2, end: 1.4, v: 0.0, w: 0.5}\n"
+KEPT = "keepout:\n  - [[1.0, 1.0], [1.2, 1.0], [1.2, 1.2]]\n  - [[-1.2, -1.0], [-1.0, -1.0], [-1.0, -1.2]]\n"
 SDF = """\
 <sdf version='1.6'><world name='w'>
 <model name='a'><pose>1 0 0.25 0 0 0.2</pose><static>1</static><link name='l'><pose>0 0 0 0 0 0.1</pose>
@@ -72,6 +76,7 @@ def make_chain(folder):
     """Good inputs: files, and the outputs record, map, run and report made of them."""
     for name, text in {
         "room.yaml": ROOM, "short.yaml": SHORT, "points.yaml": POINTS, "w.world": SDF, "sweep.yaml": SWEEP,
+        "taken.yaml": TAKEN, "kept.yaml": KEPT,
         "drive.log": carmen_log(), "true.relations": "1.2 5.2 0.4 0 0 0 0 0\n3.2 8.2 0.5 0 0 0 0 0\n",
     }.items():  # fmt: skip
         (folder / name).write_text(text)
@@ -84,6 +89,8 @@ def make_chain(folder):
         ["navigate", *world, *patrol, "--map", f"{folder}/map/map.yaml", "--out", f"{folder}/run"],
         ["report", "--no-animation", *(f"{folder}/{s}" for s in ("record", "map", "run")),
          "--out", f"{folder}/report"],
+        ["plan", "--map", f"{folder}/map/map.yaml", "--start=0,0,0", "--goal=0.5,0,0",
+         "--out", f"{folder}/plan"],
     ):  # fmt: skip
         assert main([words[0], "-q", *words[1:]]) in (0, 1)
     return folder
@@ -193,9 +200,59 @@ def _truth(rng, chain, scratch):
 def _goal(rng, chain, scratch):
     if rng.random() < 0.7:
         return _navigate(chain, "goal", "--goal=0.4,0,0", map=_map_file(rng, chain, scratch))
-    values = rng.choices(["0", "0.4", "-0.0", "1e300", "1e9", "-3", "inf", "nan", "", "x", "1e-320"], k=3)
+    values = rng.choices(POSES, k=3)
     option = rng.choice(["--goal", "--start", "--initial-pose"])
     return _navigate(chain, "goal", "--goal=0.4,0,0", f"{option}={','.join(values)}")
+
+
+POSES = ["0", "0.4", "-0.4", "0.1", "-0.0", "1e300", "1e9", "-3", "inf", "nan", "", "x", "1e-320"]
+
+
+def _plan(rng, chain, scratch):
+    """A broken map, robot, setting or pose, or any planner on good ones."""
+    given = {"map": chain / "map" / "map.yaml", "robot": chain / "burger.yaml", "seed": "1"}
+    what, more = rng.randrange(6), []
+    given |= {"start": "0,0,0", "goal": "0.5,-0.3,1"}
+    if what < 2:
+        given["map"] = _map_file(rng, chain, scratch)
+    elif what == 2:
+        given["robot"] = _file(rng, chain, scratch, "burger.yaml")
+    elif what == 3:
+        given[rng.choice(["start", "goal"])] = ",".join(rng.choices(POSES, k=rng.choice([3, 3, 3, 2, 4])))
+    elif what == 4:
+        more = _config(rng, chain, scratch, "plan")
+    else:
+        given["seed"] = rng.choice(["0", "-1", "x", "99999999999999999999", "1e3"])
+        more = ["--planner", rng.choice([*get_args(PlannerName), "Dijkstra", ""])]
+    return ["plan", "-q", *(f"--{key}={value}" for key, value in given.items()), *more]
+
+
+def _clutter(rng, chain, scratch):
+    seed = rng.choice(["3", "", "-1", "x", "1e3", "9" * 30])
+    pairs = [
+        f"{rng.choice(['boxes', 'movers', 'cars', ''])}={rng.choice(['0', '1', '2', '-1', '99', 'x', ''])}"
+    ]
+    return _record(
+        chain, world=f"{chain}/room.yaml+clutter:{','.join([seed, *pairs][: rng.choice([1, 2, 2])])}"
+    )
+
+
+def _session(rng, chain, scratch):
+    """Options of `map` that take other inputs or poses."""
+    if rng.random() < 0.5:
+        return ["map", "-q", chain / "record", "--also", _bag(rng, chain, scratch)]
+    return ["map", "-q", chain / "record", f"--laser={','.join(rng.choices(POSES, k=3))}"]
+
+
+def _blame(rng, chain, scratch):
+    _copy(chain, scratch, "record")
+    files = ["bag/bag_0.mcap", "truth/trajectory.tum", "truth/map.yaml", "config.yaml", "manifest.json"]
+    if rng.random() < 0.8:
+        broken(rng, scratch / "record" / rng.choice(files))
+    parts = rng.choice(
+        ["none", "odometry,deskew", "front_end", "loops", "poses", "localisation", "luck", ",", ""]
+    )
+    return ["blame", "-q", scratch / "record", "--replace", parts]
 
 
 def _stage_folder(rng, chain, scratch):
@@ -248,5 +305,11 @@ CASES = {
     "relations": _relations,
     "truth": _truth,
     "stage folders": _stage_folder,
+    "plan": _plan,
+    "clutter": _clutter,
+    "sessions and laser": _session,
+    "blame": _blame,
+    "takeover": lambda *a: _navigate(a[1], "avoid", f"--takeover={_file(*a, 'taken.yaml')}", "--duration=2"),
+    "keepout": lambda *a: _navigate(a[1], "goal", "--goal=0.3,0.1,0", keepout=_file(*a, "kept.yaml")),
     "sweep": lambda *a: ["sweep", "-q", _file(*a, "sweep.yaml"), "--workers", "1"],
 }

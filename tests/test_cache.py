@@ -110,6 +110,21 @@ def test_a_damaged_entry_is_made_again(tmp_path, damage):
     assert entry.read_bytes() == whole
 
 
+def test_a_map_of_broken_entries_is_the_map(log, tmp_path):
+    plain = everything(run_slam(log, SlamConfig()))
+    rng = np.random.default_rng(3)
+    for turn in range(2):
+        run_slam(log, SlamConfig(), cache=StageCache(tmp_path / f"{turn}"))
+        entries = sorted((tmp_path / f"{turn}").iterdir())
+        for entry in entries[turn::2]:
+            content = bytearray(entry.read_bytes())
+            content[int(rng.integers(len(content)))] ^= 1 << int(rng.integers(8))
+            entry.write_bytes(content)
+        cache = StageCache(tmp_path / f"{turn}")
+        assert everything(run_slam(log, SlamConfig(), cache=cache)) == plain
+        assert len(cache.made) == len(entries[turn::2])
+
+
 def test_an_entry_under_another_name_is_no_entry(tmp_path):
     cache = StageCache(tmp_path)
     for number in (1, 2):

@@ -18,7 +18,7 @@ from datasets.yaml_files import parsed
 from planners.tasks.waypoints import parse_waypoints
 from sim.worlds import load_world
 
-TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8}
+TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "blame": 6}
 """Variants of a case; the slower ones are fewer."""
 
 
@@ -46,7 +46,20 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
 
 
 @pytest.mark.parametrize(
-    "case", ["world", "robot", "teleop", "waypoints", "bag to map", "log", "relations", "truth", "sweep"]
+    "case",
+    [
+        "world",
+        "robot",
+        "teleop",
+        "waypoints",
+        "bag to map",
+        "log",
+        "relations",
+        "truth",
+        "sweep",
+        "takeover",
+        "keepout",
+    ],
 )
 def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path, case):
     """Else the variants above might all be refused for something that nobody broke."""

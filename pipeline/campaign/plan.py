@@ -58,15 +58,20 @@ class Result(BaseModel):
 
     @model_validator(mode="after")
     def _unit_is_known(self) -> Result:
-        if self.unit not in DISPLAY:
-            raise ValueError(f"unit {self.unit}: known are {', '.join(DISPLAY)}")
+        _check_unit(self.unit)
         return self
+
+
+def _check_unit(unit: str) -> None:
+    if unit not in DISPLAY:
+        raise ValueError(f"unit {unit}: known are {', '.join(DISPLAY)}")
 
 
 class Figure(BaseModel):
     """One figure: result `y` over factor `x`, intervals by bootstrap.
 
-    One line for each level of `lines`, in one panel for each level of `panels`.
+    One line for each level of `lines`, in one panel for each level of `panels`; `unit`: other than the
+    result's own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -75,6 +80,7 @@ class Figure(BaseModel):
     lines: str | None = None
     panels: str | None = None
     title: str = ""
+    unit: str | None = None
     log: bool = False
 
 
@@ -125,6 +131,8 @@ class Campaign(BaseModel):
         for figure in self.figures:
             if figure.y not in self.results:
                 raise ValueError(f"{figure.y} is no result of this campaign")
+            if figure.unit is not None:
+                _check_unit(figure.unit)
         return self
 
 
