@@ -258,6 +258,29 @@ def without(log: Log, start: float, length: float) -> Log:
     return _kept(log, ~_interval(log, start, length))
 
 
+def displaced(log: Log, start: float, offset: tuple[float, float, float]) -> Log:
+    """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
+    r = log.recording
+    assert r.T_odom_base is not None
+    first = int(np.argmax((r.stamps_ns - r.stamps_ns[0]) * 1e-9 >= start))
+    T_here = r.T_odom_base[first]
+    moved = (T_here @ SE2(np.array(offset)) @ T_here.inverse()) @ r.T_odom_base[first:]
+    xyt = np.concatenate([r.T_odom_base.xyt[:first], moved.xyt])
+    return replace(log, recording=replace(r, T_odom_base=SE2(xyt)))
+
+
+def carried(log: Log, start: float, length: float) -> Log:
+    """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
+    r = log.recording
+    assert r.T_odom_base is not None
+    away = np.flatnonzero(_interval(log, start, length))
+    before, after = r.T_odom_base[away[0]], r.T_odom_base[away[-1] + 1]
+    late = (before @ after.inverse() @ r.T_odom_base[away[-1] + 1 :]).xyt
+    xyt = np.concatenate([r.T_odom_base.xyt[: away[-1] + 1], late])
+    still = replace(log, recording=replace(r, T_odom_base=SE2(xyt)))
+    return without(still, start, length)
+
+
 def blinded(log: Log, start: float, length: float) -> Log:
     """The log with NaN-only scans in an interval."""
     ranges = log.recording.ranges.copy()

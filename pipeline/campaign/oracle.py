@@ -6,7 +6,7 @@ the command `blame` may import it; a test reads every import of the project to m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,12 @@ from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.recorder import Bag
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import Made, Mission, make_driver, prepare
+from pipeline.slam.chain import Chain
+from pipeline.slam.closing import Closed, Progress, close_graph
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.loops import Loop, LoopConfig, close_loops
+from pipeline.slam.loops import LoopConfig
 from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, Steps
 from pipeline.slam.tracking import Track, TrackingConfig, track_log
 from reports.stages import Stage
@@ -70,7 +73,7 @@ def true_steps(T_world_scans: SE2, parts: Collection[str]) -> Steps:
     usual = Steps()
     return Steps(
         front_end=_true_front_end(T_world_scans) if "front_end" in parts else usual.front_end,
-        close_loops=_true_loops(T_world_scans) if "loops" in parts else usual.close_loops,
+        close_graph=_true_loops(T_world_scans) if "loops" in parts else usual.close_graph,
     )
 
 
@@ -83,19 +86,21 @@ def _true_front_end(truth: SE2) -> Callable[..., Track]:
     return front_end
 
 
-def _true_loops(truth: SE2) -> Callable[..., tuple[SE2, list[Constraint], list[Loop]]]:
+def _true_loops(truth: SE2) -> Callable[..., Closed]:
     def closed(
         clouds: Clouds,
         keys: NDArray[np.int64],
         T_map_keys: SE2,
-        steps: Sequence[Constraint],
-        config: LoopConfig,
-        batches: Iterable[int],
-    ) -> tuple[SE2, list[Constraint], list[Loop]]:
-        _, _, record = close_loops(clouds, keys, T_map_keys, steps, config, batches)
+        chain: Chain,
+        steps: list[Constraint],
+        configs: tuple[LoopConfig, RecallConfig],
+        progress: Progress,
+    ) -> Closed:
+        found = close_graph(clouds, keys, T_map_keys, chain, steps, configs, progress)
         T = truth[keys]
-        loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in record]
-        return (optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys), loops, record
+        loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in found.record]
+        poses = optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys
+        return replace(found, T_map_keys=poses, steps=steps, loops=loops)
 
     return closed
 

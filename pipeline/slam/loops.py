@@ -85,15 +85,19 @@ def close_loops(
     steps: Sequence[Constraint],
     config: LoopConfig,
     batches: Iterable[int],
-) -> tuple[SE2, list[Constraint], list[Loop]]:
-    """Poses with loops closed, the loop constraints, and the record of all candidates.
+    part: NDArray[np.int64],
+    known: Sequence[Constraint] = (),
+) -> LoopFinder:
+    """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
-    Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
+    Loops are looked for within a part of the log only (`part`, (keys,)): where the chain of poses is
+    broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
+    poses with loops closed, the loop constraints, and the record of all candidates.
     """
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config)
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known)
     for batch in batches:
         finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
-    return SE2(finder.poses), finder.loops, finder.record
+    return finder
 
 
 BATCH = 24
@@ -109,12 +113,14 @@ class LoopFinder:
         T_map_keys: SE2,
         steps: Sequence[Constraint],
         config: LoopConfig,
+        part: NDArray[np.int64],
+        known: Sequence[Constraint] = (),
     ) -> None:
-        self.clouds, self.keys, self.config = clouds, keys, config
+        self.clouds, self.keys, self.config, self.part = clouds, keys, config, part
         self.poses = T_map_keys.xyt.copy()
         self.steps = list(steps)
-        self.loops: list[Constraint] = []
-        self.anchors: list[tuple[int, int]] = []
+        self.loops = list(known)
+        self.anchors = [(loop.i, loop.j) for loop in known]
         self.record: list[Loop] = []
         length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
         self.path = np.concatenate([[0.0], np.cumsum(length)])
@@ -140,7 +146,7 @@ class LoopFinder:
             for loop in accepted
         ]
         n = batch.stop
-        graph = [c for c in self.steps if c.j < n] + self.loops
+        graph = [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n]
         before = self.poses[n - 1].copy()
         self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
         # the keys still to come follow the last one rigidly
@@ -152,7 +158,8 @@ class LoopFinder:
         """The best older place for key i, or None when none is near enough."""
         config = self.config
         spread = self._spread(i)
-        old = np.flatnonzero(self.path[i] - self.path[:i] > config.min_path_m)
+        returned = self.path[i] - self.path[:i] > config.min_path_m
+        old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
         if len(old) == 0:
             return None
         gates = np.minimum(config.gate_m + config.drift_per_m * spread[old], config.max_gate_m)
@@ -172,9 +179,10 @@ class LoopFinder:
         """Shortest path through the graph from key i to each older key [m]: what drift grows with."""
         n = i + 1
         # a loop that is blind in one direction ends no drift
-        rows = [k for k in range(n - 1)] + [i for i, _ in self.anchors]
-        cols = [k + 1 for k in range(n - 1)] + [j for _, j in self.anchors]
-        lengths = list(np.diff(self.path[:n])) + [0.1] * len(self.anchors)
+        anchors = [(j, i) for j, i in self.anchors if max(i, j) < n]
+        rows = [k for k in range(n - 1)] + [i for _, i in anchors]
+        cols = [k + 1 for k in range(n - 1)] + [j for j, _ in anchors]
+        lengths = list(np.diff(self.path[:n])) + [0.1] * len(anchors)
         graph = coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
         return dijkstra(graph, directed=False, indices=i)
 

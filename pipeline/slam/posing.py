@@ -31,8 +31,12 @@ class PosingConfig(BaseModel):
     max_shift_m: float = Field(default=0.1, gt=0.0, description="a larger correction is not believed")
 
 
-def carried_poses(track: Track, T_map_keys: SE2) -> SE2:
-    """Each scan carried by the key scans before and after it, the correction blended between them."""
+def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2:
+    """Each scan carried by the key scans before and after it, the correction blended between them.
+
+    Across `gaps` (n, 2), last scan before and first scan after each, nothing is known of the motion: up to
+    there the key before alone carries, from there on the key after.
+    """
     keys = track.keys
     scans = np.arange(len(track.T_track_base))
     before = np.searchsorted(keys, scans, side="right") - 1
@@ -41,12 +45,17 @@ def carried_poses(track: Track, T_map_keys: SE2) -> SE2:
     from_before = T_map_keys[before] @ (T_track[keys[before]].inverse() @ T_track)
     from_after = T_map_keys[after] @ (T_track[keys[after]].inverse() @ T_track)
     fraction = (scans - keys[before]) / np.maximum(keys[after] - keys[before], 1)
+    for last, first in gaps.tolist():
+        within = (before == before[last]) & (scans < keys[after[last]])
+        fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
     return from_before.interpolate(from_after, fraction)
 
 
-def pose_all_scans(clouds: Clouds, track: Track, T_map_keys: SE2, config: PosingConfig) -> SE2:
-    """Poses (n,) of all scans in the map; key scans keep their refined ones."""
-    carried = carried_poses(track, T_map_keys)
+def pose_all_scans(
+    clouds: Clouds, track: Track, T_map_keys: SE2, config: PosingConfig, gaps: NDArray[np.int64]
+) -> SE2:
+    """Poses (n,) of all scans in the map; key scans keep their refined ones. `gaps` as in `carried_poses`."""
+    carried = carried_poses(track, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
         return carried
     poses = carried.xyt.copy()

@@ -72,8 +72,11 @@ class SelfCheck:
         }
 
 
-def check_map(clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckConfig) -> SelfCheck:
-    """Check a finished map."""
+def check_map(
+    clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckConfig, breaks: NDArray[np.int64]
+) -> SelfCheck:
+    """Check a finished map; `breaks` are the scans before which nothing confirms the motion, and that no
+    recognised place joins to the rest."""
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
@@ -100,6 +103,11 @@ def check_map(clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckCo
         )
     if len(lost) > config.max_lost * max(len(track.usable), 1):
         reasons.append(f"{len(lost)} scans fit nothing seen before them (first: scan {lost[0]})")
+    if len(breaks):
+        reasons.append(
+            f"{len(breaks)} breaks where scans are missing and nothing confirms the odometry "
+            f"(first: before scan {breaks[0]}): what follows may lie anywhere"
+        )
     blind = int(np.count_nonzero(~track.usable))
     if blind > 0.1 * len(track.usable):
         reasons.append(f"{blind} scans see no surface")

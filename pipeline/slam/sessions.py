@@ -2,19 +2,63 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import Recording
+from pipeline.slam.chain import Chain
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.consistency import Recognised
+from pipeline.slam.loops import Loop
 from pipeline.slam.pose_graph import Constraint
+from pipeline.slam.posing import carried_poses
 from pipeline.slam.relocate import agreed_place, find_place
 from pipeline.slam.tracking import Track
 
 QUERY_KEYS, QUERIES = 10, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """The graph of a session: key poses, the final constraints, the records of all candidates for loops,
+    and the breaks of the log that nothing mends (keys - 1,)."""
+
+    T_map_keys: SE2
+    constraints: list[Constraint]
+    loops: list[Loop]
+    recognised: list[Recognised]
+    unbridged: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """One recording (or several joined) with its map; `key` is that of its last cached step.
+
+    The clouds are made when a step needs them: none does when all came from the cache. `motion` is the
+    base's during each sweep, None where a sweep is one instant.
+    """
+
+    recording: Recording
+    clouds: Callable[[], Clouds]
+    motion: SE2 | None
+    track: Track
+    chain: Chain
+    graph: Graph
+    key: str
+
+    def carried(self) -> Track:
+        """The track with its poses where the graph has them."""
+        T = carried_poses(self.track, self.graph.T_map_keys, self.chain.gaps)
+        return replace(self.track, T_track_base=T)
+
+    def mended(self) -> Chain:
+        """The chain without the breaks that the graph mended."""
+        return self.chain.bridged(self.graph.unbridged)
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:

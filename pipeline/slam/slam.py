@@ -16,14 +16,20 @@ from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import Recording, Trajectory
 from pipeline.cache import StageCache
+from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
+from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
-from pipeline.slam.loops import BATCH, Loop, LoopConfig, close_loops
+from pipeline.slam.consistency import Recognised
+from pipeline.slam.loops import Loop, LoopConfig
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.pose_graph import Constraint
-from pipeline.slam.posing import PosingConfig, carried_poses, pose_all_scans
+from pipeline.slam.posing import PosingConfig, pose_all_scans
+from pipeline.slam.recall import RecallConfig
 from pipeline.slam.refine import RefineConfig, refine
 from pipeline.slam.selfcheck import SelfCheck, SelfCheckConfig, check_map
 from pipeline.slam.sessions import (
+    Graph,
+    Session,
     border_constraint,
     joined_clouds,
     joined_recording,
@@ -35,8 +41,7 @@ from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning, track_
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
 # Settings that the front end does not read; of all others a change starts it anew.
-LATER = {"loops", "refine", "posing", "self_check", "grid"}
-Progress = Callable[[Iterable[int], str, int], Iterable[int]]
+LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
 
 
 class SlamConfig(BaseModel):
@@ -54,6 +59,7 @@ class SlamConfig(BaseModel):
     )
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
+    recall: RecallConfig = RecallConfig()
     refine: RefineConfig = RefineConfig()
     posing: PosingConfig = PosingConfig()
     self_check: SelfCheckConfig = SelfCheckConfig()
@@ -62,15 +68,37 @@ class SlamConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class SlamResult:
-    """A pose per scan in file order, the grid, and the graph they came from."""
+    """A pose per scan in file order, the grid, and the session they came from."""
 
     trajectory: Trajectory
     grid: OccupancyGrid
-    track: Track
-    T_map_keys: SE2
-    constraints: list[Constraint]
-    loops: list[Loop]
     check: SelfCheck
+    session: Session
+
+    @property
+    def track(self) -> Track:
+        """What the front end saw."""
+        return self.session.track
+
+    @property
+    def T_map_keys(self) -> SE2:
+        """Final poses of the key scans."""
+        return self.session.graph.T_map_keys
+
+    @property
+    def constraints(self) -> list[Constraint]:
+        """Constraints of the final graph."""
+        return self.session.graph.constraints
+
+    @property
+    def loops(self) -> list[Loop]:
+        """Candidates for loops by distance."""
+        return self.session.graph.loops
+
+    @property
+    def recognised(self) -> list[Recognised]:
+        """Candidates for loops by place recognition."""
+        return self.session.graph.recognised
 
     @property
     def keys(self) -> NDArray[np.int64]:
@@ -84,29 +112,12 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
     return items
 
 
-@dataclass(frozen=True, eq=False)
-class _Session:
-    """One recording (or several joined) on its way to a map; `key` is that of its last cached step.
-
-    The clouds are made when a step needs them: none does when all came from the cache.
-    """
-
-    recording: Recording
-    clouds: Callable[[], Clouds]
-    motion: SE2 | None
-    track: Track
-    T_map_keys: SE2
-    constraints: list[Constraint]
-    loops: list[Loop]
-    key: str
-
-
 @dataclass(frozen=True)
 class Steps:
     """Front end and loop closure: the blame study puts the truth in their place."""
 
     front_end: Callable[..., Track] = track_log
-    close_loops: Callable[..., tuple[SE2, list[Constraint], list[Loop]]] = close_loops
+    close_graph: Callable[..., Closed] = close_graph
 
 
 USUAL = Steps()
@@ -138,30 +149,46 @@ def run_slam(
     whose inputs `cache` has seen before are not done again; it knows the usual `steps` only.
     """
     run = _Run(config, progress, cache if cache and steps is USUAL else StageCache(), steps)
-    session = _session(recording, run)
+    return _mapped(_session(recording, run), more, run)
+
+
+def continue_slam(
+    session: Session,
+    more: Sequence[Recording],
+    config: SlamConfig,
+    progress: Progress = no_progress,
+    *,
+    cache: StageCache | None = None,
+) -> SlamResult:
+    """As `run_slam`, from the finished session of an earlier map in place of its recording."""
+    return _mapped(session, more, _Run(config, progress, cache or StageCache(), USUAL))
+
+
+def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
+    """The map of a session and of later recordings joined to it."""
     for other in more:
         session = _joined(session, _session(other, run), run)
-    recording, config = session.recording, _with_sensors(session.recording, config)[1]
+    recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable = min(recording.lidar.range_max, config.usable_range_m)
-    clouds, track, T_map_keys = session.clouds, session.track, session.T_map_keys
+    clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
     poses, key = run.cache.step(
         "scan poses",
         [session.key, config.posing],
-        lambda: pose_all_scans(clouds(), track, T_map_keys, config.posing),
+        lambda: pose_all_scans(clouds(), track, graph.T_map_keys, config.posing, chain.gaps),
     )
     grid, _ = run.cache.step(
         "grid", [key, config.grid], lambda: make_grid(recording, poses, config.grid, usable, session.motion)
     )
+    breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
     check, _ = run.cache.step(
         "self-check",
         [session.key, config.self_check],
-        lambda: check_map(clouds(), track, T_map_keys, config.self_check),
+        lambda: check_map(clouds(), track, graph.T_map_keys, config.self_check, breaks),
     )
-    trajectory = Trajectory(recording.stamps_ns, poses)
-    return SlamResult(trajectory, grid, track, T_map_keys, session.constraints, session.loops, check)
+    return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
 
-def _session(recording: Recording, run: _Run) -> _Session:
+def _session(recording: Recording, run: _Run) -> Session:
     """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
@@ -186,29 +213,29 @@ def _session(recording: Recording, run: _Run) -> _Session:
         )
     clouds = once(lambda: make_clouds(recording, usable, motion))
     track, key = run.cache.step("front end", content, lambda: front_end(clouds()))
-    steps = step_constraints(track, config.tracking)
-    run = replace(run, config=config)
-    return _Session(recording, clouds, motion, track, *_optimised(clouds, track, steps, key, run))
+    chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
+    graph, key = _optimised(clouds, track, chain, steps, key, replace(run, config=config))
+    return Session(recording, clouds, motion, track, chain, graph, key)
 
 
-def _joined(a: _Session, b: _Session, run: _Run) -> _Session:
+def _joined(a: Session, b: Session, run: _Run) -> Session:
     """Session `b` found in the map of `a`, and both optimised as one graph."""
-    track_a = replace(a.track, T_track_base=carried_poses(a.track, a.T_map_keys))
-    track_b = replace(b.track, T_track_base=carried_poses(b.track, b.T_map_keys))
+    track_a, track_b, T_map_keys = a.carried(), b.carried(), a.graph.T_map_keys
     recording = joined_recording([a.recording, b.recording])
     clouds = once(lambda: joined_clouds([a.clouds(), b.clouds()]))
     T_map_b, key = run.cache.step(
-        "joining", [a.key, b.key], lambda: place_of(clouds(), track_a, a.T_map_keys, track_b)
+        "joining", [a.key, b.key], lambda: place_of(clouds(), track_a, T_map_keys, track_b)
     )
     if T_map_b is None:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
-    border = border_constraint(track_a, a.T_map_keys, T_map_b, track_b)
+    border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
     steps = [c for c in step_constraints(track, run.config.tracking) if c.i != border.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
-    optimised = _optimised(clouds, track, [*steps, border], key, run)
-    return _Session(recording, clouds, motion, track, *optimised)
+    chain = joined_chain(a.mended(), b.mended(), len(a.recording))
+    graph, key = _optimised(clouds, track, chain, [*steps, border], key, run)
+    return Session(recording, clouds, motion, track, chain, graph, key)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
@@ -222,6 +249,7 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
             raise InputError(f"{recording.source}: no odometry to map with")
         off = {
             "loops": config.loops.model_copy(update={"enabled": False}),
+            "recall": config.recall.model_copy(update={"enabled": False}),
             "refine": config.refine.model_copy(update={"rounds": 0}),
             "posing": config.posing.model_copy(update={"enabled": False}),
         }
@@ -230,28 +258,26 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
 
 
 def _optimised(
-    clouds: Callable[[], Clouds], track: Track, steps: list[Constraint], key: str, run: _Run
-) -> tuple[SE2, list[Constraint], list[Loop], str]:
-    """Key poses after loop closure and joint refinement, the final constraints, the loop record, the key."""
-    config, keys, T_map_keys = run.config, track.keys, track.T_track_base[track.keys]
-    constraints = list(steps)
-    loops: list[Loop] = []
+    clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], key: str, run: _Run
+) -> tuple[Graph, str]:
+    """The graph after loop closure and joint refinement of all key poses, and its key."""
+    config, keys = run.config, track.keys
+    closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
-        batches = run.progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
-        (T_map_keys, closed, loops), key = run.cache.step(
+        start, configs = closed.T_map_keys, (config.loops, config.recall)
+        closed, key = run.cache.step(
             "loops",
-            [key, config.loops],
-            lambda: run.steps.close_loops(clouds(), keys, T_map_keys, steps, config.loops, batches),
+            [key, *configs],
+            lambda: run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress),
         )
-        constraints += closed
+    T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
-        closed_poses = T_map_keys
         (T_map_keys, constraints), key = run.cache.step(
             "refinement",
             [key, config.refine],
-            lambda: refine(clouds(), keys, closed_poses, steps, config.refine),
+            lambda: refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine),
         )
-    return T_map_keys, constraints, loops, key
+    return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged), key
 
 
 def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:

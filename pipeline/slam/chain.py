@@ -1,0 +1,212 @@
+"""How far the chain of key scans can be trusted: what no witness saw may be anything.
+
+Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
+while and the two do not confirm each other, the chain is broken: the robot may be anywhere. Where scans
+are blind along a corridor, drift grows faster than elsewhere. Both say how far off a place may be when
+the robot returns to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from datasets.se2 import SE2, Array
+from datasets.types import Recording
+from pipeline.slam.tracking import Track
+
+# Scans further apart than this (and than this many usual periods) have seen nothing of what lies between.
+GAP_S, GAP_PERIODS = 2.0, 8.0
+STAMPS_NEAR = 12
+# A match after a gap counts when this share of the scan fits and it is not blind in any direction.
+MIN_OVERLAP, LEAST_OVERLAP, BLIND = 0.5, 0.3, 0.01
+# In a short wait with little motion (metres and radians together) a blind direction hides nothing.
+SHORT_S, SHORT_MOTION = 5.0, 0.5
+# How well scans and odometry must agree across a gap: floors, and shares of the motion.
+AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
+# Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.
+SEEN_DRIFT, BLIND_DRIFT, UNWITNESSED_DRIFT = 0.02, 0.1, 0.4
+ANYWHERE = 1e6
+# Nobody drives this many times as fast as nearly always before.
+FASTER = 1.3
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Reach of the loops by distance: at least [m], growing by `per_m` a metre of path, at most [m]."""
+
+    least_m: float
+    per_m: float
+    most_m: float
+
+    def beyond(self, drift: Array, length: Array) -> NDArray[np.bool_]:
+        """Which places may lie out of reach, after a drift [m] on a path of some length [m]."""
+        return np.asarray(drift > np.minimum(self.least_m + self.per_m * length, self.most_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
+    whether its witnesses contradict each other, whether odometry alone spoke, the drift it may hide [m],
+    and its length [m]. `gaps` (n, 2) are the last scan before and the first after each break."""
+
+    broken: NDArray[np.bool_]
+    contradicted: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
+    drift_m: Array
+    length_m: Array
+    gaps: NDArray[np.int64]
+
+    def drift_between(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
+        """Drift gathered along the log between keys i and j [m]."""
+        total = np.concatenate([[0.0], np.cumsum(self.drift_m)])
+        return np.abs(total[i] - total[j])
+
+    def segments(self) -> NDArray[np.int64]:
+        """Number of the unbroken part each key lies in, (keys,)."""
+        return np.concatenate([[0], np.cumsum(self.broken)])
+
+    def bridged(self, unbridged: NDArray[np.bool_]) -> Chain:
+        """The chain with its breaks mended, all but the given ones (keys - 1,)."""
+        broken = self.broken & unbridged
+        seen = np.where(self.broken & ~broken, SEEN_DRIFT * self.length_m, self.drift_m)
+        against, alone = self.contradicted & broken, self.alone & broken
+        return Chain(broken, against, alone, seen, self.length_m, self.gaps)
+
+    def may_drift(self, gates: Gates) -> bool:
+        """Whether any drift of the whole log can be larger than the gates' reach."""
+        hidden = float((self.drift_m - gates.per_m * self.length_m).sum())
+        return (
+            hidden > gates.least_m or gates.per_m * float(self.length_m.sum()) > gates.most_m - gates.least_m
+        )
+
+    def drift_from(self, queries: NDArray[np.int64], anchors: list[tuple[int, int]]) -> tuple[Array, Array]:
+        """Drift and length of the shortest way through the graph from each of the keys `queries` (q,) to
+        every key, (q, keys) [m].
+
+        `anchors` are pairs of keys that a loop holds together.
+        """
+        n = len(self.drift_m) + 1
+        rows = [*range(n - 1), *[a for a, _ in anchors]]
+        cols = [*range(1, n), *[b for _, b in anchors]]
+        found = []
+        for weights in (self.drift_m, self.length_m):
+            values = [*(weights + 1e-6).tolist(), *[1e-3] * len(anchors)]
+            graph = coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
+            found.append(np.asarray(dijkstra(graph, directed=False, indices=queries)))
+        return found[0], found[1]
+
+
+def joined_chain(a: Chain, b: Chain, scans: int) -> Chain:
+    """The chain of two recordings, one found in the map of the other: their border is no break. `scans`
+    is how many the first one has."""
+    no = np.zeros(1, dtype=bool)
+    return Chain(
+        np.concatenate([a.broken, no, b.broken]),
+        np.concatenate([a.contradicted, no, b.contradicted]),
+        np.concatenate([a.alone, no, b.alone]),
+        np.concatenate([a.drift_m, [0.0], b.drift_m]),
+        np.concatenate([a.length_m, [0.0], b.length_m]),
+        np.concatenate([a.gaps, b.gaps + scans]),
+    )
+
+
+def joined_parts(
+    chain: Chain, joins: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) that say
+    nothing because their ends are held together otherwise.
+
+    `joins` are pairs of keys recognised as one place. A broken step that nothing contradicts still joins.
+    """
+    segment = chain.segments()
+    part = np.arange(segment[-1] + 1)
+    for i, j in joins:
+        part[part == part[segment[i]]] = part[segment[j]]
+    released = np.zeros(len(chain.broken), dtype=bool)
+    for step in np.flatnonzero(chain.broken).tolist():
+        one, two = part[segment[step]], part[segment[step + 1]]
+        released[step] = one == two
+        if not chain.contradicted[step]:
+            part[part == two] = one
+    return np.asarray(part[segment]), released
+
+
+def witnessed_chain(recording: Recording, track: Track) -> Chain:
+    """Judge every step between the key scans of a track."""
+    T, keys = track.T_track_base, track.keys
+    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
+    length = np.hypot(steps[:, 0], steps[:, 1])
+    blind = _blind(track)[keys[1:]]
+    unwitnessed = UNWITNESSED_DRIFT if recording.T_odom_base is None else BLIND_DRIFT
+    drift = length * np.where(blind, unwitnessed, SEEN_DRIFT)
+    broken, contradicted, alone = np.zeros((3, len(steps)), dtype=bool)
+    gaps = []
+    for before, after in _gaps(recording, track):
+        step = int(np.searchsorted(keys, after)) - 1
+        if not 0 <= step < len(steps):
+            continue
+        agree = _agree(recording, track, before, after) and not _too_fast(recording, track, before, after)
+        wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+        short = wait < SHORT_S and np.linalg.norm((T[before].inverse() @ T[after]).xyt) < SHORT_MOTION
+        seen = track.overlap[after] >= MIN_OVERLAP and (short or not _blind(track)[after])
+        if not (agree and seen):
+            broken[step] = True
+            contradicted[step] |= not agree
+            alone[step] |= track.overlap[after] < LEAST_OVERLAP
+            gaps.append((before, after))
+    drift = np.where(broken, ANYWHERE, drift)
+    between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
+    return Chain(broken, contradicted, alone, drift, length, between)
+
+
+def _blind(track: Track) -> NDArray[np.bool_]:
+    least = np.linalg.eigvalsh(track.information[:, :2, :2])
+    return np.asarray(least[:, 0] < BLIND * np.maximum(least[:, 1], 1e-9))
+
+
+def _gaps(recording: Recording, track: Track) -> list[tuple[int, int]]:
+    """Pairs of successive scans with surfaces between which nothing was seen for long."""
+    usable = np.flatnonzero(track.usable)
+    stamps = recording.stamps_ns[usable] * 1e-9
+    if len(stamps) < 2:
+        return []
+    # stamps out of order make gaps that are none: the latest before against the earliest after
+    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
+    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
+    usual = float(np.median(np.abs(np.diff(stamps))))
+    long = np.flatnonzero(waits > max(GAP_S, GAP_PERIODS * usual))
+    return [(int(usable[k]), int(usable[k + 1])) for k in long]
+
+
+def _agree(recording: Recording, track: Track, before: int, after: int) -> bool:
+    """Whether odometry says of the motion between two scans what the track says."""
+    if recording.T_odom_base is None:
+        return False
+    T, T_odom = track.T_track_base, recording.T_odom_base
+    odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
+    apart = (SE2(odometry).inverse() @ (T[before].inverse() @ T[after])).xyt
+    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
+    return bool(
+        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
+        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
+    )
+
+
+def _too_fast(recording: Recording, track: Track, before: int, after: int) -> bool:
+    """Whether the track crosses a gap faster than the robot is ever seen to drive."""
+    waits = np.diff(recording.stamps_ns) * 1e-9
+    xy = track.T_track_base.xy
+    driven = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
+    if not seen.any():
+        return False
+    usual = float(np.quantile(driven[seen] / waits[seen], 0.995))
+    wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+    return bool(np.linalg.norm(xy[after] - xy[before]) > FASTER * usual * wait + AGREE_M)

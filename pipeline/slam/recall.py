@@ -1,0 +1,305 @@
+"""Place recognition: loops where drift is larger than any gate, or unknown.
+
+Loops by distance (`loops`) are looked for where the robot believes to be. Where the chain of poses is
+broken or has drifted further than that, submaps are recognised by their looks instead. A place is
+believed only when several submaps in a row agree on it (PCM), nothing they see contradicts it when the
+whole stretch is laid there, and no other place does nearly as well: buildings repeat themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.align import align, observable
+from pipeline.slam.chain import Chain, Gates, joined_parts
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
+from pipeline.slam.correlative import points_in_map
+from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.selfcheck import denied_shares
+from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
+from pipeline.slam.tracking import between, sees_everything
+
+WALL_M, THROUGH_M = 0.15, 0.4
+# The chain's drift is what is usual; a place further off than this many times it is not this place.
+DRIFT_FACTOR = 2.5
+# A stretch is laid on its place as far as this drift from a recognised key; keys this near are revisits.
+NEAR_DRIFT_M, NEAR_M, MOST_PAIRS, BAD_SHARE = 1.0, 1.5, 3000, 0.35
+# Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
+# that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).
+RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
+
+
+class RecallConfig(BaseModel):
+    """Place recognition."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    enabled: bool = True
+    candidates: int = Field(default=12, gt=0, description="submaps compared with a query, the likest ones")
+    min_likeness: float = Field(default=0.6, gt=0.0, le=1.0, description="of the signatures")
+    min_score: float = Field(default=0.4, gt=0.0, le=1.0, description="of the correlation by FFT")
+    min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
+    max_rmse_m: float = Field(default=0.06, gt=0.0)
+    max_denied: float = Field(default=0.06, gt=0.0, description="points seen through, mean over a submap")
+    min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
+    rival_share: float = Field(
+        default=0.35, gt=0.0, description="of the support for another place: the place is ambiguous"
+    )
+    max_stretch_denied: float = Field(
+        default=0.05, gt=0.0, description="points seen through, mean over the stretch laid at its place"
+    )
+    max_contradicted: float = Field(
+        default=0.03, gt=0.0, description="share of revisits that deny each other with the stretch laid there"
+    )
+    inflation: float = Field(default=50.0, gt=0.0)
+    soft: float = Field(default=2.0, ge=0.0, description="Cauchy width, in standard deviations")
+
+
+@dataclass(frozen=True, eq=False)
+class Recall:
+    """What was recognised: poses with the parts laid together, loops, the record of all candidates, the
+    part of the log each key belongs to (keys,), and the broken steps that now say nothing (keys - 1,)."""
+
+    T_map_keys: SE2
+    loops: list[Constraint]
+    record: list[Recognised]
+    part: NDArray[np.int64]
+    released: NDArray[np.bool_]
+
+
+def recall(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    steps: Sequence[Constraint],
+    chain: Chain,
+    anchors: list[tuple[int, int]],
+    config: RecallConfig,
+    gates: Gates,
+) -> Recall:
+    """Recognise places beyond the reach of the loops by distance.
+
+    `anchors` are pairs of keys those loops hold together, `gates` is their reach.
+    """
+    poses = T_map_keys.xyt.copy()
+    found = _candidates(clouds, keys, poses, chain, anchors, config, gates)
+    believed, record = _believed(clouds, keys, poses, found, chain, config)
+    part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
+    if not believed:
+        return Recall(T_map_keys, [], record, part, released)
+    segment = chain.segments()
+    for members in believed:
+        poses, segment = _laid_together(poses, segment, members)
+    loops = [_loop(place, config) for members in believed for place in members]
+    free = relaxed(steps, released)
+    # first without kernels: from far away they would take every loop for an outlier
+    firm = [replace(loop, soft=0.0) for loop in loops]
+    closed = optimise(SE2(poses), [*free, *firm])
+    return Recall(optimise(closed, [*free, *loops]), loops, record, part, released)
+
+
+def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
+    """The steps, those over breaks that are bridged otherwise without a say: nothing saw what they claim."""
+    return [
+        replace(c, information=np.zeros((3, 3))) if c.j == c.i + 1 and released[c.i] else c for c in steps
+    ]
+
+
+def _loop(place: Recognised, config: RecallConfig) -> Constraint:
+    information = place.information / config.inflation
+    return Constraint(place.j, place.i, place.T_j_i, information, "loop", config.soft)
+
+
+def _candidates(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    poses: Array,
+    chain: Chain,
+    anchors: list[tuple[int, int]],
+    config: RecallConfig,
+    gates: Gates,
+) -> list[Recognised]:
+    """Every submap that drift may have carried out of the gates' reach, laid on the places it resembles."""
+    if not chain.may_drift(gates):
+        return []
+    places, check, found = windows(len(keys), chain.broken), IcpCheck(), []
+    middles = np.array(list(places), dtype=np.int64)
+
+    @cache
+    def submap(middle: int) -> Submap | None:
+        return make_submap(clouds, keys, poses, middle, places[middle])
+
+    for n, i in enumerate(middles.tolist()):
+        drift, length = (row[0] for row in chain.drift_from(middles[n : n + 1], anchors))
+        far = middles[:n][gates.beyond(drift[middles[:n]], length[middles[:n]])]
+        query = submap(i) if len(far) else None
+        if query is None:
+            continue
+        others = [other for j in far.tolist() if (other := submap(j)) is not None]
+        like = likeness(query, others)
+        for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
+            if like[k] < config.min_likeness:
+                break
+            guess = between(poses[others[k].middle], poses[i])
+            reach = gates.least_m + DRIFT_FACTOR * drift[others[k].middle]
+            for score, start in laid_on(query, others[k]):
+                near = np.hypot(*(start[:2] - guess[:2])) < reach
+                if near and score >= config.min_score:
+                    found.append(_settled(clouds, keys, query, others[k], start, score, config, check))
+    return found
+
+
+def _settled(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    query: Submap,
+    other: Submap,
+    start: Array,
+    score: float,
+    config: RecallConfig,
+    check: IcpCheck,
+) -> Recognised:
+    """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
+    middle, place, at_place = int(keys[query.middle]), keys[other.keys[::2]], other.T_middle_keys[::2]
+    pose = start
+    for gate, sigma in ((0.4, 0.15), (0.2, 0.05)):
+        result = align(clouds, middle, pose, place, at_place, gate=gate, sigma=sigma, iterations=15)
+        pose = result.T_map_base.xyt
+    few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
+    overlap = np.mean(
+        [
+            align(clouds, int(keys[k]), T, place, at_place, gate=0.12, sigma=0.06, iterations=0).overlap
+            for k, T in zip(few, at, strict=True)
+        ]
+    )
+    if overlap < config.min_overlap:
+        return Recognised(
+            query.middle, other.middle, pose, score, float(overlap), 1.0, result.rmse,
+            result.information, "low overlap",
+        )  # fmt: skip
+    both = np.vstack([at, at_place[::2]])
+    pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
+    denied = _denied(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
+    information = observable(result.information)
+    place_found = Recognised(
+        query.middle, other.middle, pose, score, float(overlap),
+        float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
+    )  # fmt: skip
+    if place_found.denied > config.max_denied:
+        return place_found.judged("sees through walls")
+    if place_found.rmse > config.max_rmse_m:
+        return place_found.judged("bad fit")
+    if not sees_everything(information):
+        return place_found.judged("blind in one direction")
+    target = points_in_map(clouds.points, clouds.starts, place, at_place)
+    if not check.agrees(clouds.of(middle), target, pose):
+        return place_found.judged("open3d disagrees")
+    return place_found
+
+
+def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:
+    """Share of points denied in each pair that sees enough of each other, the worse of both ways."""
+    shares = [
+        denied_shares(
+            clouds.points, clouds.starts, clouds.table, clouds.origin, keys, poses, way, WALL_M, THROUGH_M
+        )
+        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
+    ]
+    share = np.fmax(*shares)
+    return np.asarray(share[np.isfinite(share)])
+
+
+def _believed(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    poses: Array,
+    found: list[Recognised],
+    chain: Chain,
+    config: RecallConfig,
+) -> tuple[list[list[Recognised]], list[Recognised]]:
+    """The sets of places that are believed, and the record of all with their verdicts."""
+    good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
+    places = [found[k] for k in good]
+    comparable, agree = consistency(places, poses, chain)
+    verdicts = ["too few agree"] * len(places)
+    feasible: list[tuple[list[int], int, float]] = []
+    for members in agreeing_sets(places, agree & comparable):
+        supporters = support(places, members)
+        if supporters < config.min_support - 1:
+            continue
+        denied = _laid_out(clouds, keys, poses, [places[k] for k in members], chain)
+        mean, bad = (denied.mean(), np.mean(denied > BAD_SHARE)) if len(denied) else (1.0, 1.0)
+        if mean > config.max_stretch_denied or bad > config.max_contradicted:
+            _mark(verdicts, members, "the stretch contradicts the place")
+        else:
+            feasible.append((members, supporters, float(mean)))
+    believed = []
+    for members, supporters, mean in feasible:
+        rival = any(
+            competing(members, other, comparable, agree)
+            and theirs >= config.rival_share * supporters
+            and their_mean <= RIVAL_FACTOR * mean + RIVAL_FLOOR
+            for other, theirs, their_mean in feasible
+            if other is not members
+        )
+        if rival:
+            _mark(verdicts, members, "ambiguous: another place fits as well")
+        elif supporters >= config.min_support:
+            _mark(verdicts, members, "accepted")
+            believed.append([places[k] for k in members])
+    record = list(found)
+    for k, verdict in zip(good, verdicts, strict=True):
+        record[k] = found[k].judged(verdict)
+    return believed, record
+
+
+def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
+    for k in members:
+        verdicts[k] = verdict
+
+
+def _laid_out(
+    clouds: Clouds, keys: NDArray[np.int64], poses: Array, stretch: list[Recognised], chain: Chain
+) -> Array:
+    """Share of points denied in each revisit, with the whole stretch laid at its place.
+
+    Keys are carried by the nearest recognised one, as far as little drift separates them from it.
+    """
+    n = np.arange(len(keys))
+    to_i = np.array([chain.drift_between(n, np.full(len(n), place.i)) for place in stretch])
+    to_j = np.array([chain.drift_between(n, np.full(len(n), place.j)) for place in stretch])
+    newer = np.flatnonzero((to_i.min(axis=0) < NEAR_DRIFT_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
+    older = np.flatnonzero((to_j.min(axis=0) < NEAR_DRIFT_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
+    moved = poses.copy()
+    for k in newer.tolist():
+        place = stretch[int(np.argmin(to_i[:, k]))]
+        at_place = SE2(poses[place.j]) @ SE2(place.T_j_i)
+        moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
+    near = cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
+    pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
+    if len(pairs) == 0:
+        return np.zeros(0)
+    pairs = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
+    return _denied(clouds, keys, moved, pairs)
+
+
+def _laid_together(
+    poses: Array, part: NDArray[np.int64], members: list[Recognised]
+) -> tuple[Array, NDArray[np.int64]]:
+    """Poses with the newer part of a broken chain moved to where its members say, and the parts joined."""
+    best = max(members, key=lambda place: place.overlap)
+    newer, older = part[best.i], part[best.j]
+    if newer == older:
+        return poses, part
+    move = SE2(poses[best.j]) @ SE2(best.T_j_i) @ SE2(poses[best.i]).inverse()
+    moved = np.where((part == newer)[:, None], (move @ SE2(poses)).xyt, poses)
+    return moved, np.where(part == newer, older, part)

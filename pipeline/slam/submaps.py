@@ -1,0 +1,169 @@
+"""Places by their looks: submaps of successive key scans, compared without knowing where they lie.
+
+A submap's signature - how far apart its surface points are and how their normals stand to each other -
+changes neither with the viewpoint nor with the heading (in the line of scan context and of surflet-pair
+histograms, Wahl et al. 2003). Two submaps are laid on each other over all translations at once by FFT,
+at the headings at which their histograms of normals agree (Weiss and von Puttkamer 1995).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from datasets.se2 import SE2, Array
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.correlative import points_in_map
+
+HALF_KEYS, STRIDE = 8, 6
+LEAST_KEYS, LEAST_POINTS = 6, 200
+REACH_M, RESOLUTION_M, BLUR_CELLS = 10.0, 0.25, 1
+CELLS = 128
+MOST_SHIFT = 24
+HEADINGS = 120
+HEADING_PEAKS = 4
+PAIR_SAMPLE, PAIR_BINS, PAIR_BIN_M, ANGLE_BINS = 160, 24, 0.5, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """Successive keys about a middle one: their poses seen from it (k, 3), signature, directions of the
+    normals (HEADINGS,), and the spectrum of the smoothed picture of its points."""
+
+    middle: int
+    keys: NDArray[np.int64]
+    T_middle_keys: Array
+    points: Array
+    signature: Array
+    directions: Array
+    spectrum: NDArray[np.complex64]
+
+
+def windows(n_keys: int, broken: NDArray[np.bool_]) -> dict[int, NDArray[np.int64]]:
+    """Keys of each submap by its middle one, along the log; none reaches over a broken step."""
+    ends = np.concatenate([[0], np.flatnonzero(broken) + 1, [n_keys]])
+    found = {}
+    for lo, hi in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        for middle in range(lo + HALF_KEYS // 2, hi, STRIDE):
+            chosen = np.arange(max(lo, middle - HALF_KEYS), min(hi, middle + HALF_KEYS + 1))
+            if len(chosen) >= LEAST_KEYS:
+                found[middle] = chosen
+    return found
+
+
+def make_submap(
+    clouds: Clouds, keys: NDArray[np.int64], T_map_keys: Array, middle: int, chosen: NDArray[np.int64]
+) -> Submap | None:
+    """The submap of the keys `chosen` about `middle`; None when they see too little."""
+    T_middle_keys = (SE2(T_map_keys[middle]).inverse() @ SE2(T_map_keys[chosen])).xyt
+    points = points_in_map(clouds.points, clouds.starts, keys[chosen], T_middle_keys)
+    normals = np.concatenate(
+        [
+            clouds.normals[clouds.starts[keys[k]] : clouds.starts[keys[k] + 1]]
+            @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+            for k, yaw in zip(chosen, T_middle_keys[:, 2], strict=True)
+        ]
+    )
+    near = np.linalg.norm(points, axis=1) < REACH_M
+    points, normals = points[near], normals[near]
+    surface = np.abs(normals).sum(axis=1) > 0.0
+    if np.count_nonzero(surface) < LEAST_POINTS:
+        return None
+    points = _thinned(points[surface], normals[surface])
+    points, normals = points[:, :2], points[:, 2:]
+    bins = np.floor((np.arctan2(normals[:, 1], normals[:, 0]) + np.pi) / (2 * np.pi) * HEADINGS).astype(int)
+    directions = np.bincount(bins % HEADINGS, minlength=HEADINGS).astype(float)
+    return Submap(
+        middle, chosen, T_middle_keys, points, _signature(points, normals), directions, _spectrum(points)
+    )
+
+
+def likeness(query: Submap, others: list[Submap]) -> Array:
+    """How much of the query's signature each of the others shares, 0..1 (histogram intersection)."""
+    return np.array([float(np.minimum(query.signature, other.signature).sum()) for other in others])
+
+
+def laid_on(query: Submap, other: Submap, count: int = 2) -> list[tuple[float, Array]]:
+    """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1."""
+    candidates: list[tuple[float, Array]] = []
+    inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
+    if len(inner) == 0:
+        return []
+    for heading in _headings(query.directions, other.directions):
+        yaw = heading * 2.0 * np.pi / HEADINGS
+        cells = _cells(SE2.from_xyt(0.0, 0.0, yaw) @ inner)
+        image = np.zeros((CELLS, CELLS), dtype=np.float32)
+        image[cells[:, 1] % CELLS, cells[:, 0] % CELLS] = 1.0
+        score = fft.irfft2(other.spectrum * np.conj(fft.rfft2(image)), (CELLS, CELLS)) / image.sum()
+        for value, dx, dy in _best_shifts(score, count):
+            candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
+    candidates.sort(key=lambda pair: -pair[0])
+    chosen: list[tuple[float, Array]] = []
+    for value, pose in candidates:
+        apart = [np.hypot(*(pose[:2] - old[:2])) for _, old in chosen]
+        turned = [abs((pose[2] - old[2] + np.pi) % (2.0 * np.pi) - np.pi) for _, old in chosen]
+        if all(d > 0.8 or a > 0.3 for d, a in zip(apart, turned, strict=True)):
+            chosen.append((value, pose))
+            if len(chosen) == count:
+                break
+    return chosen
+
+
+def _thinned(points: Array, normals: Array) -> Array:
+    """One point and normal in each cell, (n, 4): near walls, hit by many beams, would drown the rest."""
+    _, first = np.unique(_cells(points), axis=0, return_index=True)
+    return np.hstack([points[first], normals[first]])
+
+
+def _cells(points: Array) -> NDArray[np.int64]:
+    return np.floor(points / RESOLUTION_M).astype(np.int64)
+
+
+def _spectrum(points: Array) -> NDArray[np.complex64]:
+    image = np.zeros((CELLS, CELLS), dtype=np.float32)
+    cells = _cells(points)
+    for dy in range(-BLUR_CELLS, BLUR_CELLS + 1):
+        for dx in range(-BLUR_CELLS, BLUR_CELLS + 1):
+            weight = np.float32(np.exp(-0.5 * (dx * dx + dy * dy)))
+            row, col = (cells[:, 1] + dy) % CELLS, (cells[:, 0] + dx) % CELLS
+            image[row, col] = np.maximum(image[row, col], weight)
+    return np.asarray(fft.rfft2(image))
+
+
+def _signature(points: Array, normals: Array) -> Array:
+    """Histogram over pairs of points: distance, and angle between the normals; sums to one."""
+    stride = max(1, len(points) // PAIR_SAMPLE)
+    p, n = points[::stride], normals[::stride]
+    i, j = np.triu_indices(len(p), 1)
+    distance = np.linalg.norm(p[i] - p[j], axis=1)
+    angle = np.arccos(np.clip((n[i] * n[j]).sum(axis=1), -1.0, 1.0))
+    a = np.minimum((angle / np.pi * ANGLE_BINS).astype(int), ANGLE_BINS - 1)
+    d = np.minimum((distance / PAIR_BIN_M).astype(int), PAIR_BINS - 1)
+    counts = np.bincount(d * ANGLE_BINS + a, minlength=PAIR_BINS * ANGLE_BINS).astype(float)
+    return np.asarray(counts / max(counts.sum(), 1.0))
+
+
+def _headings(query: Array, other: Array) -> list[int]:
+    """Turns of the query (in bins) at which the histograms of normals agree best, and their neighbours."""
+    match = fft.irfft(fft.rfft(other) * np.conj(fft.rfft(query)), HEADINGS)
+    smooth = match + 0.5 * (np.roll(match, 1) + np.roll(match, -1))
+    peaks = np.flatnonzero((smooth >= np.roll(smooth, 1)) & (smooth > np.roll(smooth, -1)))
+    peaks = peaks[np.argsort(-smooth[peaks], kind="stable")][:HEADING_PEAKS]
+    return sorted({int(p + d) % HEADINGS for p in peaks for d in (-1, 0, 1)})
+
+
+def _best_shifts(score: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
+    """The best translations of a correlation, at least 0.8 m apart: score, x, y [m]."""
+    size = 2 * MOST_SHIFT + 1
+    index = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
+    window = score[np.ix_(index % CELLS, index % CELLS)].copy()
+    out = []
+    for _ in range(count):
+        row, col = divmod(int(np.argmax(window)), size)
+        dx, dy = (col - MOST_SHIFT) * RESOLUTION_M, (row - MOST_SHIFT) * RESOLUTION_M
+        out.append((float(window[row, col]), dx, dy))
+        window[max(row - 4, 0) : row + 5, max(col - 4, 0) : col + 5] = 0.0
+    return out
