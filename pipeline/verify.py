@@ -23,7 +23,7 @@ from reports.metrics.map import occupied
 from reports.numbers import leaves, shown
 from reports.page import render
 from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
-from reports.specs import GOAL_UNITS, SPECS
+from reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
 from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json, read_manifest
 from sim.robots import load_robot
 
@@ -267,8 +267,11 @@ def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
 
 def _unit(key: str) -> str | None:
     path = key.partition(":")[2]
+    last = path.rpartition(".")[2]
     if path.startswith("goals."):
-        return GOAL_UNITS.get(path.rpartition(".")[2])
+        return GOAL_UNITS.get(last)
+    if path.startswith("planners."):
+        return PLANNER_UNITS.get(last)
     for specs in SPECS.values():
         for spec in specs:
             if spec.path == path:

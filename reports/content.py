@@ -14,7 +14,7 @@ from reports.metrics.recording import recording_metrics
 from reports.numbers import Number, files_of, lookup, numbers_of, other_values, sections_of, shown
 from reports.pointer import PointerMap, pointer_map
 from reports.spec import Section
-from reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
+from reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
 from reports.stages import Group, Stage
 
 TITLES = {
@@ -46,6 +46,7 @@ class Part:
     others: list[tuple[str, str]]
     pictures: list[Picture]
     goals: list[Mapping[str, Any]]
+    planners: list[Mapping[str, Any]]
 
     @property
     def sections(self) -> list[tuple[Section, list[Number]]]:
@@ -101,6 +102,7 @@ def build_chapter(
                 other_values(stage, metrics),
                 draw(stage, group, album),
                 goal_rows(metrics),
+                planner_rows(metrics),
             )
         )
     return chapter
@@ -155,8 +157,7 @@ def verdict(stage: Stage, metrics: Mapping[str, Any]) -> tuple[str, str]:
     if stage.kind == "localise":
         return _localise_verdict(metrics)
     if stage.kind == "plan":
-        found = metrics.get("success", True)
-        return (GOOD, "A path was found.") if found else (BAD, "No path was found.")
+        return _plan_verdict(metrics)
     drift = lookup(metrics, "odometry_ate_m.max")
     length, duration = metrics.get("distance_m"), metrics.get("duration_s")
     sentence = f"{metrics.get('scans', 'No')} scans over {shown(duration, 's')} and {shown(length, 'm')}"
@@ -192,6 +193,17 @@ def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     return NEUTRAL, sentence + (f"; by its own check the map is {check}." if check else ".")
 
 
+def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
+    rivals = metrics.get("planners") or []
+    if rivals:
+        found = sum(bool(entry.get("success")) for entry in rivals)
+        return (GOOD if found == len(rivals) else BAD), f"{found} of {len(rivals)} planners found a path."
+    if not metrics.get("success", True):
+        return BAD, f"No path was found: {metrics.get('reason') or 'no reason is given'}."
+    length = metrics.get("length_m")
+    return GOOD, f"A path of {shown(length, 'm')} was found." if length is not None else "A path was found."
+
+
 def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     error = lookup(metrics, "localisation_error_m.rmse")
     known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
@@ -205,6 +217,21 @@ def collision_count(metrics: Mapping[str, Any]) -> int:
     if isinstance(collisions, Mapping):
         return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
     return int(collisions or 0)
+
+
+def planner_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The planners of a comparison as table rows: texts as shown."""
+    return [
+        {
+            "name": str(entry.get("planner")),
+            "found": bool(entry.get("success")),
+            "reason": entry.get("reason") or "",
+            "numbers": [
+                (key, entry.get(key), shown(entry.get(key), unit)) for key, unit in PLANNER_UNITS.items()
+            ],
+        }
+        for entry in metrics.get("planners") or []
+    ]
 
 
 def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:

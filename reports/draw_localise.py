@@ -54,19 +54,43 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
     path = stage.folder / "path.csv"
     if not path.is_file():
         return []
-    poses = read_path(path)
+    grid, poses = given_map(stage, group), read_path(path)
+    rivals = rival_paths(stage)
+    if rivals:
+        caption = (
+            "Every planner's way from the same start to the same goal. Look for the ways that are shorter at "
+            "the price of room, and for those that take another way altogether."
+        )
+        draw = partial(maps.plans, grid, rivals)
+        return [album.add(f"{prefix}-path", "Planners compared", caption, draw)]
+    if len(poses) == 0:
+        return []
     plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
-    draw = partial(maps.trajectories, given_map(stage, group), {"plan": plan})
+    draw = partial(maps.trajectories, grid, {"plan": plan})
     return [album.add(f"{prefix}-path", "Plan", "The planned path; the arrow is the start.", draw)]
 
 
 def read_path(path: Path) -> SE2:
-    """Poses (n,) of a `path.csv` with columns x, y, yaw; InputError when it is not one."""
+    """Poses (n,) of a `path.csv` with columns x, y, yaw, none where no path was found; InputError when it is
+    not one.
+    """
     with path.open(newline="") as file:
+        reader = csv.DictReader(file)
         try:
-            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in csv.DictReader(file)]
+            if not {"x", "y", "yaw"} <= set(reader.fieldnames or []):
+                raise KeyError
+            rows = [[float(row[name]) for name in ("x", "y", "yaw")] for row in reader]
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{path}: not a path (expected columns x,y,yaw)") from None
-    if not rows:
-        raise InputError(f"{path}: holds no poses")
-    return SE2.from_array(np.array(rows))
+    return SE2.from_array(np.array(rows).reshape(-1, 3))
+
+
+def rival_paths(stage: Stage) -> dict[str, SE2]:
+    """The way of each planner of a comparison that found one, in the order of the metrics."""
+    found = {}
+    for entry in stage.metrics.get("planners") or []:
+        name = entry.get("planner")
+        path = stage.folder / f"path-{name}.csv"
+        if path.is_file() and len(poses := read_path(path)):
+            found[str(name)] = poses
+    return found

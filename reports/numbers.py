@@ -76,11 +76,11 @@ class Number:
 
 
 def files_of(stage: Stage, sources: Sequence[str]) -> dict[str, str]:
-    """sha256 of the stage's files that `sources` name: a file, or with a slash at the end a folder's."""
+    """sha256 of the stage's files that `sources` name: one, or all in a folder (`name/`) or `begin*`."""
     return {
         path: digest
         for path, digest in stage.outputs.items()
-        if any(path == source or (source.endswith("/") and path.startswith(source)) for source in sources)
+        if any(path == source or (source[-1] in "/*" and path.startswith(source[:-1])) for source in sources)
     }
 
 
@@ -136,7 +136,7 @@ def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, st
     return [
         (path, DASH if value is None else f"{value:.6g}" if isinstance(value, float) else str(value))
         for path, value in leaves(metrics)
-        if path not in named and not path.startswith("goals.")
+        if path not in named and not path.startswith(("goals.", "planners."))
     ]
 
 

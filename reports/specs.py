@@ -236,6 +236,7 @@ GOAL_MEANINGS = {
     "error_m": "Distance of the robot's true place from the goal when its goal checker was satisfied.",
     "error_rad": "The same for the heading.",
 }
+PLANNER_UNITS = {"length_m": "m", "min_clearance_m": "cm", "poses": "count"}
 GOAL_UNITS = {"time_s": "s", "error_m": "cm", "error_rad": "deg"}
 
 # Inputs of the stage that a number is measured against.
@@ -259,7 +260,7 @@ PICTURE_SOURCES = {
     "map-animation": (*TRAJECTORY, *MAP_FILES),
     "localise-path": TRAJECTORY,
     "localise-error": TRAJECTORY,
-    "plan-path": ("path.csv",),
+    "plan-path": ("path.csv", "path-*"),
     "navigate-path": (*LOG, *TRAJECTORY, "metrics.json"),
     "navigate-localisation": (*TRAJECTORY, *LOG),
     "navigate-clearance": LOG,

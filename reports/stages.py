@@ -199,6 +199,7 @@ class _Metrics(BaseModel):
     """The part of a metrics.json that is more than numbers by name."""
 
     goals: list[dict[str, Any]] | None = None
+    planners: list[dict[str, Any]] | None = None
 
 
 class _Manifest(BaseModel):

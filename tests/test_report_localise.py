@@ -3,12 +3,13 @@
 import json
 
 import pytest
-from report_fakes import fake_localise, fake_map, fake_plan, fake_record
+from report_fakes import fake_localise, fake_map, fake_plan, fake_record, rehash
 
 from datasets.errors import InputError
 from pipeline.report import make_report
 from pipeline.verify import verify
-from reports.draw_localise import read_path
+from reports.draw_localise import read_path, rival_paths
+from reports.stages import load_stage
 
 
 def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
@@ -21,14 +22,47 @@ def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     assert list(metrics) == ["room"]
     assert list(metrics["room"]) == ["record", "map", "localise", "plan"]
     assert "Localised, " in page
-    assert "A path was found." in page
+    assert "A path of 4.00\u202fm was found." in page
     found = verify(tmp_path / "out")
     assert found.problems == []
     assert "room/localise:localisation_error_m.rmse" in {check.key for check in found.checks}
 
 
-@pytest.mark.parametrize("text", ["", "x,y\n1,2\n", "x,y,yaw\n1,2,three\n", "x,y,yaw\n"])
+@pytest.mark.parametrize("text", ["", "x,y\n1,2\n", "x,y,yaw\n1,2,three\n"])
 def test_what_is_no_path_is_bad_input(text, tmp_path):
     (tmp_path / "path.csv").write_text(text)
     with pytest.raises(InputError):
         read_path(tmp_path / "path.csv")
+
+
+def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
+    built = fake_map(tmp_path / "map", fake_record(tmp_path / "record"))
+    plan = fake_plan(tmp_path / "plan", built)
+    (plan / "path.csv").write_text("x,y,yaw\n")
+    (plan / "metrics.json").write_text('{"success": false, "reason": "no way round the pillar"}')
+    rehash(plan, "path.csv")
+    rehash(plan, "metrics.json")
+    page = make_report([plan], tmp_path / "out", animate=False).read_text()
+    assert "No path was found: no way round the pillar." in page
+    assert verify(tmp_path / "out").problems == []
+
+
+def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
+    built = fake_map(tmp_path / "map", fake_record(tmp_path / "record"))
+    plan = fake_plan(tmp_path / "plan", built)
+    entries = [
+        {"planner": "RRTConnect", "success": True, "length_m": 4.25, "min_clearance_m": 0.2, "poses": 3},
+        {"planner": "PRM", "success": False, "reason": "out of iterations"},
+        {"planner": "BITstar", "success": True, "length_m": 4.0, "min_clearance_m": 0.1, "poses": 3},
+    ]
+    (plan / "metrics.json").write_text(json.dumps({"success": True, "length_m": 4.25, "planners": entries}))
+    rehash(plan, "metrics.json")
+    for number, name in enumerate(("RRTConnect", "PRM", "BITstar")):
+        rows = "" if name == "PRM" else f"-2,-1.5,0\n0,{-1.5 + 0.2 * number},0\n2,-1.5,0\n"
+        (plan / f"path-{name}.csv").write_text("x,y,yaw\n" + rows)
+    assert list(rival_paths(load_stage(plan))) == ["RRTConnect", "BITstar"]
+    page = make_report([plan], tmp_path / "out", animate=False).read_text()
+    assert "2 of 3 planners found a path." in page
+    assert "Planners compared." in page
+    assert 'data-key="map/plan:planners.0.length_m" data-value="4.25">4.25' in page
+    assert "out of iterations" in page

@@ -19,6 +19,7 @@ from datasets.grid import UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.types import Trajectory
 from reports.figures.style import (
+    ACCENT,
     BAD,
     FINE_TO_BAD,
     GOOD,
@@ -28,6 +29,7 @@ from reports.figures.style import (
     MUTED,
     PAPER,
     RULE,
+    SLAM,
     WARN,
     WIDTH_IN,
     bare,
@@ -35,6 +37,7 @@ from reports.figures.style import (
 )
 from reports.metrics.map import map_error, occupied
 
+RIVALS = (SLAM, BAD, GOOD, WARN, ACCENT, INK)
 Box = tuple[float, float, float, float]
 ERROR_SCALE_M = 0.10
 MARGIN_M = 0.3
@@ -147,6 +150,23 @@ def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | No
         draw_path(axes, trajectory, kind)
     start = next(iter(shown.values())).poses[0]
     draw_pose(axes, start, INK)
+    legend_above(axes)
+    return figure
+
+
+def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
+    """Several ways over one faint map, each in a colour and a line of its own; start and goal marked."""
+    tracks = {name: Trajectory(np.arange(len(p), dtype=np.int64), p) for name, p in paths.items()}
+    figure, axes = map_figure(view_box(grid, list(tracks.values())))
+    if grid is not None:
+        draw_grid(axes, grid, faint=True)
+    for number, (name, track) in enumerate(tracks.items()):
+        colour = RIVALS[number % len(RIVALS)]
+        dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(RIVALS) % 3]
+        axes.plot(track.poses.x, track.poses.y, color=colour, linestyle=dashes, linewidth=1.5, label=name)
+    first = next(iter(tracks.values())).poses
+    draw_pose(axes, first[0], INK)
+    axes.plot(first.x[-1], first.y[-1], "o", color=INK, markersize=6, zorder=5)
     legend_above(axes)
     return figure
 
