@@ -107,7 +107,7 @@ def navigate_in(
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
             },
         )
-    _summarise(metrics, out)
+    _summarise(metrics, mission.config.sim.faults.kidnap, out)
     return 0 if metrics["success"] else 1
 
 
@@ -147,12 +147,16 @@ def _print(line: str) -> None:
     sys.stdout.write(line + "\n")
 
 
-def _summarise(metrics: dict[str, Any], out: Path) -> None:
+def _summarise(
+    metrics: dict[str, Any], kidnaps: Sequence[tuple[float, float, float, float]], out: Path
+) -> None:
     for number, goal in enumerate(metrics["goals"], start=1):
         error = "" if goal["error_m"] is None else f", true error {goal['error_m'] * 100:.1f} cm"
         reason = f" ({goal['reason']})" if "reason" in goal else ""
         place = f"({goal['x']:g}, {goal['y']:g}, {goal['yaw']:g})"
         log.info(f"goal {number} {place}: {goal['status']}{reason}, {goal['time_s']:.1f} s{error}")
+    for when, x, y, yaw in (k for k in kidnaps if k[0] <= metrics["time_s"]):
+        log.info(f"carried off at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
     counts = metrics["collisions"]
     log.info(
         f"{metrics['time_s']:.1f} s simulated, {metrics['distance_m']:.2f} m driven, "

@@ -17,7 +17,14 @@ from datasets.se2 import SE2, wrap
 from datasets.types import Trajectory, yaw_difference
 from reports.g2o import read_g2o, read_loops
 from reports.metrics.map import map_metrics
-from reports.metrics.navigation import collisions, localisation_error, min_clearance, pose_error, takeovers
+from reports.metrics.navigation import (
+    collisions,
+    distance_driven,
+    localisation_error,
+    min_clearance,
+    pose_error,
+    takeovers,
+)
 from reports.metrics.recording import recording_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import associate, summary, trajectory_metrics
@@ -128,7 +135,7 @@ def _run(stage: Stage) -> dict[str, Any]:
     truth = read_poses(stage.folder / "bag", "/ground_truth/odom")
     found: dict[str, Any] = {
         "time_s": float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9,
-        "distance_m": truth.length(),
+        "distance_m": distance_driven(truth),
         "collisions": collisions(log.t_ns, log.contact_visible, log.contact_low),
         "min_clearance_m": min_clearance(log.clearance_m),
         "takeovers": takeovers(log.t_ns, log.owner),

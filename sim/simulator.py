@@ -134,6 +134,7 @@ class Simulator:
         self._physics.reset(start, [one.position for one in self._moving])
         self._place_movers(first=True)
         self._step = 0
+        self._carried = False
         self._sweep = np.zeros((self._steps_per_scan + 1, 3))
         self._scan_truth = start
         return self._observe()
@@ -180,9 +181,10 @@ class Simulator:
         self._lidar.note_movers(outlines(seen), first or not self.config.lidar.turning)
 
     def _put_down(self, T_world_base: SE2) -> None:
-        """Carry the robot elsewhere; the sweep under way shows the new place from its start."""
+        """Carry the robot elsewhere; of the sweep under way there is no scan."""
         self._physics.put_down(T_world_base)
         self._sweep[:] = T_world_base.xyt
+        self._carried = True
         if self._lidar3d is not None:
             self._sweep3d[:] = T_world_base.xyt
 
@@ -217,7 +219,9 @@ class Simulator:
             ranges = self._lidar.measure(self._sweep)
             first = self._sweep[0].copy()
             self._sweep[0] = pose
-            scan = Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
+            if not self._carried:
+                scan = Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
+            self._carried = False
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
         if delivered is not None:
             self._scan_truth = truth

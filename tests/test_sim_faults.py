@@ -77,6 +77,11 @@ def test_a_kidnap_moves_the_robot_and_not_its_odometry():
         after = simulator.step(Twist())
         assert simulator.truth.T_world_base.xyt == pytest.approx([2.0, -1.0, 1.5], abs=2e-3)
         assert after.odometry.T_odom_base.xyt == pytest.approx(before.odometry.T_odom_base.xyt, abs=1e-3)
+        # The sweep in which it was carried gives no scan; the next is of the new place alone.
+        assert after.scan is None
+        for _ in range(6):
+            after = simulator.step(Twist())
+        assert after.scan is not None
         assert simulator.scan_truth.xyt == pytest.approx([2.0, -1.0, 1.5], abs=2e-3)
         for _ in range(30):
             after = simulator.step(Twist(0.1, 0.0))
