@@ -82,8 +82,8 @@ class Physics:
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._dt,
-            numSubSteps=self._config.substeps,
+            fixedTimeStep=self._dt / self._config.substeps,
+            numSubSteps=0,
             numSolverIterations=self._config.solver_iterations,
             deterministicOverlappingPairs=1,
             physicsClientId=client,
@@ -132,8 +132,11 @@ class Physics:
                 physicsClientId=client,
             )
 
-    def step(self, left: float, right: float) -> None:
-        """One control step with the wheel motors aiming at these speeds [rad/s]."""
+    def step(self, left: float, right: float, *, watch: bool = False) -> set[int]:
+        """One control step with the wheel motors aiming at these speeds [rad/s].
+
+        With `watch`, the solids that the robot touched in any of its physics steps (see `touched`).
+        """
         bullet.setJointMotorControlArray(
             self.body,
             self._joints,
@@ -142,7 +145,12 @@ class Physics:
             forces=self._forces,
             physicsClientId=self._client,
         )
-        bullet.stepSimulation(physicsClientId=self._client)
+        found: set[int] = set()
+        for _ in range(self._config.substeps):
+            bullet.stepSimulation(physicsClientId=self._client)
+            if watch:
+                found |= self.touched()
+        return found
 
     def place(self, number: int, xy: Array, velocity: Array) -> None:
         """Put moving solid `number` somewhere; its velocity is what it pushes with. Never the robot."""

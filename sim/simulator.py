@@ -46,7 +46,8 @@ class SimConfig(BaseModel):
 class Truth:
     """What only the simulator knows: true pose and twist, and contacts with anything but the floor.
 
-    A contact is `visible` when the touched solid crosses the lidar plane, else `low`.
+    A contact is `visible` when the touched solid crosses the lidar plane, else `low`; one in any of
+    the physics steps since the last control step counts.
     """
 
     stamp_ns: int
@@ -133,6 +134,7 @@ class Simulator:
         ]
         self._physics.reset(start, [one.position for one in self._moving])
         self._place_movers(first=True)
+        self._touched = self._physics.touched()
         self._step = 0
         self._carried = False
         self._sweep = np.zeros((self._steps_per_scan + 1, 3))
@@ -148,7 +150,8 @@ class Simulator:
                 one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
             self._place_movers(first=self._step % self._steps_per_scan == 0)
         wheels = self._motors.step(self._faults.command(command))
-        self._physics.step(*self._faults.grip(self._step + 1, *wheels))
+        wheels = self._faults.grip(self._step + 1, *wheels)
+        self._touched = self._physics.step(*wheels, watch=self._something_near())
         self._step += 1
         place = self._faults.kidnapped(self._step)
         if place is not None:
@@ -192,7 +195,8 @@ class Simulator:
         stamp = stamp_of(self._step)
         x, y, yaw = self._physics.pose()
         left, right, left_speed, right_speed = self._faults.encoders(self._step, *self._physics.wheels())
-        visible, low = self._contacts(x, y)
+        touched = [self._visible[number] for number in self._touched]
+        visible, low = any(touched), not all(touched)
         pose = np.array([x, y, yaw])
         twist = Twist(*self._physics.velocity(yaw))
         self._truth = Truth(stamp, SE2(pose), twist, visible, low)
@@ -243,12 +247,12 @@ class Simulator:
         self._sweep3d[0] = pose
         return stamp_of(self._step - steps), cloud
 
-    def _contacts(self, x: float, y: float) -> tuple[bool, bool]:
+    def _something_near(self) -> bool:
+        """Whether anything can be touched within the next control step."""
+        x, y, _ = self._truth.T_world_base.xyt.tolist()
         near = self._touchable
-        if distance_to_point(x, y, near.segments, near.circles) > self._radius + CONTACT_REACH_M:
-            return False, False
-        touched = [self._visible[number] for number in self._physics.touched()]
-        return any(touched), not all(touched)
+        reach = self._radius + CONTACT_REACH_M + 2.0 * self.robot.limits.max_v / CONTROL_HZ
+        return distance_to_point(x, y, near.segments, near.circles) <= reach
 
     def _check_free(self, start: SE2, what: str = "start pose") -> None:
         x, y = float(start.x), float(start.y)

@@ -200,3 +200,25 @@ def test_the_robot_drives_under_a_table():
             simulator.step(Twist(0.2, 0.0))
             assert not simulator.truth.contact_visible
         assert float(simulator.truth.T_world_base.x) > -1.3
+
+
+def test_a_touch_of_one_physics_step_counts_wherever_in_the_control_step_it_is(monkeypatch):
+    with Simulator(WORLD, BURGER, SimConfig(), 0) as simulator:
+        simulator.reset(SE2.from_xyt(-2.5, -0.5, np.pi))
+        looks = iter([set(), {0}, *[set()] * 100])
+        monkeypatch.setattr(simulator._physics, "touched", lambda: next(looks))
+        simulator.step(Twist())
+        assert simulator.truth.contact_visible
+        simulator.step(Twist())
+        assert not simulator.truth.contact_visible
+
+
+def test_contacts_are_not_looked_for_far_from_everything(monkeypatch):
+    with Simulator(WORLD, BURGER, SimConfig(), 0) as simulator:
+        simulator.reset(SE2.from_xyt(-1.65, -0.5, 0.0))
+
+        def refuse() -> set[int]:
+            raise AssertionError("nothing is near")
+
+        monkeypatch.setattr(simulator._physics, "touched", refuse)
+        simulator.step(Twist(0.1, 0.0))
