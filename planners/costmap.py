@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from datasets.grid import UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
+from planners.distance import distance_field
 
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
@@ -79,10 +80,9 @@ class Costmap:
 
 
 def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
-    """Exact distance transform (Maurer et al. 2003, via SciPy) of a mask; the world beyond it is lethal."""
+    """Exact distance transform of a mask [m]; the world beyond it is lethal."""
     # One ring of lethal cells stands for everything beyond the grid.
-    padded = np.pad(lethal, 1, constant_values=True)
-    return (ndimage.distance_transform_edt(~padded)[1:-1, 1:-1] * resolution).astype(np.float32)
+    return distance_field(np.pad(lethal, 1, constant_values=True), resolution)[1:-1, 1:-1].copy()
 
 
 def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Array] = ()) -> Costmap:

@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy import ndimage
 
 from datasets.se2 import SE2, Array
 from planners.costmap import Costmap, Mask
+from planners.distance import distance_field
 
 NEVER = -1.0e9
 
@@ -33,17 +33,6 @@ class LiveConfig(BaseModel):
     """How far round live obstacles the clearance is computed anew."""
     hits: int = Field(default=2, ge=1)
     """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
-
-
-def empty_costmap(around: Array, margin: float, resolution: float) -> Costmap:
-    """Floor of which nothing is known, free for all that: a frame for live obstacles only.
-
-    Holds the points `around` (n, 2) with `margin` about them.
-    """
-    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
-    cols, rows = np.ceil((high - low) / resolution).astype(int)
-    lethal = np.zeros((int(rows), int(cols)), dtype=bool)
-    return Costmap(lethal, resolution, SE2.from_xyt(low[0], low[1], 0.0))
 
 
 class LiveLayer:
@@ -89,6 +78,16 @@ class LiveLayer:
         self.marked = int(live.sum())
         self.costmap = self._combined(live) if self.marked else static
 
+    def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
+        """Where to plan to on the way from a pose to a goal: on a map, the goal itself."""
+        del pose, radius
+        return goal
+
+    def stands_in(self, goal: SE2) -> bool:
+        """Whether something else is planned to in the goal's place for now: on a map, never."""
+        del goal
+        return False
+
     def clear(self) -> None:
         """Forget all live obstacles."""
         self._seen[:] = NEVER
@@ -105,10 +104,10 @@ class LiveLayer:
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
         )
-        near = ndimage.distance_transform_edt(~live[window]) * static.resolution
+        near = distance_field(live[window], static.resolution)
         clearance = static.clearance.copy()
         # Beyond the reach the live obstacle's distance is cut short on purpose: nothing is that near.
-        np.minimum(clearance[window], near.astype(np.float32), out=clearance[window])
+        np.minimum(clearance[window], near, out=clearance[window])
         combined = Costmap(static.lethal | live, static.resolution, static.T_map_grid)
         combined.__dict__["clearance"] = clearance
         return combined

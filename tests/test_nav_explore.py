@@ -9,6 +9,7 @@ from pipeline.navigation.explore import ExploreConfig, ExploreDriver
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import make_tools
+from planners.live import LiveLayer
 from sim.robots import load_robot
 from sim.simulator import SimConfig, Simulator
 from sim.worlds import load_world
@@ -23,7 +24,7 @@ def test_exploring_widens_the_map_without_a_contact():
         robot.model,
         Sensing(robot.T_base_lidar),
         online,
-        lambda costmap: make_tools(robot, config, costmap, config.live),
+        lambda costmap: make_tools(robot, config, LiveLayer(costmap, config.live)),
         NoBag(),
         duration_s=9.0,
         seed=1,

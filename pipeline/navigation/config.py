@@ -19,7 +19,7 @@ from planners.global_plan import PlanConfig
 from planners.live import LiveConfig
 from planners.tasks.avoid import AvoidConfig
 from planners.tasks.guarded import GuardConfig
-from planners.tasks.recovery import RecoveryConfig
+from planners.tasks.recovery import RecoveryConfig, Rung
 from planners.tasks.relocalise import RelocaliseConfig
 from planners.tasks.sequence import SequenceConfig
 from planners.tasks.wiggle import WiggleConfig
@@ -29,16 +29,33 @@ ControllerName = Literal["pursuit", "dwa"]
 
 
 class MaplessConfig(BaseModel):
-    """Goals without a map: the costmap holds what the scans showed since the start."""
+    """Goals without a map: the costmap is a window about the robot with what the scans showed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    margin: float = Field(default=8.0, gt=0.0)
-    """Room about start and goal that the costmap covers [m]."""
+    window: float = Field(default=16.0, ge=4.0, le=100.0)
+    """Side of the window [m]; what leaves it is forgotten."""
+    shift: float = Field(default=1.0, gt=0.0, le=1.0)
+    """It moves on when the robot is so far off its centre."""
     resolution: float = Field(default=0.05, gt=0.0)
     controller: ControllerName = "dwa"
     replan_period: float = Field(default=0.3, ge=0.0)
     """Takes the place of plan.replan_period: there is always something new to see."""
     inflation_radius: float = Field(default=0.6, gt=0.0)
+    recovery: RecoveryConfig = RecoveryConfig(
+        ladder=(
+            Rung(kind="back_up", amount=0.25),
+            Rung(kind="wait", amount=1.0),
+            Rung(kind="back_up", amount=0.4),
+            Rung(kind="rotate", amount=1.6),
+            Rung(kind="wait", amount=2.0),
+            Rung(kind="clear"),
+            Rung(kind="back_up", amount=0.4),
+            Rung(kind="wait", amount=4.0),
+        ),
+        stuck_time=1.0,
+        back_up_v=0.2,
+    )
+    """Takes the place of `recovery`: among things never seen before, getting out comes before waiting."""
     live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
 
 

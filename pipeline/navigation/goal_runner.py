@@ -65,6 +65,8 @@ class GoalRunner:
         self._manoeuvre: Manoeuvre | None = None
         self._path: Plan | None = None
         self._planned_ns = 0
+        self._planned_on = tools.live.static
+        self._aimed_short = False
         self._held_ns = 0
         self._driven = 0.0
         self._at: SE2 | None = None
@@ -136,11 +138,16 @@ class GoalRunner:
 
     def _plan_on(self, costmap: Costmap, pose: SE2) -> Plan:
         t = self.tools
-        return plan_path(costmap, t.model, pose, self.goal, t.plan, self._seed + 1000 * self._plans)
+        self._planned_on = t.live.static
+        self._aimed_short = t.live.stands_in(self.goal)
+        aim = t.live.aim(pose, self.goal, t.model.circumscribed_radius + min(t.plan.margins))
+        return plan_path(costmap, t.model, pose, aim, t.plan, self._seed + 1000 * self._plans)
 
     def _blocked(self, now_ns: int, pose: SE2) -> bool:
-        """Whether live obstacles stand on the path ahead."""
+        """Whether live obstacles stand on the path ahead, or it ends at the rim of a window now left."""
         live = self.tools.live
+        if live.static is not self._planned_on and self._aimed_short:
+            return True
         if (
             not live.marked
             or self._path is None

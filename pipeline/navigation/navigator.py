@@ -184,7 +184,8 @@ class NavigationDriver:
     def _start(self, goal: SE2, now: int) -> GoalRunner | None:
         """A runner for a new goal; None when the goal is rejected, which is recorded."""
         self._publisher.goal(now, goal)
-        if not fits(self.tools.live.static, self.tools.model, goal):
+        live = self.tools.live
+        if not live.stands_in(goal) and not fits(live.static, self.tools.model, goal):
             self.sequence.close("rejected", "the goal is in an obstacle or off the map", now)
             return None
         seed = self._plan_seed + 1_000_000 * self.sequence.index

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
@@ -35,7 +33,8 @@ from planners.control.monitor import CollisionMonitor
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
 from planners.global_plan import fits
-from planners.live import LiveConfig, LiveLayer, empty_costmap
+from planners.live import LiveLayer
+from planners.rolling import RollingLayer
 from planners.tasks.guarded import Guard
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
@@ -172,12 +171,11 @@ def make_driver(mission: Mission, first: Observation, publisher: Bag, say: Calla
         localiser = _make_localiser(mission, mission.grid, sensing, publisher)
         _tell_pose(localiser, request.initial_pose, first)
         publisher.map(first.stamp_ns, mission.grid)
-        tools = make_tools(robot, config, mission.costmap, config.live)
+        tools = make_tools(robot, config, LiveLayer(mission.costmap, config.live))
     else:
-        ends = [first.odometry.T_odom_base.xy]
-        ends += [point.T_map_goal.xy for point in mission.waypoints if point.T_map_goal is not None]
-        costmap = empty_costmap(np.stack(ends), config.mapless.margin, config.mapless.resolution)
-        tools = make_tools(robot, _mapless(config), costmap, config.mapless.live)
+        m = config.mapless
+        window = RollingLayer(first.odometry.T_odom_base.xy, m.window, m.resolution, m.shift, m.live)
+        tools = make_tools(robot, _mapless(config), window)
     looks_about = request.wiggle or request.initial_pose == "global"
     wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
     guard = Guard(robot.model, config.avoid, config.guard)
@@ -191,7 +189,7 @@ def _make_explorer(mission: Mission, sensing: Sensing, publisher: Bag, seed: int
     config = mission.config.model_copy(update={"goal_checker": explore.checker})
 
     def tools_on(costmap: Costmap) -> Tools:
-        return make_tools(robot, config, costmap, config.live)
+        return make_tools(robot, config, LiveLayer(costmap, config.live))
 
     return ExploreDriver(
         explore,
@@ -209,17 +207,18 @@ def _mapless(config: NavigateConfig) -> NavigateConfig:
     """The configuration with the section `mapless` in force."""
     m = config.mapless
     plan = {"replan_period": m.replan_period, "inflation_radius": m.inflation_radius}
-    return config.model_copy(update={"controller": m.controller, "plan": config.plan.model_copy(update=plan)})
+    own = {"controller": m.controller, "recovery": m.recovery, "plan": config.plan.model_copy(update=plan)}
+    return config.model_copy(update=own)
 
 
-def make_tools(robot: RobotSpec, config: NavigateConfig, costmap: Costmap, live: LiveConfig) -> Tools:
-    """Controller, monitor and live layer for a robot on a costmap."""
+def make_tools(robot: RobotSpec, config: NavigateConfig, live: LiveLayer) -> Tools:
+    """Controller and monitor for a robot, on a costmap with live obstacles."""
     return Tools(
         model=robot.model,
         controller=make_controller(robot, config),
         monitor=CollisionMonitor(robot.model, config.monitor),
         wary=Wary(robot.model, config.wary),
-        live=LiveLayer(costmap, live),
+        live=live,
         plan=config.plan,
         checker=config.goal_checker,
         recovery=config.recovery,

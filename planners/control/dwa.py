@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy import ndimage
 
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel, Twist
@@ -20,6 +19,7 @@ from planners.control.interface import Ramped, ramped
 from planners.control.monitor import moved
 from planners.control.pursuit import Pursuit, PursuitConfig
 from planners.costmap import Costmap
+from planners.distance import distance_field
 from planners.footprint import Field32, footprint_clearance, sample_footprint
 from planners.wavefront import wave
 
@@ -42,11 +42,15 @@ class DwaConfig(BaseModel):
     path_distance_bias: float = Field(default=0.3, ge=0.0)
     goal_distance_bias: float = Field(default=1.0, ge=0.0)
     forward_point_distance: float = Field(default=0.325, ge=0.0)
+    backward_bias: float = Field(default=1.5, ge=0.0)
+    """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
     clearance_bias: float = Field(default=1.5, ge=0.0)
     """Worth of each metre of room up to `comfort`, in metres of way."""
     comfort: float = Field(default=0.3, gt=0.0)
     least_room: float = Field(default=0.06, ge=0.0)
     """An arc that comes nearer than this to something is not admissible."""
+    turning_room: float = Field(default=0.04, ge=0.0)
+    """Ways as wide as the circumscribed circle and this are preferred, however long."""
     passage_room: float = Field(default=0.08, ge=0.0)
     """Ways narrower than the inscribed circle and this are not counted on."""
     settle_distance: float = Field(default=0.45, gt=0.0)
@@ -92,10 +96,10 @@ class Dwa(Ramped):
             self.state = self._settler.state
             return command
         self.state = "follow"
-        self._look_at(costmap)
+        self._look_at(pose, costmap)
         return ramped(self._best_arc(pose, last, costmap), last, self.limits)
 
-    def _look_at(self, costmap: Costmap) -> None:
+    def _look_at(self, pose: SE2, costmap: Costmap) -> None:
         """Distances to goal and path over the floor, anew when the floor has changed."""
         if costmap is self._costmap:
             return
@@ -103,11 +107,20 @@ class Dwa(Ramped):
         res = costmap.resolution
         cells = np.floor((costmap.T_grid_map @ self._path.xy)[:, ::-1] / res).astype(np.int64)
         cells = np.clip(cells, 0, np.array(costmap.lethal.shape) - 1)
-        free = costmap.clearance > self.samples.inscribed + self.config.passage_room
-        self._to_goal = wave(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
-        off = np.ones(costmap.lethal.shape, dtype=bool)
-        off[cells[:, 0], cells[:, 1]] = False
-        self._to_path = (ndimage.distance_transform_edt(off) * res).astype(np.float32)
+        here = np.floor((costmap.T_grid_map @ pose.xy)[::-1] / res).astype(np.int64)
+        here = np.clip(here, 0, np.array(costmap.lethal.shape) - 1)
+        s = self.samples
+        for radius in (
+            s.circumscribed + self.config.turning_room,
+            s.inscribed + self.config.passage_room,
+        ):
+            free = costmap.clearance > radius
+            self._to_goal = wave(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
+            if np.isfinite(self._to_goal[here[0], here[1]]):
+                break
+        on = np.zeros(costmap.lethal.shape, dtype=bool)
+        on[cells[:, 0], cells[:, 1]] = True
+        self._to_path = distance_field(on, res)
 
     def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
         c, limits = self.config, self.limits
@@ -143,6 +156,7 @@ class Dwa(Ramped):
                     c.clearance_bias,
                     c.comfort,
                     c.least_room,
+                    c.backward_bias,
                 ]
             ),
         )
@@ -177,10 +191,11 @@ def best_arc(
     """The (v, w) of least cost among vs x ws, in the grid frame; (0, 0) when none is admissible.
 
     `settings`: simulated time, step, braking, biases of goal and path, forward point, bias of room,
-    comfortable room, least room. An arc is admissible when the robot can stop before the place
+    comfortable room, least room, bias of backward driving. An arc is admissible when the robot can stop
+    before the place
     where it would come nearer than the least room; one that starts too near may only get freer.
     """
-    time, step, braking, k_goal, k_path, ahead, k_room, comfort, least = settings
+    time, step, braking, k_goal, k_path, ahead, k_room, comfort, least, k_back = settings
     here = footprint_clearance(clearance, resolution, points, inscribed, circumscribed, x, y, yaw)
     base = _value(to_goal, resolution, x, y, 1.0e3)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
@@ -210,7 +225,8 @@ def best_arc(
             fx, fy = ex + ahead * math.cos(eyaw), ey + ahead * math.sin(eyaw)
             nose = _value(to_goal, resolution, fx, fy, far)
             off = _value(to_path, resolution, ex, ey, 1.0)
-            cost = k_goal * (end + nose) + k_path * off - k_room * min(room, comfort)
+            back = max(-v, 0.0) * time
+            cost = k_goal * (end + nose) + k_path * off + k_back * back - k_room * min(room, comfort)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w

@@ -1,0 +1,121 @@
+"""A live layer that goes with the robot: a window of fixed size, whatever way it drives.
+
+Nothing is known but what the scans show; beyond the window everything may be free. A goal out there
+is pursued by way of a place at the window's rim (as the planner of a rolling costmap needs it).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array
+from planners.costmap import Costmap, Mask
+from planners.global_plan import NoPath
+from planners.live import NEVER, LiveConfig, LiveLayer
+from planners.wavefront import wave
+
+RIM_M = 0.8
+"""Places to make for lie this far inside the window: its edge counts as an obstacle."""
+NEAREST_M = 0.5
+"""From where a search begins when the robot itself stands too near something."""
+
+
+class RollingLayer(LiveLayer):
+    """Live obstacles in a square window in the odometry frame, moved by whole cells."""
+
+    def __init__(self, centre: Array, side: float, resolution: float, shift: float, config: LiveConfig):
+        """`side` [m] of the window; it moves when the robot is more than `shift` [m] off its centre."""
+        cells = max(2, round(side / resolution))
+        self._shift_cells = max(1, round(shift / resolution))
+        corner = np.floor(centre / resolution) - cells // 2
+        super().__init__(_free_floor(corner, cells, resolution), config)
+
+    def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
+        """Move the window if need be, then take in a sweep as a live layer does."""
+        self._move_to(origin.xy)
+        super().update(now_s, origin, hits, passes)
+
+    def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
+        """The goal, or the place at the rim on the shortest way to it for a disc of `radius` [m].
+
+        Beyond the rim the way is taken to be straight. Raises NoPath when no such place can be reached.
+        """
+        if not self._beyond(goal):
+            return goal
+        costmap, res = self.costmap, self.costmap.resolution
+        free = costmap.clearance > radius
+        start = _nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
+        if start is None:
+            raise NoPath("the robot stands too near an obstacle")
+        ways = wave(free, *start, math.inf) * res
+        rim = _rim(len(free), round(RIM_M / res))
+        rest = np.linalg.norm((rim[:, ::-1] + 0.5) * res - costmap.T_grid_map @ goal.xy, axis=1)
+        total = ways[rim[:, 0], rim[:, 1]] + rest
+        best = int(np.argmin(total))
+        if not math.isfinite(total[best]):
+            raise NoPath("no way leads out of what is seen")
+        place = costmap.T_map_grid @ ((rim[best, ::-1] + 0.5) * res)
+        ahead = goal.xy - place
+        return SE2.from_xyt(place[0], place[1], math.atan2(ahead[1], ahead[0]))
+
+    def stands_in(self, goal: SE2) -> bool:
+        """Whether the way to the goal is only planned as far as the rim."""
+        return self._beyond(goal)
+
+    def _beyond(self, goal: SE2) -> bool:
+        xy = self.static.T_grid_map @ goal.xy
+        return bool(np.any(xy < RIM_M) or np.any(xy > self.static.size[0] - RIM_M))
+
+    def _move_to(self, xy: Array) -> None:
+        """Shift what is remembered so that the window's centre is within reach of a point again."""
+        res, cells = self.static.resolution, len(self._seen)
+        off = np.floor((self.static.T_grid_map @ xy) / res).astype(int) - cells // 2
+        if np.abs(off).max() <= self._shift_cells:
+            return
+        cols, rows = off.tolist()
+        self._seen = _shifted(self._seen, rows, cols, NEVER)
+        self._hits = _shifted(self._hits, rows, cols, 0)
+        corner = np.round(self.static.T_map_grid.xy / res) + off
+        self.static = _free_floor(corner, cells, res)
+
+
+def _free_floor(corner: Array, cells: int, resolution: float) -> Costmap:
+    """Floor of which nothing is known, free for all that; `corner` (x, y) in cells."""
+    x, y = (corner * resolution).tolist()
+    return Costmap(np.zeros((cells, cells), dtype=bool), resolution, SE2.from_xyt(x, y, 0.0))
+
+
+def _shifted(values: NDArray[Any], rows: int, cols: int, empty: float) -> NDArray[Any]:
+    """`values` seen from a window moved by (rows, cols); what comes in is `empty`."""
+    n, out = len(values), np.full_like(values, empty)
+    to_r, to_c = slice(max(-rows, 0), min(n - rows, n)), slice(max(-cols, 0), min(n - cols, n))
+    of_r, of_c = slice(max(rows, 0), min(n + rows, n)), slice(max(cols, 0), min(n + cols, n))
+    if abs(rows) < n and abs(cols) < n:
+        out[to_r, to_c] = values[of_r, of_c]
+    return out
+
+
+def _rim(cells: int, inset: int) -> Array:
+    """Cells (n, 2) of a square ring, `inset` cells inside the window."""
+    low, high = inset, cells - 1 - inset
+    side = np.arange(low, high + 1)
+    ends = np.full_like(side, low), np.full_like(side, high)
+    edges = [np.stack([end, side], axis=1) for end in ends] + [np.stack([side, end], axis=1) for end in ends]
+    return np.unique(np.concatenate(edges), axis=0)
+
+
+def _nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
+    """The free cell nearest to a point (x, y), all in cells; None when there is none within reach."""
+    col, row = (int(v) for v in np.floor(xy))
+    if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
+        return row, col
+    cells = np.argwhere(free)
+    if len(cells) == 0:
+        return None
+    gap = np.linalg.norm(cells[:, ::-1] + 0.5 - xy, axis=1)
+    best = int(np.argmin(gap))
+    return (int(cells[best, 0]), int(cells[best, 1])) if gap[best] <= reach else None
