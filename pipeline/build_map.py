@@ -19,8 +19,9 @@ from pipeline.config import config_text, load_config
 from pipeline.console import log, track
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
-from pipeline.slam.sessions import joined_recording
-from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
+from pipeline.slam.stored import FILE as GRAPH
+from pipeline.slam.stored import load_session, save_session
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics
@@ -36,6 +37,7 @@ def build_map(
     settings: Sequence[str] = (),
     laser: SE2 | None = None,
     also: Sequence[Path] = (),
+    continued: Path | None = None,
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
@@ -44,7 +46,8 @@ def build_map(
     """Map `source` into the folder `out`; returns the exit code.
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
-    metrics. `also` are later recordings of the same place, joined into one graph. `laser` overrides
+    metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
+    of an earlier map, whose graph `source` and they join without it being made again. `laser` overrides
     where the input says the laser sits on the robot. InputError when anything given cannot be used,
     before anything is written. With `cache` only the steps are done whose inputs it does not know.
     """
@@ -53,12 +56,16 @@ def build_map(
     references = _References(truth, relations)
     watch = Stopwatch()
     cache = cache or StageCache()
-    recording, *more = [_recording(path, laser, cache) for path in (source, *also)]
-    for note in (note for one in (recording, *more) for note in one.notes):
+    earlier = None if continued is None else load_session(continued)
+    recordings = [_recording(path, laser, cache) for path in (source, *also)]
+    for note in (note for one in recordings for note in one.notes):
         log.warning(note)
-    result = run_slam(recording, resolved, _progress, more=more, cache=cache)
+    if earlier is not None:
+        result = continue_slam(earlier, recordings, resolved, _progress, cache=cache)
+    else:
+        result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
     cache.trim()
-    recording = joined_recording([recording, *more])
+    recording = result.session.recording
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
         save_map(result.grid, folder)
@@ -67,8 +74,9 @@ def build_map(
         write_json(folder / "metrics.json", {**summary(recording, result), **references.metrics(result)})
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
+        save_session(folder / GRAPH, result.session, min(recording.lidar.range_max, resolved.usable_range_m))
         if explain:
-            write_explanation(folder, recording, result, resolved)
+            write_explanation(folder, result, resolved)
         write_manifest(
             folder,
             stage="map",
@@ -76,6 +84,7 @@ def build_map(
             inputs={
                 "source": source,
                 **{f"also_{k}": path for k, path in enumerate(also, start=1)},
+                **({} if continued is None else {"continued": continued / GRAPH}),
                 **references.inputs(),
             },
             seed=None,

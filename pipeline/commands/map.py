@@ -25,6 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="another recording of the same place: joins the same map (repeatable)",
     )
     parser.add_argument(
+        "--continue",
+        dest="continued",
+        type=Path,
+        metavar="MAP_DIR",
+        help="go on with the graph of an earlier map: INPUT joins it, and nothing of it is done again",
+    )
+    parser.add_argument(
         "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
     )
     add_config(parser)
@@ -46,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
         settings=args.settings,
         laser=None if args.laser is None else pose(args.laser, "--laser"),
         also=args.also,
+        continued=args.continued,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

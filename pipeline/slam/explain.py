@@ -9,28 +9,58 @@ import numpy as np
 
 from datasets.maps import save_map
 from datasets.outputs import write_json
-from datasets.se2 import SE2
-from datasets.types import Recording
+from datasets.se2 import SE2, Array
+from pipeline.slam.consistency import Recognised
 from pipeline.slam.loops import Loop
 from pipeline.slam.occupancy import make_grid
 from pipeline.slam.pose_graph import mahalanobis
 from pipeline.slam.selfcheck import hypothesis_shares
+from pipeline.slam.sessions import Session
 from pipeline.slam.slam import SlamConfig, SlamResult
 
 WORST = 10
 
 
 def loop_record(result: SlamResult) -> dict[str, Any]:
-    """Key scans, and every loop candidate: scores, verdict, what is left of it at the final poses."""
+    """Key scans, and every candidate for a loop, by distance and by place recognition: scores, verdict,
+    what is left of it at the final poses; and the scans before which the log breaks."""
+    session = result.session
     return {
         "keys": result.keys,
         "loops": [_loop(loop, result.T_map_keys) for loop in result.loops],
+        "recognised": [_recognised(place, result.T_map_keys) for place in result.recognised],
+        "breaks": [
+            {"after_scan": before, "before_scan": after, "mended": _mended(session, after)}
+            for before, after in session.chain.gaps.tolist()
+        ],
     }
 
 
+def _mended(session: Session, scan: int) -> bool:
+    step = int(np.searchsorted(session.track.keys, scan)) - 1
+    return not bool(session.graph.unbridged[step])
+
+
+def _recognised(place: Recognised, T_map_keys: SE2) -> dict[str, Any]:
+    return {
+        "i": place.i,
+        "j": place.j,
+        "T_j_i": place.T_j_i,
+        "score": place.score,
+        "overlap": place.overlap,
+        "denied": place.denied,
+        "rmse_m": place.rmse,
+        "verdict": place.verdict,
+        **_residual(place.i, place.j, place.T_j_i, T_map_keys),
+    }
+
+
+def _residual(i: int, j: int, T_j_i: Array, T_map_keys: SE2) -> dict[str, float]:
+    left = (SE2(T_j_i).inverse() @ T_map_keys[j].inverse() @ T_map_keys[i]).xyt
+    return {"residual_m": float(np.hypot(left[0], left[1])), "residual_rad": float(abs(left[2]))}
+
+
 def _loop(loop: Loop, T_map_keys: SE2) -> dict[str, Any]:
-    final = T_map_keys[loop.j].inverse() @ T_map_keys[loop.i]
-    left = (SE2(loop.T_j_i).inverse() @ final).xyt
     return {
         "i": loop.i,
         "j": loop.j,
@@ -40,16 +70,17 @@ def _loop(loop: Loop, T_map_keys: SE2) -> dict[str, Any]:
         "overlap": loop.overlap,
         "rmse_m": loop.rmse,
         "verdict": loop.verdict,
-        "residual_m": float(np.hypot(left[0], left[1])),
-        "residual_rad": float(abs(left[2])),
+        **_residual(loop.i, loop.j, loop.T_j_i, T_map_keys),
     }
 
 
-def write_explanation(folder: Path, recording: Recording, result: SlamResult, config: SlamConfig) -> None:
+def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> None:
     """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration) and the map that
     the front end alone would have drawn, `before.pgm`, to hold beside `map.pgm`."""
-    usable = min(recording.lidar.range_max, config.usable_range_m)
-    save_map(make_grid(recording, result.track.T_track_base, config.grid, usable), folder, "before")
+    session = result.session
+    usable = min(session.recording.lidar.range_max, config.usable_range_m)
+    before = make_grid(session.recording, session.track.T_track_base, config.grid, usable, session.motion)
+    save_map(before, folder, "before")
     write_json(
         folder / "explain.json",
         {

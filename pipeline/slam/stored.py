@@ -1,0 +1,146 @@
+"""The whole graph of a map in one file, `graph.npz`: all that it takes to go on with another recording.
+
+Scans, odometry, track, key poses, constraints and the records of loops, as plain arrays (NumPy's npz, no
+pickled objects); the lists of records as JSON. What is read back is what was written, to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from functools import cache as once
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.outputs import sha256_file
+from datasets.se2 import SE2
+from datasets.types import LidarSpec, Recording
+from pipeline.slam.calibration import Calibration
+from pipeline.slam.chain import Chain
+from pipeline.slam.clouds import make_clouds
+from pipeline.slam.consistency import Recognised
+from pipeline.slam.loops import Loop
+from pipeline.slam.pose_graph import Constraint
+from pipeline.slam.sessions import Graph, Session
+from pipeline.slam.tracking import Track
+
+FILE = "graph.npz"
+FORMAT = 1
+
+
+def save_session(path: Path, session: Session, usable_range: float) -> None:
+    """Write a session; `usable_range` [m] is what its clouds were made with. No path and no time goes in."""
+    recording, track, graph = session.recording, session.track, session.graph
+    about = {
+        "format": FORMAT,
+        "source": " + ".join(Path(part).name for part in recording.source.split(" + ")),
+        "lidar": asdict(recording.lidar),
+        "usable_range_m": usable_range,
+        "calibration": {k: v for k, v in vars(track.calibration).items() if k != "noise"},
+    }
+    arrays: dict[str, Any] = {
+        "about": _text(about),
+        "stamps_ns": recording.stamps_ns,
+        "ranges": recording.ranges,
+        "T_base_lidar": recording.T_base_lidar.xyt,
+        "noise": track.calibration.noise,
+        "T_map_keys": graph.T_map_keys.xyt,
+        "unbridged": graph.unbridged,
+        **{
+            f"track_{f.name}": _plain(getattr(track, f.name))
+            for f in fields(Track)
+            if f.name != "calibration"
+        },
+        **{f"chain_{f.name}": getattr(session.chain, f.name) for f in fields(Chain)},
+        **_columns("constraint", graph.constraints, Constraint),
+        **_columns("loop", graph.loops, Loop),
+        **_columns("recognised", graph.recognised, Recognised),
+        "T_odom_base": None if recording.T_odom_base is None else recording.T_odom_base.xyt,
+        "motion": None if session.motion is None else session.motion.xyt,
+    }
+    with path.open("wb") as file:
+        np.savez_compressed(file, **{name: value for name, value in arrays.items() if value is not None})
+
+
+def load_session(folder: Path) -> Session:
+    """The session of a map's folder; InputError when it holds none that can be read."""
+    path = folder / FILE
+    if not path.is_file():
+        raise InputError(f"{folder}: no {FILE} here to continue from; map its recording again")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return _session({name: stored[name] for name in stored.files}, sha256_file(path))
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: not a graph that can be read ({error})") from None
+
+
+def _session(stored: dict[str, Any], key: str) -> Session:
+    about = json.loads(bytes(stored["about"]))
+    if about["format"] != FORMAT:
+        raise ValueError(f"format {about['format']}, expected {FORMAT}")
+    recording = Recording(
+        source=about["source"],
+        stamps_ns=stored["stamps_ns"],
+        ranges=stored["ranges"],
+        lidar=LidarSpec(**about["lidar"]),
+        T_base_lidar=SE2(stored["T_base_lidar"]),
+        T_odom_base=_poses(stored, "T_odom_base"),
+    )
+    motion, usable = _poses(stored, "motion"), float(about["usable_range_m"])
+    calibration = Calibration(**about["calibration"], noise=stored["noise"])
+    track: dict[str, Any] = {f.name: stored.get(f"track_{f.name}") for f in fields(Track)}
+    track |= {"T_track_base": SE2(stored["track_T_track_base"]), "calibration": calibration}
+    graph = Graph(
+        SE2(stored["T_map_keys"]),
+        _rows("constraint", stored, Constraint),
+        _rows("loop", stored, Loop),
+        _rows("recognised", stored, Recognised),
+        stored["unbridged"],
+    )
+    chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
+    scans, keys = len(recording.stamps_ns), track["keys"]
+    lengths = {len(recording.ranges), len(track["T_track_base"]), len(track["information"])}
+    if lengths != {scans} or keys.max(initial=0) >= scans or len(keys) != len(graph.T_map_keys):
+        raise ValueError("its parts do not fit each other")
+    clouds = once(lambda: make_clouds(recording, usable, motion))
+    return Session(recording, clouds, motion, Track(**track), chain, graph, key)
+
+
+def _text(value: object) -> Any:
+    return np.frombuffer(json.dumps(value).encode(), dtype=np.uint8)
+
+
+def _plain(value: Any) -> Any:
+    return value.xyt if isinstance(value, SE2) else value
+
+
+def _poses(stored: dict[str, Any], name: str) -> SE2 | None:
+    return SE2(stored[name]) if name in stored else None
+
+
+def _columns(name: str, rows: Sequence[Any], kind: type) -> dict[str, Any]:
+    """Records as one array a field; words as JSON."""
+    out: dict[str, Any] = {}
+    for field in fields(kind):
+        column = [getattr(row, field.name) for row in rows]
+        words = field.name in ("kind", "verdict")
+        out[f"{name}_{field.name}"] = _text(column) if words else np.array(column)
+    return out
+
+
+def _rows(name: str, stored: dict[str, Any], kind: type) -> list[Any]:
+    columns = []
+    for field in fields(kind):
+        column = stored[f"{name}_{field.name}"]
+        if field.name in ("kind", "verdict"):
+            columns.append(json.loads(bytes(column)))
+        else:
+            # single numbers as Python's own, so that what is written of them is the same text
+            columns.append(column.tolist() if column.ndim == 1 else list(column))
+    return [kind(*row) for row in zip(*columns, strict=True)]

@@ -1,0 +1,135 @@
+"""The whole graph saved, read back exactly, and gone on with."""
+
+import json
+from dataclasses import fields, replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.trajectories import load_tum, save_tum
+from pipeline.cli import main
+from pipeline.slam.pose_graph import write_g2o
+from pipeline.slam.slam import SlamConfig, continue_slam, run_slam
+from pipeline.slam.stored import FILE, load_session, save_session
+from tests.slam_rooms import ROOM, SICK, around_the_room, drifted, recording
+from tests.test_slam_map import carmen_text
+
+FIRST = around_the_room(90)
+SECOND = around_the_room(80) + np.array([0.1, 0.1, 0.0])
+USABLE_M = 30.0
+
+
+@pytest.fixture(scope="module")
+def first():
+    return recording(ROOM, FIRST, SICK, odometry=drifted(FIRST))
+
+
+@pytest.fixture(scope="module")
+def result(first):
+    return run_slam(first, SlamConfig())
+
+
+def second():
+    elsewhere = SE2.from_xyt(-4.0, 9.0, -2.2) @ SE2.from_array(SECOND)
+    log = recording(ROOM, SECOND, SICK, odometry=drifted(elsewhere.xyt, seed=3), seed=7)
+    return replace(log, stamps_ns=log.stamps_ns + 10**12)
+
+
+def assert_same(a, b):
+    assert type(a) is type(b)
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    elif isinstance(a, SE2):
+        np.testing.assert_array_equal(a.xyt, b.xyt)
+    elif isinstance(a, list):
+        assert len(a) == len(b)
+        for one, other in zip(a, b, strict=True):
+            assert_same(one, other)
+    elif hasattr(a, "__dataclass_fields__"):
+        for field in fields(a):
+            if field.name not in ("clouds", "key"):
+                assert_same(getattr(a, field.name), getattr(b, field.name))
+    else:
+        assert a == b or (isinstance(a, float) and np.isnan(a) and np.isnan(b))
+
+
+def test_session_is_read_back_to_the_last_bit(tmp_path, result):
+    session = replace(result.session, recording=replace(result.session.recording, odometry=None))
+    save_session(tmp_path / FILE, session, USABLE_M)
+    again = load_session(tmp_path)
+    assert_same(again, session)
+    for name in ("points", "normals", "table"):
+        np.testing.assert_array_equal(getattr(again.clouds(), name), getattr(session.clouds(), name))
+    before = (tmp_path / FILE).read_bytes()
+    save_session(tmp_path / FILE, again, USABLE_M)
+    assert (tmp_path / FILE).read_bytes() == before
+
+
+def test_going_on_from_a_file_is_the_same_as_mapping_both(tmp_path, first, result):
+    both = run_slam(first, SlamConfig(), more=[second()])
+    save_session(tmp_path / FILE, result.session, USABLE_M)
+    continued = continue_slam(load_session(tmp_path), [second()], SlamConfig())
+    np.testing.assert_array_equal(continued.trajectory.poses.xyt, both.trajectory.poses.xyt)
+    np.testing.assert_array_equal(continued.grid.cells, both.grid.cells)
+    assert len(continued.trajectory) == 170
+
+
+def test_command_goes_on_with_an_earlier_map(tmp_path, first):
+    for name, log in (("first", first), ("second", second())):
+        (tmp_path / f"{name}.clf").write_text(carmen_text(log))
+
+    def mapped(out, *arguments):
+        assert main(["map", *map(str, arguments), "--out", str(tmp_path / out), "-q", "--no-cache"]) == 0
+        return tmp_path / out
+
+    a = mapped("a", tmp_path / "first.clf")
+    both = mapped("both", tmp_path / "first.clf", "--also", tmp_path / "second.clf")
+    on = mapped("on", tmp_path / "second.clf", "--continue", a)
+    for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o", "graph.json", "metrics.json", FILE):
+        assert (on / name).read_bytes() == (both / name).read_bytes(), name
+    assert json.loads((on / "metrics.json").read_text())["scans"] == 170
+    assert "continued" in json.loads((on / "manifest.json").read_text())["inputs"]
+
+
+@pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "other shapes", "changed"])
+def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
+    path = tmp_path / FILE
+    if damage != "absent":
+        save_session(path, result.session, USABLE_M)
+        whole = path.read_bytes()
+        if damage == "cut":
+            path.write_bytes(whole[: len(whole) // 2])
+        elif damage == "no zip":
+            path.write_text("nothing")
+        elif damage == "changed":
+            middle = len(whole) // 2
+            path.write_bytes(whole[:middle] + bytes(64) + whole[middle + 64 :])
+        else:
+            with np.load(path) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            np.savez(path, **{**arrays, "ranges": arrays["ranges"][:-1]})
+    with pytest.raises(InputError, match=r"graph\.npz"):
+        load_session(tmp_path)
+
+
+def test_g2o_and_tum_are_read_back_as_they_are(tmp_path, result):
+    write_g2o(tmp_path / "graph.g2o", result.T_map_keys, result.constraints)
+    graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), False)
+    T_read = [values.atPose2(k) for k in range(len(result.keys))]
+    read = np.array([[T.x(), T.y(), T.theta()] for T in T_read])
+    np.testing.assert_allclose(read, result.T_map_keys.xyt, rtol=0.0, atol=1e-9)
+    assert graph.size() == len(result.constraints)
+    for k, constraint in enumerate(result.constraints):
+        factor = graph.at(k)
+        measured = factor.measured()
+        found = [measured.x(), measured.y(), measured.theta()]
+        np.testing.assert_allclose(found, constraint.T_i_j, rtol=1e-8, atol=1e-9)
+        assert list(factor.keys()) == [constraint.i, constraint.j]
+    save_tum(result.trajectory, tmp_path / "trajectory.tum")
+    again = load_tum(tmp_path / "trajectory.tum")
+    np.testing.assert_array_equal(again.stamps_ns, result.trajectory.stamps_ns)
+    np.testing.assert_allclose(again.poses.xyt, result.trajectory.poses.xyt, rtol=0.0, atol=1e-8)
