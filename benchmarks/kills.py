@@ -1,6 +1,6 @@
 """Stages killed at random moments and started again; stages that cannot write what they should.
 
-python -m benchmarks.kills [--count 100] [--quick] [--seed 0] [--out DIR]
+python -m benchmarks.kills [--count 100] [--quick] [--demo 5] [--seed 0] [--out DIR]
 
 A small chain of record, map, navigate and report is made once undisturbed. Then each stage is killed
 with SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.kills_demo import demo_kills
 from datasets.outputs import sha256_tree
 from pipeline.cli import main as turtlebag
 
@@ -213,9 +214,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--quick", action="store_true", help="10 kills")
+    parser.add_argument("--demo", type=int, metavar="N", help="instead: kill the whole `make demo` N times")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
+    if args.demo is not None:
+        with tempfile.TemporaryDirectory() as name:
+            return written(demo_kills(args.demo, args.seed, Path(name) / "tree"), args.out / "kills_demo.csv")
     load_everything()
     with tempfile.TemporaryDirectory() as name:
         chain = Path(name)
@@ -231,8 +236,13 @@ def main() -> int:
     for stage, what, outcome in rows:
         if outcome.startswith("exit 2"):
             print(f"{stage:9} {what:15} {outcome}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    with (args.out / "kills.csv").open("w", newline="") as file:
+    return written(rows, args.out / "kills.csv")
+
+
+def written(rows: list[tuple[str, str, str]], path: Path) -> int:
+    """Write the table; 1 when any outcome is bad."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
         csv.writer(file).writerows([("stage", "after_s_or_hindrance", "outcome"), *rows])
     return int(any(outcome.startswith("BAD") for _, _, outcome in rows))
 
