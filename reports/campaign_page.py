@@ -80,7 +80,7 @@ def _clear(pairs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for pair in pairs:
         entry = found.setdefault(pair["result"], {"result": pair["result"], "differ": [], "rest": []})
-        entry["differ" if pair["clear"] else "rest"].append(pair)
+        entry["differ" if pair["differs"] else "rest"].append(pair)
     return list(found.values())
 
 
@@ -119,7 +119,7 @@ def _pair(pair: PairedSummary, names: Names) -> dict[str, Any]:
     return {
         "level": words(pair.level),
         "result": label,
-        "clear": clear,
+        "differs": clear,
         "less": less,
         **_texts(found, unit),
     }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from reports.campaign import interval, is_share, levels_of
 from reports.figures.style import ACCENT, AMCL, BAD, INK, MUTED, ODOMETRY, SLAM, new_figure
@@ -15,6 +17,8 @@ from reports.numbers import DISPLAY
 
 Row = Mapping[str, Any]
 COLUMNS = 3
+WRAP = 32
+"""Characters of a label in a line."""
 COLOURS = (SLAM, BAD, AMCL, ODOMETRY, ACCENT, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
@@ -51,9 +55,12 @@ def result_over_factor(
         axes.set_visible(False)
     if log and not share:
         grid[0].set_yscale("log")
+        grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        grid[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        grid[0].yaxis.set_minor_formatter(NullFormatter())
     else:
         grid[0].set_ylim(bottom=0.0, top=105.0 if share else None)
-    text = f"{label} [{symbol}]" if symbol else label
+    text = textwrap.fill(f"{label} [{symbol}]" if symbol else label, WRAP)
     if panels is None:
         grid[0].set_xlabel(words(x))
         grid[0].set_ylabel(text)
@@ -80,7 +87,7 @@ def _draw_lines(
     for number, group in enumerate(groups):
         chosen = [row for row in rows if lines is None or row[lines] == group]
         # Beside each other, so that intervals do not hide one another.
-        step = 0.012 * (max(levels) - min(levels)) if numeric else 0.5 / len(groups)
+        step = 0.012 * (max(levels) - min(levels)) if numeric else 0.16
         shift = step * (number - (len(groups) - 1) / 2)
         places = [float(level) + shift if numeric else index + shift for index, level in enumerate(levels)]
         label = None if group is None else words(group)
