@@ -1,26 +1,13 @@
-"""The OMPL benchmark database (SQLite) that Planner Arena opens: experiments, planners, runs."""
+"""Benchmark logs as OMPL writes them; OMPL's own reader makes of them the database for Planner Arena."""
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Sequence
+import contextlib
+import io
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-# Tables as `ompl_benchmark_statistics` makes them.
-SCHEMA = """
-CREATE TABLE experiments (id INTEGER PRIMARY KEY AUTOINCREMENT, name VARCHAR(512), totaltime REAL,
-  timelimit REAL, memorylimit REAL, runcount INTEGER, version VARCHAR(128), hostname VARCHAR(1024),
-  cpuinfo TEXT, date DATETIME, seed INTEGER, setup TEXT);
-CREATE TABLE plannerConfigs (id INTEGER PRIMARY KEY AUTOINCREMENT, name VARCHAR(512) NOT NULL, settings TEXT);
-CREATE TABLE enums (name VARCHAR(512), value INTEGER, description TEXT, PRIMARY KEY (name, value));
-CREATE TABLE runs (id INTEGER PRIMARY KEY AUTOINCREMENT, experimentid INTEGER, plannerid INTEGER,
-  time REAL, memory REAL, solved BOOLEAN, correct_solution BOOLEAN, approximate_solution BOOLEAN,
-  solution_length REAL, solution_clearance REAL, status INTEGER,
-  FOREIGN KEY (experimentid) REFERENCES experiments(id) ON DELETE CASCADE,
-  FOREIGN KEY (plannerid) REFERENCES plannerConfigs(id) ON DELETE CASCADE);
-CREATE TABLE progress (runid INTEGER, time REAL, PRIMARY KEY (runid, time),
-  FOREIGN KEY (runid) REFERENCES runs(id) ON DELETE CASCADE);
-"""
 STATUS = (
     "Unknown status",
     "Invalid start",
@@ -30,45 +17,63 @@ STATUS = (
     "Approximate solution",
     "Exact solution",
 )
-TIMEOUT, EXACT = 4, 6
+TIMEOUT, EXACT = STATUS.index("Timeout"), STATUS.index("Exact solution")
+PROPERTIES = {
+    "solved": "BOOLEAN",
+    "correct solution": "BOOLEAN",
+    "approximate solution": "BOOLEAN",
+    "status": "ENUM",
+    "time": "REAL",
+    "simplification time": "REAL",
+    "solution length": "REAL",
+    "length over shortest": "REAL",
+    "solution clearance": "REAL",
+}
+"""Measured of each run; every time includes the smoothing of the path."""
 
 
-def write_database(path: Path, rows: Sequence[dict], version: str, seed: int) -> None:
-    """One experiment for each map and query, one planner configuration for each planner."""
+def write_log(
+    path: Path,
+    experiment: str,
+    parameters: Mapping[str, str],
+    setup: str,
+    runs: Mapping[str, Sequence[Mapping[str, float]]],
+    *,
+    version: str,
+    seed: int,
+) -> None:
+    """One experiment: `runs` of each planner are rows of solved, correct, time_ms ... clearance_m.
+
+    Without host and date, so that only the times differ when it is repeated.
+    """
+    count = max(len(rows) for rows in runs.values())
+    lines = [f"OMPL version {version}", f"Experiment {experiment}"]
+    lines += [f"{len(parameters)} experiment properties"]
+    lines += [f"{name} TEXT = {value}" for name, value in parameters.items()]
+    lines += ["Running on -", "Starting at -", "<<<|", setup, "|>>>"]
+    lines += [f"{seed} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner"]
+    lines += ["0 seconds spent to collect the data", "1 enum type", "|".join(("status", *STATUS))]
+    lines += [f"{len(runs)} planners"]
+    for planner, rows in runs.items():
+        lines += [f"geometric_{planner}", "0 common properties", f"{len(PROPERTIES)} properties for each run"]
+        lines += [f"{name} {kind}" for name, kind in PROPERTIES.items()]
+        lines += [f"{len(rows)} runs", *(_values(row) for row in rows), "."]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _values(row: Mapping[str, float]) -> str:
+    solved = bool(row["solved"])
+    values: list[float] = [int(solved), int(row["correct"]), 0, EXACT if solved else TIMEOUT]
+    values += [row["time_ms"] / 1e3, 0.0]
+    values += [row["length_m"], row["ratio"], row["clearance_m"]] if solved else [math.nan] * 3
+    return "".join(f"{value:g}; " for value in values)
+
+
+def write_database(path: Path, logs: Sequence[Path]) -> None:
+    """The SQLite database of some logs, with the views of the best planners."""
+    from ompl.tools import computeViews, readBenchmarkLog
+
     path.unlink(missing_ok=True)
-    connection = sqlite3.connect(path)
-    with connection:
-        connection.executescript(SCHEMA)
-        connection.executemany(
-            "INSERT INTO enums VALUES ('status', ?, ?)", [(k, text) for k, text in enumerate(STATUS)]
-        )
-        experiments, planners = {}, {}
-        for row in rows:
-            name, planner = f"{row['map']} query {row['query']}", row["planner"]
-            if name not in experiments:
-                experiments[name] = connection.execute(
-                    "INSERT INTO experiments (name, totaltime, timelimit, memorylimit, runcount, version, "
-                    "hostname, cpuinfo, date, seed, setup) VALUES (?, 0, 0, 0, 1, ?, '', '', '', ?, ?)",
-                    (name, version, seed, f"map {row['map']}, robot {row['robot']}"),
-                ).lastrowid
-            if planner not in planners:
-                planners[planner] = connection.execute(
-                    "INSERT INTO plannerConfigs (name, settings) VALUES (?, '')", (f"geometric_{planner}",)
-                ).lastrowid
-            solved = int(row["solved"])
-            connection.execute(
-                "INSERT INTO runs (experimentid, plannerid, time, memory, solved, correct_solution, "
-                "approximate_solution, solution_length, solution_clearance, status) "
-                "VALUES (?, ?, ?, 0, ?, ?, 0, ?, ?, ?)",
-                (
-                    experiments[name],
-                    planners[planner],
-                    row["time_ms"] / 1e3,
-                    solved,
-                    solved,
-                    row["length_m"] if solved else None,
-                    row["clearance_m"] if solved else None,
-                    EXACT if solved else TIMEOUT,
-                ),
-            )
-    connection.close()
+    with contextlib.redirect_stdout(io.StringIO()):
+        readBenchmarkLog(str(path), [str(log) for log in logs], False)
+        computeViews(str(path), False)

@@ -36,22 +36,28 @@ HEADINGS = np.array(
 """Steps (32, 2) as columns and rows, counter-clockwise."""
 
 
-def shortest(costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2) -> float:
-    """Length of the shortest way of the footprint [m]; inf when there is none on the lattice."""
-    samples = sample_footprint(model, costmap.resolution / 2.0)
-    shape = samples.points, samples.inscribed, samples.circumscribed
-    field, res = costmap.clearance, costmap.resolution
-    ends = [costmap.T_grid_map @ T for T in (T_map_start, T_map_goal)]
-    cells = [(int(T.y / res), int(T.x / res)) for T in ends]
-    free = free_headings(field, res, *shape, HEADINGS)
-    path = search(field, res, *shape, HEADINGS, free, _nearest(ends[0]), cells[0], cells[1])
-    if len(path) == 0:
-        return math.inf
-    points = (path + 0.5) * res
-    points[0], points[-1] = ends[0].xy, ends[1].xy
-    tight = pull(field, res, *shape, densify(points, res))
-    again = pull(field, res, *shape, densify(tight[::-1].copy(), res))
-    return min(path_length(points), path_length(tight), path_length(again))
+class Lattice:
+    """The lattice of one map and one robot; which poses are free is found out once."""
+
+    def __init__(self, costmap: Costmap, model: RobotModel) -> None:
+        samples = sample_footprint(model, costmap.resolution / 2.0)
+        self._costmap = costmap
+        self._shape = samples.points, samples.inscribed, samples.circumscribed
+        self._free = free_headings(costmap.clearance, costmap.resolution, *self._shape, HEADINGS)
+
+    def shortest(self, T_map_start: SE2, T_map_goal: SE2) -> float:
+        """Length of the shortest way of the footprint [m]; inf when there is none on the lattice."""
+        field, res = self._costmap.clearance, self._costmap.resolution
+        ends = [self._costmap.T_grid_map @ T for T in (T_map_start, T_map_goal)]
+        cells = [(int(T.y / res), int(T.x / res)) for T in ends]
+        path = search(field, res, *self._shape, HEADINGS, self._free, _nearest(ends[0]), cells[0], cells[1])
+        if len(path) == 0:
+            return math.inf
+        points = (path + 0.5) * res
+        points[0], points[-1] = ends[0].xy, ends[1].xy
+        tight = pull(field, res, *self._shape, densify(points, res))
+        again = pull(field, res, *self._shape, densify(tight[::-1].copy(), res))
+        return min(path_length(points), path_length(tight), path_length(again))
 
 
 def _nearest(pose: SE2) -> int:

@@ -46,7 +46,9 @@ def test_the_same_seed_gives_the_same_plan_whatever_was_planned_before():
     assert np.array_equal(first.poses.xyt, again.poses.xyt)
 
 
-@pytest.mark.parametrize("planner", ["RRTConnect", "RRTstar", "InformedRRTstar", "BITstar", "KPIECE1"])
+@pytest.mark.parametrize(
+    "planner", ["RRTConnect", "RRTstar", "InformedRRTstar", "BITstar", "KPIECE1", "PRM", "PRMstar"]
+)
 def test_planners_can_be_chosen_by_name(planner):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
     config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=3000, restarts=1))
@@ -164,3 +166,45 @@ def test_spaces_with_headings_keep_the_whole_footprint_free(space):
         steps = np.diff(plan.poses.xy, axis=0)
         ahead = np.cos(plan.poses.yaw[:-1]) * steps[:, 0] + np.sin(plan.poses.yaw[:-1]) * steps[:, 1]
         assert ahead.min() >= -1e-6
+
+
+@pytest.mark.parametrize("planner", ["PRM", "PRMstar"])
+def test_a_roadmap_that_does_not_join_start_and_goal_is_no_path(planner):
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=2, restarts=1))
+    with pytest.raises(NoPath, match="within its iterations"):
+        plan_path(costmap, BURGER, START, GOAL, config, seed=1)
+
+
+def test_a_roadmap_is_the_same_again():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    config = PlanConfig(ompl=OmplConfig(planner="PRMstar", iterations=1000, restarts=1))
+    first, again = (plan_path(costmap, BURGER, START, GOAL, config, seed=5) for _ in range(2))
+    assert np.array_equal(first.poses.xyt, again.poses.xyt)
+
+
+def test_clearance_costs_no_more_length_than_allowed():
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    shortest = plan_path(costmap, BURGER, START, GOAL, PlanConfig(stretch=1.0), seed=3)
+    ways = [plan_path(costmap, BURGER, START, GOAL, PlanConfig(stretch=s), seed=3) for s in (1.05, 1.5)]
+    assert shortest.length <= ways[0].length <= 1.06 * shortest.length < ways[1].length
+    room = [costmap.clearance_at(densify(w.poses.xy, 0.01)).min() for w in (shortest, *ways)]
+    assert BURGER.circumscribed_radius < room[0] < room[1] < room[2]
+
+
+@pytest.mark.parametrize("planner", ["BFMT", "BKPIECE1", "RRTConnect"])
+def test_no_dubins_path_leads_through_a_wall(planner):
+    """Planners that grow from the goal, too, check curves there backwards; such a path is none."""
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    ompl = OmplConfig(planner=planner, space="dubins", turning_radius=0.2, restarts=1, iterations=600)
+    for seed in range(3):
+        try:
+            plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(ompl=ompl), seed)
+        except NoPath:
+            continue
+        assert all(fits(costmap, BURGER, plan.poses[k]) for k in range(len(plan.poses)))
+
+
+def test_a_planner_that_crashes_ompl_is_refused():
+    with pytest.raises(ValueError, match="AORRTC crashes in the dubins space"):
+        OmplConfig(planner="AORRTC", space="dubins")
