@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from datasets.errors import InputError
 from datasets.maps import load_map
@@ -19,6 +19,7 @@ from pipeline.console import log
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from planners.footprint import path_clearance, sample_footprint
 from planners.global_plan import NoPath, Plan, PlanConfig, fits, plan_path
+from planners.ompl_planner import OmplConfig, PlannerName
 from sim.robots import RobotSpec, load_robot
 
 
@@ -39,12 +40,14 @@ def plan(
     *,
     seed: int = 0,
     config: PlanStageConfig | None = None,
+    compare: bool = False,
     force: bool = False,
     command_line: Sequence[str] = (),
 ) -> int:
     """Plan from start to goal; 0 with a path, 1 without, both with complete outputs.
 
-    Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
+    With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
+    metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
     """
     check_free(out, force=force)
     watch = Stopwatch()
@@ -54,9 +57,21 @@ def plan(
     for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
         _check_pose(option, pose, costmap, spec, map_path)
     found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
+    metrics = plan_metrics(costmap, spec, found, reason, config)
+    others: dict[str, Plan | None] = {}
+    times: dict[str, float] = {config.plan.ompl.planner: planning_s}
+    if compare:
+        metrics["planners"] = []
+        for other in rivals(config):
+            name: str = other.plan.ompl.planner
+            others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
+            metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
+            log.info("%s", _line(metrics["planners"][-1], times[name]))
     with staged_output(out, force=force) as folder:
         _write_path(folder / "path.csv", found)
-        write_json(folder / "metrics.json", plan_metrics(costmap, spec, found, reason, config))
+        for name, other_found in others.items():
+            _write_path(folder / f"path-{name}.csv", other_found)
+        write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(config))
         write_manifest(
             folder,
@@ -65,13 +80,39 @@ def plan(
             inputs={"map": map_path},
             seed=seed,
             wall_s=watch.seconds(),
-            extra={"robot": spec.name, "out": str(out), "planning_s": round(planning_s, 6)},
+            extra={
+                "robot": spec.name,
+                "out": str(out),
+                "planning_s": round(planning_s, 6),
+                **({"planners_s": {n: round(s, 6) for n, s in times.items()}} if compare else {}),
+            },
         )
     if found is None:
         log.info(f"no path: {reason}")
         return 1
     log.info(f"{found.length:.2f} m, {len(found.poses)} poses, {planning_s * 1e3:.0f} ms -> {out}")
     return 0
+
+
+def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
+    """The same settings with every planner that the space allows, the chosen one among them."""
+    out = []
+    for planner in get_args(PlannerName):
+        try:
+            ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
+        except ValidationError:
+            continue  # this planner cannot work in this space
+        out.append(config.model_copy(update={"plan": config.plan.model_copy(update={"ompl": ompl})}))
+    return out
+
+
+def _line(metrics: dict[str, Any], seconds: float) -> str:
+    if not metrics["success"]:
+        return f"{metrics['planner']}: {metrics['reason']}"
+    return (
+        f"{metrics['planner']}: {metrics['length_m']:.2f} m, {metrics['min_clearance_m']:.2f} m clear, "
+        f"{seconds * 1e3:.0f} ms"
+    )
 
 
 def _search(

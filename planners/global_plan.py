@@ -7,6 +7,7 @@ with less: a differential robot can turn on the spot anywhere along such a path.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,9 @@ class PlanConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ompl: OmplConfig = OmplConfig()
-    margins: tuple[float, ...] = Field(default=(0.10, 0.07, 0.04, 0.0), min_length=1)
+    margins: tuple[Annotated[float, Field(ge=0.0)], ...] = Field(
+        default=(0.10, 0.07, 0.04, 0.0), min_length=1
+    )
     """Room kept round the robot's circumscribed circle, tried in this order; the last one only in need."""
     stretch: float = Field(default=1.05, ge=1.0)
     """Room is bought with length up to this times the shortest way with the last margin."""
@@ -40,11 +43,11 @@ class PlanConfig(BaseModel):
     """Obstacles push the path away as far as this, beyond the disc itself."""
     cost_scaling_factor: float = Field(default=3.0, gt=0.0)
     """How fast that push fades with distance, exp(-factor * d), as in costmap_2d."""
-    spacing: float = Field(default=0.05, gt=0.0)
+    spacing: float = Field(default=0.05, ge=0.01, le=1.0)
     """Distance between the path's poses."""
     replan_period: float = Field(default=1.0, ge=0.0)
     """A blocked path is planned anew no more often than this [s]."""
-    snap: float = Field(default=0.35, ge=0.0)
+    snap: float = Field(default=0.35, ge=0.0, le=10.0)
     """How far the start may be moved to reach free floor, when the robot stands too near an obstacle."""
 
 

@@ -32,6 +32,8 @@ PlannerName = Literal[
     "PRMstar",
 ]
 ROADMAPS = ("PRM", "PRMstar")
+STRAIGHT = 1e-3
+"""A path this share longer than the straight line need not be improved."""
 
 
 class OmplConfig(BaseModel):
@@ -43,9 +45,9 @@ class OmplConfig(BaseModel):
     """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""
     turning_radius: float = Field(default=0.3, gt=0.0)
     """Least radius of curves in reeds_shepp and dubins [m]."""
-    iterations: int = Field(default=4000, gt=0)
+    iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
-    restarts: int = Field(default=12, gt=0)
+    restarts: int = Field(default=12, gt=0, le=1000)
     """Runs from new seeds until a path is good enough; the shortest is kept."""
     good_enough: float = Field(default=1.02, ge=1.0)
     """Length over that of the tightened grid path at which no further run is made."""
@@ -97,8 +99,21 @@ def solve(
     info.setup()
     problem = ob.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    set_goal_length(info, problem, float(np.hypot(*(goal - start))))
     path = exact_path(make_planner(info, config), problem, config)
     return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
+
+
+def set_goal_length(info: Any, problem: Any, least: float) -> None:
+    """Ask for the shortest path, and be content when it is as short as no path can help being.
+
+    SORRTstar draws for ever from an empty set of better states once it has found the straight line.
+    """
+    from ompl import base as ob
+
+    objective = ob.PathLengthOptimizationObjective(info)
+    objective.setCostThreshold(ob.Cost((1.0 + STRAIGHT) * least))
+    problem.setOptimizationObjective(objective)
 
 
 def exact_path(planner: Any, problem: Any, config: OmplConfig) -> Any | None:

@@ -9,7 +9,7 @@ import numpy as np
 from datasets.se2 import SE2
 from planners.costmap import Costmap
 from planners.footprint import FootprintSamples, footprint_clearance
-from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, make_planner
+from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, make_planner, set_goal_length
 
 SIMPLIFY_CALLS = 400
 
@@ -51,7 +51,9 @@ def solve_poses(
     info.setStateValidityCheckingResolution(0.5 * resolution / space.getMaximumExtent())
     info.setup()
     problem = ob.ProblemDefinition(info)
-    problem.setStartAndGoalStates(_state(space, T_grid_start), _state(space, T_grid_goal))
+    ends = _state(space, T_grid_start), _state(space, T_grid_goal)
+    problem.setStartAndGoalStates(*ends)
+    set_goal_length(info, problem, float(space.distance(*ends)))
     path = exact_path(make_planner(info, config), problem, config)
     if path is None:
         return None

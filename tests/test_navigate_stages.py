@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pipeline.cli import main
 from pipeline.navigate import navigate
 from pipeline.navigation.setup import Request
 from planners.costmap import CostmapConfig, costmap_from_grid
+from planners.ompl_planner import PlannerName
 from planners.tasks.wiggle import Wiggle, WiggleConfig
 from sim.robots import load_robot
 from sim.worlds import load_world
@@ -112,3 +114,69 @@ def test_a_goal_in_a_kept_out_place_is_refused(true_map, tmp_path, capsys):
     words += ["--initial-pose", "start", "--out", str(tmp_path / "run"), "--keepout", str(keepout)]
     assert main(words) == 2
     assert "obstacle" in capsys.readouterr().err
+
+
+def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map, tmp_path):
+    words = [
+        "--compare",
+        "--planner",
+        "PRM",
+        "--set",
+        "plan.ompl.iterations=300",
+        "--set",
+        "plan.ompl.restarts=2",
+    ]
+    assert main(plan_words(true_map, tmp_path / "out", "-1.5,0.5,0", *words)) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    by_name = {entry["planner"]: entry for entry in metrics["planners"]}
+    assert set(by_name) == set(get_args(PlannerName))
+    assert by_name["PRM"]["length_m"] == metrics["length_m"]
+    folder = tmp_path / "out"
+    assert (folder / "path-PRM.csv").read_text() == (folder / "path.csv").read_text()
+    for name, entry in by_name.items():
+        rows = (folder / f"path-{name}.csv").read_text().splitlines()
+        assert len(rows) == 1 + (entry["poses"] if entry["success"] else 0)
+        assert entry["success"] == (entry.get("min_clearance_m", -1.0) > 0.0)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "plan.margins=[]",
+        "plan.margins=[-0.2]",
+        "plan.spacing=1e-9",
+        "plan.stretch=0.5",
+        "plan.stretch=nan",
+        "plan.ompl.iterations=0",
+        "plan.ompl.restarts=-1",
+        "plan.ompl.space=torus",
+        "plan.ompl.turning_radius=0",
+        "plan.ompl.planner=Dijkstra",
+        "plan.nothing=1",
+        "costmap.inflation=1",
+    ],
+)
+def test_plan_refuses_bad_settings(true_map, tmp_path, capsys, setting):
+    assert main(plan_words(true_map, tmp_path / "out", "0.5,0.5,0", "--set", setting)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("image", "header"),
+    [
+        (b"P5 4 4 255 " + b"\x00" * 16, "resolution: 0.05\norigin: [0, 0, 0]"),  # nothing free
+        (b"P5 4 4 255 " + b"\xfe" * 16, "resolution: 0.05\norigin: [0, 0, 0]"),  # too small to stand in
+        (b"P5 4 4 255 " + b"\xfe" * 16, "resolution: 1.0e+300\norigin: [0, 0, 0]"),
+        (b"P5 4 4 255 " + b"\xfe" * 3, "resolution: 0.05\norigin: [0, 0, 0]"),  # cut
+        (b"", "resolution: 0.05\norigin: [0, 0, 0]"),
+    ],
+)
+def test_plan_refuses_hostile_maps_in_a_line(tmp_path, capsys, image, header):
+    (tmp_path / "map.pgm").write_bytes(image)
+    rest = "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    (tmp_path / "map.yaml").write_text(f"image: map.pgm\n{header}\n{rest}")
+    words = ["plan", "--map", str(tmp_path / "map.yaml"), "--start", "0.1,0.1,0", "--goal", "0.1,0.1,0"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

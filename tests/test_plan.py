@@ -208,3 +208,13 @@ def test_no_dubins_path_leads_through_a_wall(planner):
 def test_a_planner_that_crashes_ompl_is_refused():
     with pytest.raises(ValueError, match="AORRTC crashes in the dubins space"):
         OmplConfig(planner="AORRTC", space="dubins")
+
+
+@pytest.mark.parametrize("planner", ["SORRTstar", "InformedRRTstar", "AORRTC", "BITstar", "RRTstar"])
+def test_planners_that_improve_are_content_with_the_straight_line(planner):
+    """SORRTstar looked for ever for something shorter."""
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=300, restarts=1))
+    start, goal = SE2.from_xyt(1.025, 1.025, 0.0), SE2.from_xyt(1.025, 2.225, 0.0)
+    plan = plan_path(costmap, BURGER, start, goal, config, seed=1)
+    assert plan.length == pytest.approx(1.2, rel=0.01)

@@ -22,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", required=True, metavar="X,Y,YAW")
     parser.add_argument("--goal", required=True, metavar="X,Y,YAW")
     parser.add_argument("--planner", choices=get_args(PlannerName), help="planner of OMPL, by its name")
+    parser.add_argument("--compare", action="store_true", help="ask every planner, for a comparison")
     parser.add_argument("--seed", type=seed, default=0, metavar="N")
     add_config(parser)
     add_output(parser)
@@ -43,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
         args.out,
         seed=args.seed,
         config=load_config(PlanStageConfig, args.config, settings),
+        compare=args.compare,
         force=args.force,
         command_line=args.command_line,
     )
