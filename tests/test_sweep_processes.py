@@ -43,7 +43,7 @@ if __name__ == "__main__":
     from pipeline.sweep import sweep
     from pipeline.console import set_verbosity
     set_verbosity(0)
-    options = {"scheduler": sys.argv[3]} if len(sys.argv) > 3 else {"workers": 2}
+    options = {"scheduler": sys.argv[3]} if len(sys.argv) > 3 else {"workers": 1}
     sys.exit(sweep(sys.argv[1], Path(sys.argv[2]), **options))
 """
 
@@ -109,8 +109,8 @@ def test_a_killed_campaign_goes_on_where_it_was_and_ends_in_the_same_bytes(place
     assert not (place / "parts").exists()
     again = start(place, *run, "parts")
     assert again.wait(120) == 1
-    # No case that had left its row was run again; of the others at most those two that were under way.
-    assert 18 <= len(list((place / "ran").iterdir())) <= 18 + 2
+    # No case that had left its row was run again; of the others at most the one that was under way.
+    assert 18 <= len(list((place / "ran").iterdir())) <= 18 + 1
     assert sha256_tree(place / "parts") == sha256_tree(undisturbed(place, monkeypatch))
     said = (place / "log").read_text()
     assert f"going on: {done} of 18 cases are done" in said
