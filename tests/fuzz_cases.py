@@ -239,6 +239,10 @@ def _clutter(rng, chain, scratch):
 
 def _session(rng, chain, scratch):
     """Options of `map` that take other inputs or poses."""
+    if rng.random() < 0.4:
+        _copy(chain, scratch, "map")
+        broken(rng, scratch / "map" / "graph.npz")
+        return ["map", "-q", chain / "record", "--continue", scratch / "map"]
     if rng.random() < 0.5:
         return ["map", "-q", chain / "record", "--also", _bag(rng, chain, scratch)]
     return ["map", "-q", chain / "record", f"--laser={','.join(rng.choices(POSES, k=3))}"]
