@@ -15,7 +15,9 @@ from typing import Any
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
 from pipeline.cli import build_parser, joined
+from pipeline.commands.arguments import pose
 from pipeline.console import log
+from planners.tasks.waypoints import load_waypoints, tutorial_patrol
 from reports.metrics.area import area_metrics
 from reports.provenance import rename
 from reports.stages import Group, Stage, read_json
@@ -85,6 +87,39 @@ def _read(manifest: Mapping[str, Any]) -> list[str]:
     """Hashes of everything a stage read, sorted."""
     inputs = manifest.get("inputs", {}).values()
     return sorted(digest for entry in inputs for digest in entry["sha256"].values())
+
+
+def goals_never_pursued(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
+    """`goals` of a run as it was asked for them, for those it never set out to: no bag holds such a goal."""
+    goals = stage.metrics.get("goals") or []
+    asked = _asked(stage, places)
+    if not asked:
+        return {}
+    pursued = set() if stage.runlog is None else set(stage.runlog.goal_index.tolist())
+    return {
+        "goals": [
+            {}
+            if number in pursued
+            else dict(zip("xy", asked[number % len(asked)], strict=False))
+            | {"yaw": asked[number % len(asked)][2], "time_s": 0.0}
+            for number in range(len(goals))
+        ]
+    }
+
+
+def _asked(stage: Stage, places: Mapping[str, str]) -> list[tuple[float, float, float]]:
+    """The goals of the command line or its waypoints file, x, y, yaw."""
+    try:
+        if (goal := stage.option("goal")) is not None:
+            x, y, yaw = pose(goal, "--goal").xyt.tolist()
+            return [(x, y, yaw)]
+        if stage.fact("task") != "patrol":
+            return []
+        file = stage.option("waypoints")
+        found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, dict(places))))
+    except InputError:
+        return []
+    return [waypoint.written for waypoint in found.waypoints]
 
 
 def floor_seen_again(stage: Stage) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from scipy import ndimage
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
-from pipeline.remake import floor_seen_again, places_of, remade
+from pipeline.remake import floor_seen_again, goals_never_pursued, places_of, remade
 from reports.content import build_chapter, stage_metrics
 from reports.figures.album import Album
 from reports.metrics.map import occupied
@@ -123,7 +123,7 @@ def _check_stage(
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics)
+    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics, places or {})
     left = _unknown(name, metrics, done)
     if left and places is not None:
         done += _run_again(stage, name, metrics, left, places, found)
@@ -145,11 +145,12 @@ def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]
     ]
 
 
-def _computed_here(stage: Stage, name: str, metrics: dict[str, Any]) -> list[Check]:
-    """Numbers that need more than the report knows: the robot."""
+def _computed_here(stage: Stage, name: str, metrics: dict[str, Any], places: dict[str, str]) -> list[Check]:
+    """Numbers that need more than the report knows: the robot, and what was asked for."""
     if stage.kind != "navigate":
         return []
-    return _checks(name, metrics, floor_seen_again(stage))
+    asked = goals_never_pursued(stage, places)
+    return _checks(name, metrics, floor_seen_again(stage)) + _checks(name, metrics, asked)
 
 
 def _run_again(

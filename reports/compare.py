@@ -14,8 +14,10 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2
 from datasets.types import Trajectory
 from reports.content import stage_metrics
+from reports.draw_localise import given_map, read_path
 from reports.figures import comparison
 from reports.figures.album import Album
 from reports.metrics.map import occupied
@@ -23,9 +25,10 @@ from reports.metrics.trajectory import associate
 from reports.numbers import leaves, lookup, shown
 from reports.provenance import rename
 from reports.specs import SPECS
-from reports.stages import Stage
+from reports.stages import Group, Stage
 
 MORE_IS_BETTER = ("iou", "iou_one_cell", "coverage", "within_one_cell", "goals_reached", "min_clearance_m")
+PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}
 LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
 
 
@@ -133,9 +136,10 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
         album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
-        ground = a.map if a.map is not None else a.true_map
+        grids = (a.map, a.true_map, given_map(a, Group("", (a,))))
+        ground = next((grid for grid in grids if grid is not None), None)
         figure = partial(comparison.paths, ground, path_a, path_b)
-        caption = "SLAM's paths" if a.kind == "map" else "True paths"
+        caption = PATHS.get(a.kind, "True paths")
         caption += ": A below, B above it; where A shows beside B they part."
         album.add("paths", "Paths", caption, figure)
     errors_a, errors_b = _errors(a), _errors(b)
@@ -161,9 +165,12 @@ def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
 
 
 def driven(stage: Stage) -> Trajectory | None:
-    """What a stage's picture shows as its path: the estimate of a map, the true path of a drive."""
-    if stage.kind == "map":
+    """What a stage's picture shows as its path: an estimate, a plan, or the true path of a drive."""
+    if stage.kind in ("map", "localise"):
         return stage.trajectory
+    if stage.kind == "plan":
+        poses = read_path(stage.folder / "path.csv") if stage.has("path.csv") else SE2.identity(0)
+        return Trajectory(np.arange(len(poses), dtype=np.int64), poses) if len(poses) else None
     return stage.truth
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -118,9 +119,10 @@ def pointer_of(group: Group) -> PointerMap | None:
     with_goals = next((run for run in runs if run.metrics.get("goals")), None)
     if with_goals is None:
         return pointer_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
+    believed = "estimate" if with_goals.metrics.get("localisation_error_m") else "odometry"
     paths = {
         f"true path of {with_goals.label}": ("truth", with_goals.truth),
-        "estimate": ("estimate", with_goals.trajectory),
+        believed: ("estimate", with_goals.trajectory),
     }
     return pointer_map(grid, paths, with_goals.metrics["goals"])
 
@@ -144,7 +146,7 @@ def stage_metrics(stage: Stage) -> dict[str, Any]:
 
 def _title(stage: Stage) -> str:
     if stage.kind != "navigate":
-        return TITLES[stage.kind]
+        return TITLES[stage.kind] + stage.label.removeprefix(stage.kind).replace("-", " ")
     return f"{TITLES['navigate']}: {stage.label}"
 
 
@@ -169,10 +171,20 @@ def _run_verdict(label: str, metrics: Mapping[str, Any]) -> tuple[str, str]:
     hits = collision_count(metrics)
     what = []
     if goals:
-        what.append(f"{metrics.get('goals_reached', 0)} of {len(goals)} goals reached")
+        what.append(f"{metrics.get('goals_reached', 0)} of {len(goals)} goals reached{_misses(goals)}")
     what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
     good = bool(metrics.get("success", hits == 0))
     return GOOD if good else BAD, f"{label.capitalize()}: {', '.join(what)}."
+
+
+def _misses(goals: Sequence[Mapping[str, Any]]) -> str:
+    """How the others ended, in brackets: ` (2 timeout, 1 rejected: no initial pose)`."""
+    ends = Counter(
+        f"{goal.get('status')}{f': {reason}' if (reason := goal.get('reason')) else ''}"
+        for goal in goals
+        if goal.get("status") != "reached"
+    )
+    return f" ({', '.join(f'{count} {end}' for end, count in ends.items())})" if ends else ""
 
 
 def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
@@ -208,7 +220,8 @@ def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     error = lookup(metrics, "localisation_error_m.rmse")
     known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
     status = str(metrics.get("status", "localised"))
-    return (GOOD if metrics.get("success", True) else BAD), f"{status.capitalize()}{known}."
+    reason = f": {metrics['reason']}" if metrics.get("reason") else ""
+    return (GOOD if metrics.get("success", True) else BAD), f"{status.capitalize()}{reason}{known}."
 
 
 def collision_count(metrics: Mapping[str, Any]) -> int:

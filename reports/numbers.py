@@ -32,6 +32,7 @@ DISPLAY = {
 # The unit a value is stored in.
 SI = {
     "cm": "m",
+    "mm": "m",
     "m": "m",
     "m2": "m2",
     "m4": "m",

@@ -131,18 +131,18 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         note = f"in {len(runs)} run{'s' * (len(runs) > 1)}"
         meaning = "Episodes of contact with anything but the floor, of all runs, counted by the simulator."
         found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
-    for path, label, unit, worst in (
-        ("ate_m.rmse", "map trajectory error", "cm", max),
-        ("relations.trans_m.mean", "relations error", "m4", max),
-        ("localisation_error_m.rmse", "localisation error", "cm", max),
-        ("min_clearance_m", "least clearance", "cm", min),
-        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min),
-        ("scans", "scans", "count", max),
+    for path, label, unit, worst, kinds in (
+        ("ate_m.rmse", "map trajectory error", "cm", max, ("map",)),
+        ("relations.trans_m.mean", "relations error", "m4", max, ("map",)),
+        ("localisation_error_m.rmse", "localisation error", "cm", max, ("navigate", "localise")),
+        ("min_clearance_m", "least clearance", "cm", min, ("navigate",)),
+        ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min, ("map",)),
+        ("scans", "scans", "count", max, ("record", "map", "localise")),
     ):
         values = [
             (value, f"{name}/{part.stage.label}", part.stage.kind)
             for name, part in parts
-            if isinstance(value := lookup(part.metrics, path), (int, float))
+            if part.stage.kind in kinds and isinstance(value := lookup(part.metrics, path), (int, float))
         ]
         if values and not (path == "scans" and found):
             value, name, kind = worst(values)

@@ -97,13 +97,17 @@ class Stage:
 
     @cached_property
     def trajectory(self) -> Trajectory | None:
-        """Its estimate: trajectory.tum."""
-        return load_tum(self.folder / "trajectory.tum") if self.has("trajectory.tum") else None
+        """Its estimate: trajectory.tum; None also when it ended before the first scan."""
+        return self._poses("trajectory.tum")
 
     @cached_property
     def truth(self) -> Trajectory | None:
-        """True poses at the scans: truth/trajectory.tum."""
-        return load_tum(self.folder / "truth/trajectory.tum") if self.has("truth/trajectory.tum") else None
+        """True poses at the scans: truth/trajectory.tum; None also when there was no scan."""
+        return self._poses("truth/trajectory.tum")
+
+    def _poses(self, name: str) -> Trajectory | None:
+        path = self.folder / name
+        return load_tum(path) if path.is_file() and path.stat().st_size > 0 else None
 
     @cached_property
     def true_map(self) -> OccupancyGrid | None:

@@ -189,3 +189,8 @@ def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path
     assert found["goals"][0]["status"] == "rejected"
     assert "no initial pose" in found["goals"][0]["reason"]
     assert found["distance_m"] < 0.01
+    # It ended before the first scan; that can be shown, and checked, too.
+    assert turtlebag("report", tmp_path / "run", "--no-animation", "--out", tmp_path / "report") == 0
+    seen = verify(tmp_path / "report")
+    assert (seen.problems, seen.unchecked) == ([], [])
+    assert "0 of 1 goals reached" in (tmp_path / "report" / "index.html").read_text()

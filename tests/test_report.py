@@ -87,7 +87,7 @@ def test_every_fragment_points_to_something_and_ids_are_unique(tags):
 def test_the_page_says_what_happened(tags):
     text = " ".join(tags.text)
     assert "0 of 1 task succeeded" in text
-    assert "Patrol: 2 of 3 goals reached, 1 collision." in text
+    assert "Patrol: 2 of 3 goals reached (1 timeout), 1 collision." in text
     assert "% of the wall cells lie within one cell of a true surface" in text
     assert "timeout" in text
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from report_fakes import fake_map, fake_record, mapped_room
+from report_fakes import fake_localise, fake_map, fake_plan, fake_record, mapped_room
 
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
@@ -94,3 +94,13 @@ def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(
     assert found.commands == ("turtlebag map record --out A", "turtlebag map record --out B")
     assert found.same_source is True
     assert compare_outputs(record, record).same_source is None
+
+
+def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
+    record = fake_record(tmp_path / "record")
+    built = fake_map(tmp_path / "map", record)
+    for maker, name in ((fake_plan, "plan"), (fake_localise, "localise")):
+        inputs = (record, built) if maker is fake_localise else (built,)
+        one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
+        write_comparison(one, other, tmp_path / f"compare-{name}")
+        assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()

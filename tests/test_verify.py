@@ -97,7 +97,7 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
         ("2 of 3</dd>", "3 of 3</dd>"),
         ("0 of 1 task succeeded</h1>", "1 of 1 task succeeded</h1>"),
         ("<dd>Heading, counted", "<dd>Heading, not counted"),
-        ("2 of 3 goals reached, 1 collision.", "3 of 3 goals reached, no collision."),
+        ("2 of 3 goals reached (1 timeout), 1 collision.", "3 of 3 goals reached, no collision."),
         ("2 edges, the", "3 edges, the"),
     ],
 )
