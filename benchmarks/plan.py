@@ -36,7 +36,7 @@ from pipeline.build_map import build_map
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from planners.footprint import path_clearance, sample_footprint
 from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
-from planners.ompl_planner import OmplConfig, PlannerName
+from planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
 from planners.smoothing import densify
 from reports.figures.planners import planner_boxes
 from reports.figures.style import save_png, styled
@@ -126,7 +126,7 @@ def config_of(planner: str, space: str) -> PlanConfig:
 
 def planners_of(space: str) -> list[str]:
     """The bound planners that the space allows."""
-    return [p for p in get_args(PlannerName) if not (p == "AORRTC" and space == "dubins")]
+    return [planner for planner in get_args(PlannerName) if (planner, space) not in IMPOSSIBLE]
 
 
 def ask(at: Place, a: SE2, b: SE2, config: PlanConfig, seed: int) -> tuple[Plan | None, float]:

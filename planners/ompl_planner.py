@@ -32,6 +32,13 @@ PlannerName = Literal[
     "PRMstar",
 ]
 ROADMAPS = ("PRM", "PRMstar")
+IMPOSSIBLE = {
+    ("AORRTC", "dubins"): "crashes",
+    # Its batches of better states are found by rejection, which no termination condition ends.
+    ("SORRTstar", "reeds_shepp"): "may search without end",
+    ("SORRTstar", "dubins"): "may search without end",
+}
+"""Planners that do not work in a space (OMPL 2.0.1)."""
 STRAIGHT = 1e-3
 """A path this share longer than the straight line need not be improved."""
 
@@ -58,9 +65,9 @@ class OmplConfig(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> OmplConfig:
-        if self.planner == "AORRTC" and self.space == "dubins":
+        if why := IMPOSSIBLE.get((self.planner, self.space)):
             raise ValueError(
-                "AORRTC crashes in the dubins space (OMPL 2.0.1): choose another planner or space"
+                f"{self.planner} {why} in the {self.space} space: choose another planner or space"
             )
         return self
 

@@ -205,9 +205,12 @@ def test_no_dubins_path_leads_through_a_wall(planner):
         assert all(fits(costmap, BURGER, plan.poses[k]) for k in range(len(plan.poses)))
 
 
-def test_a_planner_that_crashes_ompl_is_refused():
-    with pytest.raises(ValueError, match="AORRTC crashes in the dubins space"):
-        OmplConfig(planner="AORRTC", space="dubins")
+@pytest.mark.parametrize(
+    ("planner", "space"), [("AORRTC", "dubins"), ("SORRTstar", "dubins"), ("SORRTstar", "reeds_shepp")]
+)
+def test_planners_that_crash_or_never_return_in_a_space_are_refused_there(planner, space):
+    with pytest.raises(ValueError, match=f"{planner} .* in the {space} space"):
+        OmplConfig(planner=planner, space=space)
 
 
 @pytest.mark.parametrize("planner", ["SORRTstar", "InformedRRTstar", "AORRTC", "BITstar", "RRTstar"])
