@@ -38,6 +38,10 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     grid = given_map(stage, group)
     record = group.first("record")
     truth = record.truth if record is not None else None
+    if stage.metrics.get("status") == "rejected":
+        caption = "Nobody told it where it was: in place of an estimate stands the odometry."
+        draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": estimate})
+        return [album.add(f"{prefix}-path", "Not localised", caption, draw)]
     caption = "Where the particle filter (AMCL) took the robot to be"
     caption += "; it should hide the truth beneath it." if truth is not None else "."
     draw = partial(maps.trajectories, grid, {"truth": truth, "amcl": estimate})

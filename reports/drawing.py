@@ -189,6 +189,12 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     caption = "The true path coloured by that room: orange is where it was tight, \u25bc where tightest."
     draw = partial(maps.clearance_on_map, world, truth, log.clearance_m)
     pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, draw))
+    if stage.map is not None and stage.true_map is not None:
+        caption = (
+            "What it mapped on its way, every wall cell coloured by how far it is from a true surface (grey)."
+        )
+        draw = partial(maps.map_over_truth, stage.map, stage.true_map)
+        pictures.append(album.add(f"{prefix}-map", "The map it made", caption, draw))
     pictures += _particle_pictures(stage, world, truth, album, prefix)
     if album.animate:
         pictures.append(_run_animation(stage, world, truth, estimate, log, album, prefix))

@@ -265,6 +265,7 @@ PICTURE_SOURCES = {
     "navigate-localisation": (*TRAJECTORY, *LOG),
     "navigate-clearance": LOG,
     "navigate-tight": LOG,
+    "navigate-map": (*MAP_FILES, "truth/"),
     "navigate-particles": BAG,
     "navigate-animation": (*LOG, *BAG),
 }

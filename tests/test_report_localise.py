@@ -1,9 +1,10 @@
 """Offline localisation and plans in a report."""
 
 import json
+import shutil
 
 import pytest
-from report_fakes import fake_localise, fake_map, fake_plan, fake_record, rehash
+from report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_run, rehash
 
 from datasets.errors import InputError
 from pipeline.report import make_report
@@ -66,3 +67,19 @@ def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
     assert "Planners compared." in page
     assert 'data-key="map/plan:planners.0.length_m" data-value="4.25">4.25' in page
     assert "out of iterations" in page
+
+
+def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_as_that(tmp_path):
+    record = fake_record(tmp_path / "record")
+    built = fake_map(tmp_path / "map", record)
+    located, run = fake_localise(tmp_path / "localise", record, built), fake_run(tmp_path / "run", built)
+    (located / "metrics.json").write_text(
+        '{"success": false, "status": "rejected", "reason": "no initial pose"}'
+    )
+    rehash(located, "metrics.json")
+    for name in ("map.pgm", "map.yaml"):
+        shutil.copy(built / name, run / name)
+    page = make_report([record, located, run], tmp_path / "out", animate=False).read_text()
+    assert "Rejected: no initial pose." in page
+    assert "<strong>Not localised.</strong>" in page
+    assert "<strong>The map it made.</strong>" in page
