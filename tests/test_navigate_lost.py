@@ -61,6 +61,18 @@ def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map)
     assert episode.metrics["goals"][0]["status"] == "reached"
 
 
+@pytest.mark.parametrize("task", ["avoid", "explore"])
+def test_without_a_map_it_stands_in_the_dark_too(task):
+    config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_silent=((3.0, 5.0),))))
+    mission = prepare(Request(task=task, seed=1, duration_s=7.0), BURGER, config)
+    with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
+        log = drive(simulator, mission, NoBag(), lambda line: None).log
+    t = log.t_ns * 1e-9
+    assert np.all(np.abs(log.v[(t > 4.1) & (t < 5.1)]) < 1e-6)
+    assert np.any(np.abs(log.v[t < 3.0]) > 0.05)
+    assert np.any(np.abs(log.v[t > 5.3]) > 0.02)
+
+
 def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
     episode = run(arena_map, FaultConfig(scan_silent=((3.0, 1e6),)), goal=SE2.from_xyt(0.55, 1.75, 0.0))
     goal = episode.metrics["goals"][0]

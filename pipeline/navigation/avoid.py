@@ -70,6 +70,8 @@ class AvoidDriver:
         sight = self.sensing.sight
         if sight is None:
             return Twist()
+        if self.sensing.blind:
+            self.state, self._wanted = "blind", Twist()
         view = View(
             observation.stamp_ns * 1e-9,
             observation.odometry.T_odom_base,

@@ -85,6 +85,9 @@ class ExploreDriver:
             return self._stop(observation)
         if self._now >= self._end_ns:
             return self._finish(observation)
+        if self.sensing.blind:
+            self.state = "blind"
+            return self._stop(observation)
         late = self._now - self._mapped_ns > self._config.look_after * 1e9
         if self._runner is None or (late and observation.scan is not None):
             self._choose(observation)

@@ -16,8 +16,6 @@ from planners.global_plan import fits
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.wiggle import Wiggle
 
-SILENT_S = 0.5
-"""Without a scan for so long the robot stops."""
 PATIENCE_S = 30.0
 """Without a scan for so long the goals are given up."""
 LOST = "the robot no longer knows where it is"
@@ -54,7 +52,6 @@ class NavigationDriver:
         self._wiggle, self._seeker = wiggle, seeker
         self._seen_ns = -(10**9)
         self._moving = MovingWatch()
-        self._heard_ns: int | None = None
         self._doubted, self._seeking = 0, False
         self._goal: SE2 | None = None
 
@@ -68,7 +65,7 @@ class NavigationDriver:
             return self._stop("no_pose", finished=True)
         if sight is not None and self.localiser is not None:
             self._moving.observe(sight)
-        if self._blind(now, sight):
+        if self.sensing.blind:
             return self._wait_for_sight(now)
         if self._wiggle is not None and self.localiser is not None:
             return self._look_about(self._wiggle, self.localiser, observation)
@@ -95,7 +92,6 @@ class NavigationDriver:
     def stand_by(self, observation: Observation) -> None:
         """Localise and look on while someone else drives; the goal's clock stands."""
         sight = self.sensing.observe(observation)
-        self._blind(observation.stamp_ns, sight)
         if self.localiser is None or self.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
             if sight is not None and T_frame_odom is not None:
@@ -122,19 +118,12 @@ class NavigationDriver:
         self._last = self.tools.controller.ramp(Twist(0.0, wanted.w * factor), self._last)
         return self._last
 
-    def _blind(self, now: int, sight: Sight | None) -> bool:
-        """Whether the lidar has been silent for too long to drive on."""
-        if sight is not None or self._heard_ns is None:
-            self._heard_ns = now
-        return now - self._heard_ns > SILENT_S * 1e9
-
     def _wait_for_sight(self, now: int) -> Twist:
         """Stand still; goals run out of time, and are given up when the lidar stays silent."""
-        assert self._heard_ns is not None
         if self._runner is not None:
             self._runner.rest()
         self.sequence.update(now, "the lidar is silent")
-        if now - self._heard_ns > PATIENCE_S * 1e9:
+        if self.sensing.silent_s > PATIENCE_S:
             self.sequence.fail_all(f"the lidar has been silent for {PATIENCE_S:g} s", now)
         return self._stop("blind", finished=self.sequence.finished)
 

@@ -10,6 +10,9 @@ import numpy as np
 from datasets.se2 import SE2, Array
 from datasets.types import Observation, Scan
 
+SILENT_S = 0.5
+"""Two scans of a 5 Hz lidar lost, one after the other, and the robot stops."""
+
 
 class OdometryBuffer:
     """The last odometry poses, to ask for one at a scan's stamp."""
@@ -58,12 +61,23 @@ class Sensing:
     def __init__(self, T_base_lidar: SE2) -> None:
         self.odometry = OdometryBuffer()
         self.sight: Sight | None = None
+        self.silent_s = 0.0
+        """How long no scan has come [s]."""
         self._T_base_lidar = T_base_lidar
+        self._heard_ns: int | None = None
+
+    @property
+    def blind(self) -> bool:
+        """Whether the lidar has been silent for too long to drive on."""
+        return self.silent_s > SILENT_S
 
     def observe(self, observation: Observation) -> Sight | None:
         """Take in an observation; the new sweep when it brought one."""
         odometry = observation.odometry
         self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
+        if observation.scan is not None or self._heard_ns is None:
+            self._heard_ns = observation.stamp_ns
+        self.silent_s = (observation.stamp_ns - self._heard_ns) * 1e-9
         if observation.scan is None:
             return None
         self.sight = self._look(observation.scan)
