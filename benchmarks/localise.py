@@ -1,13 +1,15 @@
 """How well the robot knows where it is: accuracy, models compared, speed, from nothing, kidnapped.
 
-    python -m benchmarks.localise [accuracy] [models] [speed] [global] [kidnap] [pose] [dropout]
-                                  [--quick] [--out DIR]
+    python -m benchmarks.localise [accuracy] [models] [speed] [log] [global] [silent] [unseen] [kidnap]
+                                  [pose] [dropout] [--quick] [--episodes N] [--out DIR]
 
 Drives are simulated with drifting odometry, in the arena (burger) and the house (waffle_pi). Errors are
 against the truth, without alignment: position in cm, heading in degrees. The SLAM-made map is made by
-`turtlebag map` from a recorded tour. `global`, `kidnap`, `pose` (told 0.5 m and 30 degrees off) and
-`dropout` (no returns for 2 s) are episodes of 60 s in the house: found means within 10 cm and 5 degrees
-at the end; `settled_s` is when the estimate became so for good. Shares come with 95 % Wilson
+`turtlebag map` from a recorded tour. `log` is the Intel log of TURTLEBAG_DATA/radish on our map of it,
+against the SLAM trajectory. `global`, `silent` (the same with beams of no return dropped), `unseen`
+(`global` in generated offices and mazes), `kidnap`, `pose` (told 0.5 m and 30 degrees off) and `dropout`
+(no returns for 2 s) are episodes of 60 s, in the house where not said: found means within 10 cm and 5
+degrees at the end; `settled_s` is when the estimate became so for good. Shares come with 95 % Wilson
 intervals. Every episode is a row of `episodes.csv` and is repeated by its seed. Times are CPU times.
 """
 
@@ -15,7 +17,9 @@ from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import math
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,15 +30,20 @@ import numpy as np
 from benchmarks.localise_drives import Sweep, Wanderer, kidnapped
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
+from datasets.recordings import load_recording
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
+from datasets.trajectories import load_tum
 from pipeline.build_map import build_map
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.parameters import AmclConfig
+from pipeline.localise import run_amcl
 from pipeline.record import record
 
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
-PARTS = ("accuracy", "models", "speed", "global", "kidnap", "pose", "dropout")
+TABLES = ("accuracy", "models", "speed", "log")
+EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
+PARTS = (*TABLES, *EPISODES)
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
 ROS_DEFAULTS = AmclConfig(
@@ -44,9 +53,15 @@ ROS_DEFAULTS = AmclConfig(
 )  # fmt: skip
 MODELS = {
     "default": AmclConfig(),
-    "cloud's mean only": AmclConfig(refine=False),
-    "beam model, mean only": AmclConfig(laser_model_type="beam", refine=False),
-    "cubes, mean only": AmclConfig(aggregation="cubes", refine=False),
+    **{
+        f"{model}, {aggregation}{', mean only' * (not refine)}": AmclConfig(
+            laser_model_type=model, aggregation=aggregation, refine=refine
+        )
+        for model in ("likelihood_field", "beam")
+        for aggregation in ("product", "cubes")
+        for refine in (True, False)
+        if not (model == "likelihood_field" and aggregation == "product" and refine)
+    },
     "ROS's numbers": ROS_DEFAULTS,
 }
 
@@ -91,6 +106,7 @@ def accuracy(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[li
                 ]  # fmt: skip
 
 
+@functools.cache
 def slam_map(name: str, out: Path) -> OccupancyGrid:
     """The map that `turtlebag map` makes of a recorded tour."""
     world, robot = PLACES[name]
@@ -99,19 +115,67 @@ def slam_map(name: str, out: Path) -> OccupancyGrid:
     return load_map(out / f"{name}_map" / "map.yaml")
 
 
-def models(places: dict[str, Wanderer], quick: bool) -> Iterator[list[str]]:
-    """The same drives on the true map with other models."""
-    yield ["place", "model", "position_cm", "heading_deg", "update_ms"]
+def models(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[list[str]]:
+    """The same drives on both maps with every model."""
+    yield ["place", "map", "model", "position_cm", "heading_deg", "scan_ms"]
     for name, place in places.items():
         log = place.drive(11, 60.0 if quick else 180.0)
-        cases = [(model, config, True) for model, config in MODELS.items()]
-        for model, config, deskew in [*cases, ("default, no deskewing", AmclConfig(), False)]:
-            amcl = started(place, place.grid, log, config, 11)
-            before = time.process_time()
-            errors = follow(amcl, log, deskew=deskew)
-            spent = (time.process_time() - before) / len(log)
-            position, heading = rmse(errors)
-            yield [name, model, f"{position:.2f}", f"{heading:.3f}", f"{1e3 * spent:.2f}"]
+        cases = [(model, config, log, True) for model, config in MODELS.items()]
+        cases.append(
+            ("beam, product, no returns dropped", MODELS["beam, product, mean only"], deaf(log), True)
+        )
+        cases.append(("default, no deskewing", AmclConfig(), log, False))
+        for kind, grid in {"true": place.grid, "slam": slam_map(name, out)}.items():
+            for model, config, heard, deskew in cases:
+                amcl = started(place, grid, heard, config, 11)
+                before = time.process_time()
+                errors = follow(amcl, heard, deskew=deskew)
+                spent = (time.process_time() - before) / len(log)
+                position, heading = rmse(errors)
+                yield [name, kind, model, f"{position:.2f}", f"{heading:.3f}", f"{1e3 * spent:.2f}"]
+
+
+def deaf(log: list[Sweep]) -> list[Sweep]:
+    """The drive with beams of no return dropped."""
+    return [
+        replace(s, scan=replace(s.scan, ranges=np.where(np.isposinf(s.scan.ranges), np.nan, s.scan.ranges)))
+        for s in log
+    ]
+
+
+def intel(out: Path) -> Iterator[list[str]]:
+    """AMCL along a real log on our map of it, against the SLAM trajectory, by where it was told to start."""
+    yield [
+        "start",
+        "scans",
+        "median_cm",
+        "rmse_cm",
+        "p95_cm",
+        "max_cm",
+        "heading_deg",
+        "within 20 cm",
+        "scan_ms",
+    ]
+    source = Path(os.environ.get("TURTLEBAG_DATA", "")) / "radish" / "intel.clf.bz2"
+    if not source.is_file():
+        print("log: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
+        return
+    if not (out / "intel_map" / "manifest.json").is_file():
+        build_map(source, out / "intel_map", force=True)
+    recording, grid = load_recording(source), load_map(out / "intel_map" / "map.yaml")
+    slam = load_tum(out / "intel_map" / "trajectory.tum").poses
+    for label, start in (("told", slam[0]), ("global", "global")):
+        before = time.process_time()
+        found = run_amcl(recording, grid, start, AmclConfig(), stream(1, "amcl")).trajectory.poses
+        spent = 1e3 * (time.process_time() - before) / len(recording)
+        error = (slam.inverse() @ found).xyt
+        off = 100.0 * np.hypot(error[:, 0], error[:, 1])
+        yield [
+            label, str(len(recording)), f"{np.median(off):.1f}", f"{np.sqrt(np.mean(off**2)):.1f}",
+            f"{np.percentile(off, 95):.1f}", f"{off.max():.1f}",
+            f"{math.degrees(np.sqrt(np.mean(error[:, 2] ** 2))):.2f}", f"{np.mean(off < 20.0):.3f}",
+            f"{spent:.2f}",
+        ]  # fmt: skip
 
 
 def speed(places: dict[str, Wanderer]) -> Iterator[list[str]]:
@@ -131,6 +195,8 @@ def speed(places: dict[str, Wanderer]) -> Iterator[list[str]]:
 
 def episode(kind: str, place: Wanderer, seed: int) -> Array:
     """Errors over 60 s of one episode."""
+    if kind == "unseen":
+        place = Wanderer(f"{('office', 'maze')[seed % 2]}:{2000 + seed // 2 % 10}", "burger")
     log = place.drive(1000 + seed, 60.0)
     config = AmclConfig()
     if kind == "kidnap":
@@ -138,8 +204,10 @@ def episode(kind: str, place: Wanderer, seed: int) -> Array:
         amcl = started(place, place.grid, first, config, seed)
         return follow(amcl, kidnapped(first, log))[len(first) :]
     amcl = started(place, place.grid, log, config, seed)
-    if kind == "global":
+    if kind in ("global", "silent", "unseen"):
         amcl.initialise_globally()
+    if kind == "silent":
+        log = deaf(log)
     if kind == "pose":
         way = stream(seed, "wrong pose").uniform(-math.pi, math.pi)
         side = 1.0 if seed % 2 else -1.0
@@ -203,6 +271,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
     parser.add_argument("--quick", action="store_true", help="shorter drives, 10 episodes instead of 100")
+    parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/localise"))
     arguments = parser.parse_args()
     parts = arguments.parts or list(PARTS)
@@ -214,11 +283,14 @@ def main() -> None:
     if "accuracy" in parts:
         show("accuracy", accuracy(places, quick, out), out)
     if "models" in parts:
-        show("models", models(places, quick), out)
+        show("models", models(places, quick, out), out)
     if "speed" in parts:
         show("speed", speed(places), out)
-    if kinds := [part for part in PARTS[3:] if part in parts]:
-        show("finding", episodes(kinds, places["house"], 10 if quick else 100, out), out)
+    if "log" in parts:
+        show("log", intel(out), out)
+    if kinds := [part for part in EPISODES if part in parts]:
+        count = arguments.episodes or (10 if quick else 100)
+        show("finding", episodes(kinds, places["house"], count, out), out)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """All bound planners on the arena, the house, an Intel map, mazes and an office, side by side.
 
-python -m benchmarks.plan [--quick] [--queries N] [--out DIR]
+python -m benchmarks.plan [--quick] [--queries N] [--spaces SPACE ...] [--out DIR]
 
 Planned is for a disc that holds the footprint (`disc`, the default), and for the footprint itself in SE(2),
 Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collision-free way of the footprint
@@ -219,10 +219,10 @@ def tables(rows: Sequence[dict[str, Any]], refused: Sequence[float]) -> str:
     """Markdown: planners over all maps, the default planner by map, the other spaces, refusals."""
     disc = [row for row in rows if row["space"] == "disc"]
     default = OmplConfig().planner
-    lines = [HEAD.format("planner, disc")]
+    lines = [HEAD.format("planner, disc")] if disc else []
     for planner in dict.fromkeys(row["planner"] for row in disc):
         lines.append(line(planner, [row for row in disc if row["planner"] == planner]))
-    lines += ["", HEAD.format(f"map, {default}")]
+    lines += ["", HEAD.format(f"map, {default}")] if disc else []
     for name in dict.fromkeys((row["map"], row["robot"]) for row in disc):
         mine = [r for r in disc if r["planner"] == default and (r["map"], r["robot"]) == name]
         lines.append(line(" ".join(name), mine))
@@ -231,6 +231,8 @@ def tables(rows: Sequence[dict[str, Any]], refused: Sequence[float]) -> str:
         there = [row for row in rows if row["space"] == space]
         for planner in dict.fromkeys(row["planner"] for row in there):
             lines.append(line(planner, [row for row in there if row["planner"] == planner]))
+    if not refused:
+        return "\n".join(lines).strip() + "\n"
     lines += [
         "",
         f"Walled-off goals: {len(refused)} refused, median {np.median(refused):.1f} ms, "
@@ -260,6 +262,7 @@ def main() -> None:
     )
     parser.add_argument("--quick", action="store_true", help="few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
+    parser.add_argument("--spaces", nargs="+", choices=("disc", *SPACES), default=["disc", *SPACES])
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/plan"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -271,16 +274,16 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     refused: list[float] = []
     warm = place(*MAPS[0], 1, args.out)
-    for space in ("disc", *SPACES):  # compiled before anything is timed
+    for space in args.spaces:  # compiled before anything is timed
         list(measure(warm, space, ["RRTConnect"]))
-    for name, robot in maps:
+    for name, robot in maps if "disc" in args.spaces else ():
         at = place(name, robot, queries, args.out)
         rows += measure(at, "disc", ["RRTConnect", "BITstar", "PRM"] if args.quick else planners_of("disc"))
         refused += refusals(at, queries)
         print(f"{name} {robot}: {len(rows)} plans", flush=True)
     for name, robot in POSE_MAPS[:1] if args.quick else POSE_MAPS:
         at = place(name, robot, 2 if args.quick else 4, args.out)
-        for space in SPACES:
+        for space in [s for s in args.spaces if s != "disc"]:
             rows += measure(at, space, ["RRTConnect"] if args.quick else planners_of(space))
             print(f"{name} {robot} {space}: {len(rows)} plans", flush=True)
     with (args.out / "plan.csv").open("w", newline="") as file:
@@ -288,9 +291,9 @@ def main() -> None:
         writer.writeheader()
         writer.writerows(rows)
     write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
-    disc = [row for row in rows if row["space"] == "disc"]
     with styled():
-        save_png(planner_boxes(disc), args.out / "plan.png")
+        shown = [row for row in rows if row["space"] == args.spaces[0]]
+        save_png(planner_boxes(shown), args.out / "plan.png")
     text = tables(rows, refused)
     (args.out / "plan.md").write_text(text)
     print(text)
