@@ -72,7 +72,7 @@ class StageCache:
         return value, key
 
     def _keep(self, path: Path, key: str, value: object) -> None:
-        payload = pickle.dumps((value,), protocol=5)
+        payload = pickle.dumps((value,), protocol=4)  # of many small arrays the quickest
         if len(payload) > self._limit:
             return
         partial = path.with_name(f"{path.name}.{os.getpid()}.{get_ident()}")
