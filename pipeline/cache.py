@@ -36,6 +36,7 @@ PLACE_VARIABLE = "TURTLEBAG_STAGE_CACHE"
 LIMIT_VARIABLE = "TURTLEBAG_STAGE_CACHE_MB"
 LIMIT_MB = 1024
 LIMIT_ENTRIES = 4000
+SMALL = 4096
 MAGIC = b"turtlebag stage 1\n"
 SOURCES = ("datasets", "pipeline/slam")
 """Whose code shapes the entries; changing any file of it makes all of them anew."""
@@ -72,7 +73,9 @@ class StageCache:
         return value, key
 
     def _keep(self, path: Path, key: str, value: object) -> None:
-        payload = pickle.dumps((value,), protocol=4)  # of many small arrays the quickest
+        written = io.BytesIO()
+        _Writer(written, protocol=5).dump((value,))
+        payload = written.getvalue()
         if len(payload) > self._limit:
             return
         partial = path.with_name(f"{path.name}.{os.getpid()}.{get_ident()}")
@@ -154,6 +157,20 @@ def _digest(key: str, payload: bytes) -> bytes:
     digest = hashlib.sha256(key.encode())
     digest.update(payload)
     return digest.digest()
+
+
+class _Writer(pickle.Pickler):
+    """Writes small arrays, of which graphs have thousands, in half of NumPy's own time."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if (
+            type(value) is np.ndarray
+            and value.nbytes < SMALL
+            and value.flags.c_contiguous
+            and value.dtype != object
+        ):
+            return np.ndarray, (value.shape, value.dtype, bytearray(value.data))
+        return NotImplemented
 
 
 class _Entry(pickle.Unpickler):
