@@ -13,22 +13,23 @@ from datasets.se2 import SE2
 from datasets.types import Recording
 
 
-def load_recording(path: Path, *, T_base_lidar: SE2 | None = None) -> Recording:
+def load_recording(path: Path, *, T_base_lidar: SE2 | None = None, topic: str | None = None) -> Recording:
     """Read any input: a record's folder, a rosbag2 folder, .mcap, .db3, .bag or a CARMEN log (.gz, .bz2 too).
 
-    `T_base_lidar` overrides what the input says of the laser's place on the robot. Truth topics are
-    never read. InputError when there is nothing to map with.
+    `T_base_lidar` overrides what the input says of the laser's place on the robot, `topic` names the
+    scans of a bag that has several. Truth topics are never read. InputError when there is nothing to map
+    with.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.is_dir() or is_bag(path):
-        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar)
+        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar, topic=topic)
     content, problem = read_unpacked(path)
     if is_carmen(content):
         notes = [problem] if problem else []
         return parse_carmen(content, path, T_base_lidar=T_base_lidar, notes=notes)
     try:
-        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar)
+        return read_for_mapping(open_bag(path), T_base_lidar=T_base_lidar, topic=topic)
     except InputError as error:
         if "not a bag" in str(error):
             kinds = ".mcap, .db3, .bag, a rosbag2 folder or a CARMEN log"

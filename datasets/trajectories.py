@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError
-from datasets.se2 import SE2
-from datasets.types import Trajectory
+from datasets.se2 import SE2, Array
+from datasets.se3 import quaternions
+from datasets.types import Stamps, Trajectory
 
 
 def stamp_text(stamp_ns: int) -> str:
@@ -48,6 +49,17 @@ def save_tum(trajectory: Trajectory, path: Path) -> None:
         ):
             qz, qw = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
             file.write(f"{stamp_text(stamp)} {x:.9f} {y:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n")
+
+
+def save_tum_3d(stamps_ns: Stamps, T: Array, path: Path) -> None:
+    """Write one line per pose in space, (n, 4, 4), in order."""
+    with path.open("w") as file:
+        for stamp, xyz, q in zip(
+            stamps_ns.tolist(), T[:, :3, 3].tolist(), quaternions(T).tolist(), strict=True
+        ):
+            place = " ".join(f"{value:.9f}" for value in xyz)
+            turn = " ".join(f"{value:.12f}" for value in q)
+            file.write(f"{stamp_text(stamp)} {place} {turn}\n")
 
 
 def load_tum(path: Path) -> Trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -217,15 +218,18 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Recording3D:
-    """A 3D lidar log in memory: scans in file order, each with the odometry at its stamp.
+    """A 3D lidar log: scans in file order, each with the odometry at its stamp.
 
-    `T_base_lidar` is (4, 4). As in `Recording`, truth is not in it.
+    `clouds` may be gone through as often as wanted, one cloud in memory at a time. `T_base_lidar` is
+    (4, 4), identity where the log does not tell (`mounted` is False then). As in `Recording`, truth is
+    not in it.
     """
 
     source: str
     stamps_ns: Stamps
-    clouds: tuple[Cloud, ...]
+    clouds: Iterable[Cloud]
     T_base_lidar: Array
+    mounted: bool = True
     T_odom_base: SE2 | None = None
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
@@ -233,6 +237,10 @@ class Recording3D:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def duration(self) -> float:
+        """Span of the scan stamps [s]."""
+        return seconds(int(np.ptp(self.stamps_ns))) if len(self) else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from datasets.bags.mapping_input import NoScans
 from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
 from datasets.maps import load_map, save_map
 from datasets.outputs import Stopwatch, check_free, sha256_tree, staged_output, write_json, write_manifest
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
 from datasets.se2 import SE2
 from datasets.trajectories import load_tum, save_tum
-from datasets.types import Recording
+from datasets.types import Recording, Trajectory
 from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, track
@@ -38,12 +40,16 @@ def build_map(
     laser: SE2 | None = None,
     also: Sequence[Path] = (),
     continued: Path | None = None,
+    topic: str | None = None,
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
     cache: StageCache | None = None,
 ) -> int:
     """Map `source` into the folder `out`; returns the exit code.
+
+    `topic` names the scans of a bag, LaserScan or PointCloud2; without it /scan or the only LaserScan
+    topic is mapped in 2D, and where there is none the point clouds in 3D.
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
@@ -52,12 +58,23 @@ def build_map(
     before anything is written. With `cache` only the steps are done whose inputs it does not know.
     """
     check_free(out, force=force)
-    resolved = load_config(SlamConfig, config, settings)
-    references = _References(truth, relations)
+    settled = _settings(config, settings)
+    references = References(truth, relations)
     watch = Stopwatch()
     cache = cache or StageCache()
     earlier = None if continued is None else load_session(continued)
-    recordings = [_recording(path, laser, cache) for path in (source, *also)]
+    try:
+        recordings = [_recording(path, laser, topic, cache) for path in (source, *also)]
+    except NoScans as error:
+        if not error.clouds:
+            raise
+        from pipeline.build_map3d import build_map_3d
+
+        planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
+        for option in (option for option, given in planar.items() if given):
+            raise InputError(f"{option}: only for planar scans, and {source} is mapped in 3D") from None
+        return build_map_3d(source, topic, out, references, config, settings, explain, force, command, watch)
+    resolved = settled()
     for note in (note for one in recordings for note in one.notes):
         log.warning(note)
     if earlier is not None:
@@ -71,7 +88,10 @@ def build_map(
         save_map(result.grid, folder)
         save_tum(result.trajectory, folder / "trajectory.tum")
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
-        write_json(folder / "metrics.json", {**summary(recording, result), **references.metrics(result)})
+        write_json(
+            folder / "metrics.json",
+            {**summary(recording, result), **references.metrics(result.trajectory, result.grid)},
+        )
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
         save_session(folder / GRAPH, result.session, min(recording.lidar.range_max, resolved.usable_range_m))
@@ -100,18 +120,39 @@ def build_map(
     return 0
 
 
-def _recording(path: Path, laser: SE2 | None, cache: StageCache) -> Recording:
+def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:
+    """Read the settings before anything else. Those that are only right for 3D are an error once the
+    input turns out to be planar: the returned function gives the settings or raises that error."""
+    try:
+        resolved = load_config(SlamConfig, config, settings)
+    except InputError as error:
+        from pipeline.slam3d.slam3d import Slam3dConfig
+
+        problem = error
+        try:
+            load_config(Slam3dConfig, config, settings)
+        except InputError:
+            raise error from None
+
+        def refuse() -> SlamConfig:
+            raise problem
+
+        return refuse
+    return lambda: resolved
+
+
+def _recording(path: Path, laser: SE2 | None, topic: str | None, cache: StageCache) -> Recording:
     """An input, from the cache when its bytes were read before."""
     content = sha256_tree(path) if cache.on and path.exists() else {}
-    inputs = [str(path), content, laser]
-    return cache.step("reading", inputs, lambda: load_recording(path, T_base_lidar=laser))[0]
+    inputs = [str(path), content, laser, topic]
+    return cache.step("reading", inputs, lambda: load_recording(path, T_base_lidar=laser, topic=topic))[0]
 
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
     return track(items, text, total)
 
 
-class _References:
+class References:
     """What the result is measured against, read and checked before the work starts."""
 
     def __init__(self, truth: Path | None, relations: Path | None) -> None:
@@ -128,18 +169,18 @@ class _References:
         named = {"truth": self._truth_folder, "relations": self._relations_file}
         return {name: path for name, path in named.items() if path is not None}
 
-    def metrics(self, result: SlamResult) -> dict[str, Any]:
+    def metrics(self, trajectory: Trajectory, grid: OccupancyGrid) -> dict[str, Any]:
         """The contract's keys for what was given."""
         found: dict[str, Any] = {}
         if self._truth_folder is not None:
             try:
-                found |= trajectory_metrics(result.trajectory, self._true_poses)
+                found |= trajectory_metrics(trajectory, self._true_poses)
             except ValueError as error:
                 raise InputError(f"{self._truth_folder}: {error}") from None
             if self._true_grid is not None:
-                found["map"] = map_metrics(result.grid, self._true_grid)
+                found["map"] = map_metrics(grid, self._true_grid)
         if self._relations is not None:
-            found |= relations_metrics(result.trajectory, self._relations)
+            found |= relations_metrics(trajectory, self._relations)
         return found
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from datasets.bags.reader import read_particles, read_poses
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.ply import read_ply
 from datasets.recordings import load_recording
 from datasets.runlog import RunLog
 from datasets.se2 import SE2
@@ -18,6 +19,7 @@ from datasets.types import Recording, Trajectory
 from reports.draw_localise import given_map
 from reports.figures import animation, maps, series
 from reports.figures.album import Album, Picture
+from reports.figures.cloud import cloud_from_above
 from reports.figures.graph import pose_graph, shown_edges
 from reports.g2o import read_g2o, read_loops
 from reports.metrics.navigation import collision_episodes
@@ -70,9 +72,23 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
             caption = "The path by odometry alone and after SLAM."
             draw = partial(maps.trajectories, grid, {"odometry": odometry, "slam": slam})
             pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
+    if stage.has("map.ply"):
+        pictures += _cloud_picture(stage, album, prefix)
     if stage.has("graph.g2o"):
         pictures.append(_graph_picture(stage, grid, album, prefix))
     return pictures + _mapping_animation(stage, recording, odometry, album, prefix)
+
+
+def _cloud_picture(stage: Stage, album: Album, prefix: str) -> list[Picture]:
+    points = read_ply(stage.folder / "map.ply")
+    if len(points) == 0:
+        return []
+    caption = (
+        "The 3D map from above, the highest point in each place. Walls should be thin lines, the floor one "
+        "colour: a floor that changes colour bends, a wall drawn twice was not recognised."
+    )
+    draw = partial(cloud_from_above, points)
+    return [album.add(f"{prefix}-cloud", "Point cloud", caption, draw)]
 
 
 def _mapping_animation(

@@ -1,8 +1,9 @@
-"""Planar pose graphs in g2o text: read for pictures and checks."""
+"""Pose graphs in g2o text, read for pictures and checks; those in space as seen from above."""
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,8 +53,18 @@ def read_loops(path: Path) -> LoopRecord:
     return LoopRecord(i, j, table[:, 2], table[:, 3] > 0.5)
 
 
+_XY_YAW = (0, 1, 5, 6, 10, 20)
+"""Where the upper triangle of a 6 x 6 matrix, row by row, holds that of x, y and yaw."""
+
+
+def _seen_from_above(pose: list[float]) -> list[float]:
+    """x, y and yaw of x, y, z and a quaternion x, y, z, w."""
+    x, y, _, qx, qy, qz, qw = pose
+    return [x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))]
+
+
 def read_g2o(path: Path) -> PoseGraph:
-    """Read VERTEX_SE2 and EDGE_SE2 lines; InputError names a line that is neither readable nor known."""
+    """Read vertices and edges, SE2 or SE3:QUAT; InputError names a line that is not readable."""
     poses: dict[int, list[float]] = {}
     edges: list[list[float]] = []
     for number, line in enumerate(path.read_text().splitlines(), start=1):
@@ -64,6 +75,13 @@ def read_g2o(path: Path) -> PoseGraph:
                 poses[int(fields[0])] = [x, y, yaw]
             elif tag == "EDGE_SE2":
                 edges.append([float(field) for field in fields[:11]])
+            elif tag == "VERTEX_SE3:QUAT":
+                poses[int(fields[0])] = _seen_from_above([float(field) for field in fields[1:8]])
+            elif tag == "EDGE_SE3:QUAT":
+                pose, upper = fields[2:9], fields[9:30]
+                above = _seen_from_above([float(field) for field in pose])
+                kept = [float(upper[k]) for k in _XY_YAW]
+                edges.append([float(fields[0]), float(fields[1]), *above, *kept])
         except (ValueError, IndexError):
             raise InputError(f"{path}, line {number}: not a {tag} line") from None
     if not poses or any(len(edge) != 11 for edge in edges):

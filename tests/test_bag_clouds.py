@@ -70,14 +70,14 @@ def test_layouts_of_other_drivers(tmp_path, time_field, kind, values, order):
     message = TYPES[CLOUD](header(stamp_ns, "lidar"), 2, 2, fields, order == ">", 40, 88, padded, False)
     write_foreign(tmp_path / "bag", [("/velodyne_points", CLOUD, 0, message)])
     recording = load_clouds(tmp_path / "bag")
-    np.testing.assert_array_equal(recording.clouds[0].points, [[1, 4, 7], [2, 5, 8], [3, 6, 9]])
-    np.testing.assert_allclose(recording.clouds[0].times, [0.0, 0.05, 0.1], atol=1e-6)
+    np.testing.assert_array_equal(next(iter(recording.clouds)).points, [[1, 4, 7], [2, 5, 8], [3, 6, 9]])
+    np.testing.assert_allclose(next(iter(recording.clouds)).times, [0.0, 0.05, 0.1], atol=1e-6)
     assert recording.T_odom_base is None
 
 
 def test_no_cloud_is_one_clear_line(tmp_path):
     write_drive(tmp_path / "bag", seconds=2)
-    with pytest.raises(InputError, match=r"no single point cloud topic .*it has: none"):
+    with pytest.raises(InputError, match=r"no point cloud topic .*it has: none"):
         load_clouds(tmp_path / "bag")
     with pytest.raises(InputError, match="no /points"):
         load_clouds(tmp_path / "bag", "/points")

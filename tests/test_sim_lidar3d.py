@@ -98,7 +98,7 @@ def test_a_recording_holds_clouds_with_times_in_their_own_frame(tmp_path):
     recording = load_clouds(tmp_path / "rec" / "bag")
     assert len(recording) > 5
     np.testing.assert_array_equal(np.diff(recording.stamps_ns), 200_000_000)
-    cloud = recording.clouds[0]
+    cloud = next(iter(recording.clouds))
     assert cloud.points.shape[0] > 5000
     assert 0.0 <= cloud.times.min() < cloud.times.max() < 0.2
     assert recording.T_base_lidar[2, 3] == pytest.approx(0.36, abs=1e-6)

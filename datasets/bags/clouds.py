@@ -1,14 +1,19 @@
-"""3D scans of a bag: sensor_msgs/PointCloud2 with the odometry at each."""
+"""3D scans of a bag: sensor_msgs/PointCloud2 with the odometry at each, read one cloud at a time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.bags.decode import BadMessage, Cursor
 from datasets.bags.odometry import find_odometry, odometry_at, sensor_matrix
-from datasets.bags.source import open_bag
+from datasets.bags.source import Bag, open_bag
 from datasets.bags.streams import Streams
 from datasets.errors import InputError
 from datasets.se2 import Array
@@ -16,10 +21,22 @@ from datasets.types import Cloud, Recording3D
 
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
+_LONGEST_SWEEP_S = 2.0
+"""Times of points that span more are no times within a sweep."""
 
 
-def decode_cloud(cursor: Cursor) -> tuple[int, str, Cloud]:
-    """Stamp [ns], frame and points; non-finite ones and the zeros of no return are left out."""
+class _Layout(NamedTuple):
+    """A cloud's message taken apart: its fields as (datatype, offset) in the bytes of each point."""
+
+    stamp_ns: int
+    frame: str
+    fields: dict[str, tuple[int, int]]
+    order: str
+    rows: NDArray[np.uint8]
+
+
+def _layout(cursor: Cursor) -> _Layout:
+    """Header and bytes (height, width * point_step) of a cloud; BadMessage when they do not fit together."""
     stamp, frame = cursor.header()
     height, width = cursor.take("I", 2)
     fields = {}
@@ -31,35 +48,73 @@ def decode_cloud(cursor: Cursor) -> tuple[int, str, Cloud]:
     (big_endian,) = cursor.take("B")
     point_step, row_step = cursor.take("I", 2)
     data = cursor.array("u1", cursor.count(1))
-    if not {"x", "y", "z"} <= fields.keys() or point_step == 0 or len(data) < height * row_step:
+    short = row_step < width * point_step or len(data) < height * row_step
+    if not {"x", "y", "z"} <= fields.keys() or point_step == 0 or short:
         raise BadMessage("a point cloud without x, y, z or with too little data")
-    order = ">" if big_endian else "<"
-    rows = data[: height * row_step].reshape(height, row_step)[:, : width * point_step]
-    points = np.ascontiguousarray(rows).reshape(-1, point_step)
-
-    def column(name: str) -> Array:
+    for name in ("x", "y", "z", *_time_field(fields)):
         kind, offset = fields[name]
         if kind not in _DTYPES or offset + int(_DTYPES[kind][1]) > point_step:
             raise BadMessage(f"field {name} of a point cloud lies outside its points")
-        dtype = np.dtype(order + _DTYPES[kind])
-        return (
-            np.ascontiguousarray(points[:, offset : offset + dtype.itemsize]).view(dtype)[:, 0].astype(float)
-        )
+    rows = data[: height * row_step].reshape(height, row_step)[:, : width * point_step]
+    points = np.ascontiguousarray(rows).reshape(-1, point_step)
+    return _Layout(stamp, frame, fields, ">" if big_endian else "<", points)
+
+
+def _time_field(fields: dict[str, tuple[int, int]]) -> list[str]:
+    return [name for name in _TIME_FIELDS if name in fields][:1]
+
+
+def decode_cloud(cursor: Cursor) -> tuple[int, str, Cloud]:
+    """Stamp [ns], frame and points; non-finite ones and the zeros of no return are left out."""
+    layout = _layout(cursor)
+
+    def column(name: str) -> Array:
+        kind, offset = layout.fields[name]
+        dtype = np.dtype(layout.order + _DTYPES[kind])
+        column = np.ascontiguousarray(layout.rows[:, offset : offset + dtype.itemsize])
+        return column.view(dtype)[:, 0].astype(np.float64)
 
     xyz = np.stack([column("x"), column("y"), column("z")], axis=-1)
     finite = np.isfinite(xyz).all(axis=1) & (xyz != 0.0).any(axis=1)
-    timed = next((name for name in _TIME_FIELDS if name in fields), None)
     times = None
-    if timed:
-        times = _seconds(column(timed), fields[timed][0], stamp)[finite]
-    return stamp, frame, Cloud(xyz[finite], times)
+    for timed in _time_field(layout.fields):
+        times = _seconds(column(timed)[finite], layout.fields[timed][0], layout.stamp_ns)
+    return layout.stamp_ns, layout.frame, Cloud(xyz[finite], times)
 
 
-def _seconds(values: Array, kind: int, stamp_ns: int) -> Array:
-    """Times of points after the stamp [s]: drivers give seconds, nanoseconds, or absolute seconds."""
-    if kind in (5, 6):
-        return values * 1e-9
-    return values - stamp_ns * 1e-9 if np.nanmax(np.abs(values), initial=0.0) > 1e6 else values
+def _seconds(values: Array, kind: int, stamp_ns: int) -> Array | None:
+    """Times of points after the stamp [s]: drivers give seconds, nanoseconds, or either absolutely.
+
+    None when they cannot be times within one sweep.
+    """
+    if not np.isfinite(values).all():
+        return None
+    if kind in (5, 6) or np.abs(values).max(initial=0.0) > 1e12:
+        values = values * 1e-9
+    if np.abs(values).max(initial=0.0) > 1e6:
+        values = values - stamp_ns * 1e-9
+    return values if np.abs(values).max(initial=0.0) <= _LONGEST_SWEEP_S else None
+
+
+@dataclass(eq=False)
+class _Index:
+    """The clouds of one topic that can be decoded: their stamps, log times and frame."""
+
+    stamps: list[int] = field(default_factory=list)
+    log_times: list[int] = field(default_factory=list)
+    frame: str = ""
+
+
+class _Clouds:
+    """The clouds of a topic in file order, read from the bag each time they are gone through."""
+
+    def __init__(self, bag: Bag, topic: str) -> None:
+        self._bag, self._topic = bag, topic
+
+    def __iter__(self) -> Iterator[Cloud]:
+        for message in self._bag.messages(lambda topic: topic.name == self._topic):
+            with suppress(BadMessage):
+                yield decode_cloud(self._bag.cursor(message.data))[2]
 
 
 def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
@@ -68,40 +123,60 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     `topic` is needed only where the bag has several point cloud topics. Truth is never read.
     """
     bag = open_bag(path)
-    streams = Streams(bag, clouds=True)
-    names = list(streams.clouds)
-    chosen = topic if topic else (names[0] if len(names) == 1 else None)
-    if chosen is None or chosen not in names:
-        listed = ", ".join(names) or "none"
-        wanted = topic or "single point cloud topic"
-        raise InputError(f"{path}: no {wanted} (sensor_msgs/PointCloud2) in this bag; it has: {listed}")
-    raw = streams.clouds[chosen]
-    stamps, log_times, clouds, frame = [], [], [], ""
-    for log_time, data in zip(raw.times, raw.data, strict=True):
+    found: dict[str, _Index] = {}
+    bad = 0
+
+    def note(name: str, log_time: int, data: bytes) -> None:
+        nonlocal bad
+        index = found.setdefault(name, _Index())
         try:
-            stamp, frame, cloud = decode_cloud(bag.cursor(data))
+            layout = _layout(bag.cursor(data))
         except BadMessage:
-            streams.bad += 1
-            continue
-        stamps.append(stamp)
-        log_times.append(log_time)
-        clouds.append(cloud)
-    if not clouds:
+            bad += 1
+            return
+        index.stamps.append(layout.stamp_ns)
+        index.log_times.append(log_time)
+        index.frame = index.frame or layout.frame
+
+    streams = Streams(bag, note_cloud=note)
+    chosen = _chosen_topic(path, list(found), topic)
+    index = found[chosen]
+    if not index.stamps:
         raise InputError(f"{path}: {chosen}: no point cloud could be decoded")
-    stamps_ns, notes = np.array(stamps, dtype=np.int64), bag.notes
-    odometry = find_odometry(streams, frame, notes)
-    T_base_lidar = sensor_matrix(streams.frames, odometry.base, frame, notes)
-    T_odom_base = odometry_at(odometry, stamps_ns, np.array(log_times, dtype=np.int64), notes)
+    stamps, notes = np.array(index.stamps, dtype=np.int64), list(bag.notes)
+    backwards = int(np.count_nonzero(np.diff(stamps) < 0))
+    if backwards:
+        notes.append(f"{chosen}: stamps go back {backwards} times; file order kept")
+    odometry = find_odometry(streams, index.frame, notes)
+    known = len(notes)
+    T_base_lidar = sensor_matrix(streams.frames, odometry.base, index.frame, notes)
+    mounted = len(notes) == known
+    del notes[known:]
+    T_odom_base = odometry_at(odometry, stamps, np.array(index.log_times, dtype=np.int64), notes)
+    imu = streams.read_imu()
     streams.note_unknown(notes)
-    if streams.bad:
-        notes.append(f"{streams.bad} damaged messages skipped")
+    if streams.bad + bad:
+        notes.append(f"{streams.bad + bad} damaged messages skipped")
     return Recording3D(
         source=str(path),
-        stamps_ns=stamps_ns,
-        clouds=tuple(clouds),
+        stamps_ns=stamps,
+        clouds=_Clouds(bag, chosen),
         T_base_lidar=T_base_lidar,
+        mounted=mounted,
         T_odom_base=T_odom_base,
         odometry=odometry.poses,
-        imu=streams.read_imu(),
+        imu=imu,
         notes=tuple(notes),
     )
+
+
+def _chosen_topic(path: Path, names: list[str], wanted: str | None) -> str:
+    if wanted in names:
+        return str(wanted)
+    if wanted is None and len(names) == 1:
+        return names[0]
+    listed = ", ".join(names) or "none"
+    if wanted is None and names:
+        raise InputError(f"{path}: several point cloud topics; choose one with --topic: {listed}")
+    missing = wanted or "point cloud topic"
+    raise InputError(f"{path}: no {missing} (sensor_msgs/PointCloud2) in this bag; it has: {listed}")

@@ -7,17 +7,28 @@ import numpy as np
 from datasets.bags.odometry import find_odometry, odometry_at, sensor_matrix
 from datasets.bags.scans import assemble, turned_over
 from datasets.bags.source import Bag
-from datasets.bags.streams import Streams
+from datasets.bags.streams import CLOUD, Streams
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
 
 
-def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None) -> Recording:
-    """Recording of a bag; InputError when it has no scan to map with."""
+class NoScans(InputError):
+    """The bag has no planar scans to map with; `clouds` names point cloud topics that would do."""
+
+    def __init__(self, message: str, clouds: list[str]) -> None:
+        super().__init__(message)
+        self.clouds = clouds
+
+
+def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | None = None) -> Recording:
+    """Recording of a bag; InputError (NoScans) when it has no scan to map with.
+
+    `topic` chooses among its LaserScan topics; without it /scan, or the only one.
+    """
     streams = Streams(bag)
     notes = bag.notes
-    topic = _scan_topic(streams)
+    topic = _scan_topic(streams, topic)
     scans = streams.scans[topic]
     try:
         ranges, lidar = assemble(scans, notes)
@@ -54,20 +65,36 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None) -> Recording:
     )
 
 
-def _scan_topic(streams: Streams) -> str:
+def _scan_topic(streams: Streams, wanted: str | None) -> str:
     path, names = streams.bag.path, list(streams.scans)
+    if wanted is not None:
+        return _wanted_topic(streams, wanted)
     preferred = (
         [name for name in names if name == "/scan"] or [n for n in names if n.endswith("/scan")] or names
     )
     if len(preferred) == 1:
         return preferred[0]
     if names:
-        raise InputError(f"{path}: no /scan, and several LaserScan topics to choose from: {', '.join(names)}")
+        listed = ", ".join(names)
+        raise InputError(f"{path}: no /scan, and several LaserScan topics; choose one with --topic: {listed}")
     why = next((note for note in streams.bag.notes if "damaged" in note or "cut off" in note), None)
     if why:
         raise InputError(f"{path}: no /scan could be read: {why}")
     topics = ", ".join(sorted(streams.seen)[:12]) or "none"
-    raise InputError(f"{path}: no /scan (sensor_msgs/LaserScan) messages in this bag; its topics: {topics}")
+    message = f"{path}: no /scan (sensor_msgs/LaserScan) messages in this bag; its topics: {topics}"
+    raise NoScans(message, [name for name, msgtype in streams.seen.items() if msgtype == CLOUD])
+
+
+def _wanted_topic(streams: Streams, wanted: str) -> str:
+    if wanted in streams.scans:
+        return wanted
+    msgtype = streams.seen.get(wanted)
+    found = "not in this bag" if msgtype is None else f"of type {msgtype}"
+    if msgtype == "sensor_msgs/msg/LaserScan":
+        found = "without a message that can be read"
+    topics = ", ".join(sorted(streams.seen)[:12]) or "none"
+    message = f"{streams.bag.path}: --topic {wanted} is {found}; its topics: {topics}"
+    raise NoScans(message, [wanted] if msgtype == CLOUD else [])
 
 
 def _planar(T_base_lidar: Array, notes: list[str]) -> tuple[SE2, bool]:

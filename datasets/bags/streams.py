@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from datasets.bags import decode
@@ -36,12 +37,15 @@ class Raw:
 
 
 class Streams:
-    """Scans decoded, the rest kept as bytes until it is known what is needed; point clouds on demand."""
+    """Scans decoded, the rest kept as bytes until it is known what is needed.
 
-    def __init__(self, bag: Bag, *, clouds: bool = False) -> None:
+    Point clouds are large: where a function to `note_cloud` is given, each is handed to it (topic, log
+    time, bytes) and not kept.
+    """
+
+    def __init__(self, bag: Bag, *, note_cloud: Callable[[str, int, bytes], None] | None = None) -> None:
         self.bag = bag
-        self.clouds: dict[str, Raw] = {}
-        self._types = (*_WANTED, CLOUD) if clouds else _WANTED
+        self._types = (*_WANTED, CLOUD) if note_cloud is not None else _WANTED
         self.scans: dict[str, list[decode.RawScan]] = {}
         self.scan_times: dict[str, list[int]] = {}
         self.odometry: dict[str, Raw] = {}
@@ -57,8 +61,8 @@ class Streams:
                 self.odometry.setdefault(topic.name, Raw()).add(log_time, data)
             elif topic.msgtype == IMU:
                 self.imu.setdefault(topic.name, Raw()).add(log_time, data)
-            elif topic.msgtype == CLOUD:
-                self.clouds.setdefault(topic.name, Raw()).add(log_time, data)
+            elif topic.msgtype == CLOUD and note_cloud is not None:
+                note_cloud(topic.name, log_time, data)
             elif topic.name.endswith("tf_static"):
                 self._transforms(data, static=True)
             else:

@@ -34,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
     )
+    parser.add_argument(
+        "--topic",
+        metavar="NAME",
+        help="scans to map: a LaserScan topic in 2D, a PointCloud2 topic in 3D "
+        "(default: /scan or the only LaserScan; without one, the point clouds)",
+    )
     add_config(parser)
     parser.add_argument("--no-cache", action="store_true", help="do every step, whatever was done before")
     parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
@@ -54,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
         laser=None if args.laser is None else pose(args.laser, "--laser"),
         also=args.also,
         continued=args.continued,
+        topic=args.topic,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

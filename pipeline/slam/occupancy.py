@@ -75,7 +75,7 @@ def make_grid(
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, False, config.occupied_share)
-    return _trimmed(classify(hits, misses, config), corner, config)
+    return trimmed(classify(hits, misses, config), corner, config)
 
 
 def beam_lengths(
@@ -155,7 +155,8 @@ def _beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
     )
 
 
-def _trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
+def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
+    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first."""
     known_rows = np.flatnonzero((cells != UNKNOWN).any(axis=1))
     known_cols = np.flatnonzero((cells != UNKNOWN).any(axis=0))
     if len(known_rows) == 0:

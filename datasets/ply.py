@@ -1,0 +1,33 @@
+"""Point clouds from binary PLY files: the little-endian kind that Open3D writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from datasets.errors import InputError
+from datasets.se2 import Array
+
+_TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "char": "i1", "ushort": "<u2", "short": "<i2",
+          "uint": "<u4", "int": "<i4"}  # fmt: skip
+_LONGEST_HEADER = 4096
+
+
+def read_ply(path: Path) -> Array:
+    """Points (n, 3) of the file's vertices; InputError when it is no such file."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    end = data.find(b"end_header\n", 0, _LONGEST_HEADER)
+    lines = [line.split() for line in data[: max(end, 0)].decode("ascii", "replace").splitlines()]
+    if not lines or lines[0] != ["ply"] or ["format", "binary_little_endian", "1.0"] not in lines:
+        raise InputError(f"{path}: not a binary little-endian PLY file")
+    try:
+        count = next(int(words[2]) for words in lines if words[:2] == ["element", "vertex"])
+        layout = np.dtype([(words[2], _TYPES[words[1]]) for words in lines if words[0] == "property"])
+        vertices = np.frombuffer(data, layout, count, end + len(b"end_header\n"))
+        return np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    except (StopIteration, KeyError, IndexError, ValueError):
+        raise InputError(f"{path}: a PLY file without points x, y, z, or cut off") from None

@@ -1,0 +1,149 @@
+"""Stage `map` for point clouds: a bag in, a 3D map and its slice out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from datasets import se3
+from datasets.bags.clouds import load_clouds
+from datasets.maps import save_map
+from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from datasets.se2 import Array
+from datasets.trajectories import save_tum_3d
+from datasets.types import Recording3D
+from pipeline.config import config_text, load_config
+from pipeline.console import log, track
+from pipeline.slam3d.cloud_map import save_ply
+from pipeline.slam3d.graph import residuals, write_g2o
+from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
+
+if TYPE_CHECKING:
+    from pipeline.build_map import References
+
+WORST = 10
+
+
+def build_map_3d(
+    source: Path,
+    topic: str | None,
+    out: Path,
+    references: References,
+    config: Path | None,
+    settings: Sequence[str],
+    explain: bool,
+    force: bool,
+    command: Sequence[str],
+    watch: Stopwatch,
+) -> int:
+    """Map the point clouds of `source` into the folder `out`; returns the exit code.
+
+    Arguments as of `build_map`. InputError when anything given cannot be used.
+    """
+    resolved = load_config(Slam3dConfig, config, settings)
+    recording = load_clouds(source, topic)
+    result = run_slam_3d(recording, resolved, _progress)
+    for note in (*recording.notes, *result.setting.notes):
+        log.warning(note)
+    slam_s = watch.seconds()
+    with staged_output(out, force=force) as folder:
+        save_map(result.grid, folder)
+        save_ply(folder / "map.ply", result.points)
+        save_tum_3d(recording.stamps_ns, result.T_map_base, folder / "trajectory.tum")
+        write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
+        metrics = references.metrics(result.trajectory, result.grid)
+        if "ate_m" in metrics:
+            metrics["out_of_plane"] = _out_of_plane(result.T_map_base)
+        write_json(folder / "metrics.json", {**summary(recording, result), **metrics})
+        (folder / "config.yaml").write_text(config_text(resolved))
+        write_json(folder / "graph.json", loop_record(result))
+        if explain:
+            write_json(folder / "explain.json", explanation(result))
+        write_manifest(
+            folder,
+            stage="map",
+            command=command,
+            inputs={"source": source, **references.inputs()},
+            seed=None,
+            wall_s=watch.seconds(),
+            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
+        )
+    for reason in result.check.reasons:
+        log.warning(f"doubtful map: {reason}")
+    log.info(f"{out}: {len(recording)} clouds, {len(result.keys)} keys, {slam_s:.1f} s")
+    return 0
+
+
+def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
+    return track(items, text, total)
+
+
+def summary(recording: Recording3D, result: Slam3dResult) -> dict[str, Any]:
+    """Metrics that need no reference: the keys of a planar map, and those of the cloud."""
+    accepted = sum(loop.accepted for loop in result.loops)
+    return {
+        "scans": len(recording),
+        "keyframes": len(result.keys),
+        "loops": {
+            "proposed": len(result.loops),
+            "accepted": accepted,
+            "rejected": len(result.loops) - accepted,
+        },
+        "log_s": recording.duration(),
+        "cloud": {"points": len(result.points), "voxel_m": result.setting.voxel},
+        "self_check": result.check.as_metrics(),
+    }
+
+
+def _out_of_plane(T: Array) -> dict[str, float]:
+    """How far the poses leave the plane of the simulator's floor, RMS: height [m] and tilt [rad]."""
+    tilt = np.arccos(np.clip(T[:, 2, 2], -1.0, 1.0))
+    return {"z_m": float(np.sqrt(np.mean(T[:, 2, 3] ** 2))), "tilt_rad": float(np.sqrt(np.mean(tilt**2)))}
+
+
+def loop_record(result: Slam3dResult) -> dict[str, Any]:
+    """Keys, and every loop candidate: how it was found, scores, verdict, what is left at the final poses."""
+    T = result.T_map_keys
+    loops = []
+    for loop in result.loops:
+        left = se3.log(se3.inverse(loop.T_j_i) @ se3.inverse(T[loop.j]) @ T[loop.i])
+        loops.append(
+            {
+                "i": loop.i,
+                "j": loop.j,
+                "by": loop.by,
+                "T_j_i": se3.log(loop.T_j_i),
+                "fitness": loop.fitness,
+                "overlap": loop.overlap,
+                "rmse_m": loop.rmse,
+                "verdict": loop.verdict,
+                "residual_m": float(np.linalg.norm(left[3:])),
+                "residual_rad": float(np.linalg.norm(left[:3])),
+            }
+        )
+    return {"keys": result.keys, "loops": loops}
+
+
+def explanation(result: Slam3dResult) -> dict[str, Any]:
+    """The constraints that fit the final poses least, and how far loops and refinement moved the keys."""
+    left = residuals(result.T_map_keys, result.constraints)
+    information = np.array([c.information for c in result.constraints]).reshape(-1, 6, 6)
+    squared = np.einsum("na,nab,nb->n", left, information, left)
+    worst = np.argsort(-squared, kind="stable")[:WORST]
+    moved = np.linalg.norm(result.T_map_keys[:, :3, 3] - result.track.T[result.keys][:, :3, 3], axis=1)
+    return {
+        "worst_edges": [
+            {
+                "i": result.constraints[k].i,
+                "j": result.constraints[k].j,
+                "kind": result.constraints[k].kind,
+                "sigmas": float(np.sqrt(max(squared[k], 0.0))),
+            }
+            for k in worst.tolist()
+        ],
+        "front_end": {"mean_overlap": float(result.track.overlap[result.track.usable].mean())},
+        "moved_by_graph_m": {"mean": float(moved.mean()), "max": float(moved.max())},
+    }

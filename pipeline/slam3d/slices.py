@@ -1,0 +1,111 @@
+"""A height slice of the 3D map as an occupancy grid.
+
+A band over the floor the robot stands on: points in it are surfaces, and every beam says that the part of
+it within the band is free. What lies above (lintels, table tops) or below (the floor) is in nobody's way.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from datasets.errors import InputError
+from datasets.grid import OccupancyGrid
+from datasets.se2 import Array
+from pipeline.slam.occupancy import MAX_CELLS, OccupancyConfig, classify, trace, trimmed
+
+
+class SliceConfig(BaseModel):
+    """The slice; heights over the floor."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    low_m: float = Field(default=0.1, description="the floor and its noise end below this")
+    high_m: float = Field(default=0.3, description="what is higher is not in the way")
+    max_range_m: float = Field(default=20.0, gt=0.0, description="beams are used up to here")
+    grid: OccupancyConfig = OccupancyConfig()
+
+    @model_validator(mode="after")
+    def _in_order(self) -> SliceConfig:
+        if not self.low_m < self.high_m:
+            raise ValueError("low_m must be below high_m")
+        return self
+
+
+class SliceGrid:
+    """Counts of returns and of beams passing, gathered cloud by cloud."""
+
+    def __init__(self, config: SliceConfig, low: Array, high: Array) -> None:
+        """The grid covers the corners low and high (2,) [m] of the map; InputError when that is too large."""
+        self._config, resolution = config, config.grid.resolution_m
+        self._corner = np.floor((low - config.grid.margin_m) / resolution)
+        extent = np.ceil((high + config.grid.margin_m) / resolution) - self._corner
+        if not np.prod(extent) <= MAX_CELLS:
+            cols, rows = extent.astype(int)
+            raise InputError(
+                f"the map would have {rows} x {cols} cells; choose a larger slice.grid.resolution_m"
+            )
+        shape = int(extent[1]), int(extent[0])
+        self._hits, self._misses = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint16)
+
+    def add(self, points: Array, origin: Array, floor: float) -> None:
+        """Count the beams from `origin` (3,) to points (n, 3), all in the map; `floor` is the floor's z."""
+        config, resolution = self._config, self._config.grid.resolution_m
+        corner = np.array([*(self._corner * resolution), 0.0])
+        band = (floor + config.low_m) / resolution, (floor + config.high_m) / resolution
+        start = (origin - corner) / resolution
+        ends = (points - corner) / resolution
+        most = config.max_range_m / resolution
+        for with_return in (True, False):
+            carve(self._hits, self._misses, ends, start, *band, most, with_return, config.grid.occupied_share)
+
+    def grid(self) -> OccupancyGrid:
+        """The grid so far."""
+        return trimmed(classify(self._hits, self._misses, self._config.grid), self._corner, self._config.grid)
+
+
+@njit(cache=True)
+def carve(
+    hits: NDArray,
+    misses: NDArray,
+    ends: Array,
+    start: Array,
+    low: float,
+    high: float,
+    most: float,
+    with_return: bool,
+    share: float,
+) -> None:
+    """Trace the part within low..high of each beam from start (3,) to ends (n, 3), all in cells.
+
+    First the beams that end within the band, then those that only pass through it.
+    """
+    for i in range(ends.shape[0]):
+        dx, dy, dz = ends[i, 0] - start[0], ends[i, 1] - start[1], ends[i, 2] - start[2]
+        level = math.hypot(dx, dy)
+        in_band = low <= ends[i, 2] <= high and level <= most
+        if in_band != with_return or level < 1e-6:
+            continue
+        enter, leave = 0.0, min(1.0, most / level)
+        if dz == 0.0:
+            if not low <= start[2] <= high:
+                continue
+        else:
+            a, b = (low - start[2]) / dz, (high - start[2]) / dz
+            enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+        if leave <= enter:
+            continue
+        trace(
+            hits,
+            misses,
+            start[0] + enter * dx,
+            start[1] + enter * dy,
+            dx / level,
+            dy / level,
+            (leave - enter) * level,
+            with_return,
+            share,
+        )
