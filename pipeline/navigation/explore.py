@@ -15,10 +15,12 @@ from pipeline.navigation.goal_runner import GoalRunner, Tools
 from pipeline.navigation.localiser import Publisher
 from pipeline.navigation.online_map import OnlineMap
 from pipeline.navigation.sensing import Sensing, Sight
+from pipeline.navigation.unseen import Unseen
 from pipeline.slam.slam import SlamConfig
 from planners.control.goal_checker import GoalCheckerConfig
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from planners.tasks.frontier import FrontierConfig, next_view
+from planners.tasks.guarded import GuardConfig
 
 
 class MapPublisher(Publisher, Protocol):
@@ -37,6 +39,8 @@ class ExploreConfig(BaseModel):
     slam: SlamConfig = SlamConfig()
     costmap: CostmapConfig = CostmapConfig()
     checker: GoalCheckerConfig = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=3.2, stop=False)
+    guard: GuardConfig = GuardConfig()
+    """How slipping wheels are noticed, and how far it backs off then."""
     margin: float = Field(default=0.03, ge=0.0)
     """Clearance beyond the robot's circumscribed radius that ways must have."""
     look_after: float = Field(default=12.0, gt=0.0)
@@ -64,6 +68,7 @@ class ExploreDriver:
         self._config, self._model = config, model
         self._make_tools, self._publisher = make_tools, publisher
         self._end_ns, self._seed = round(duration_s * 1e9), seed
+        self._unseen = Unseen(model, config.guard)
         self._tools: Tools | None = None
         self._runner: GoalRunner | None = None
         self._spent: list[Array] = []
@@ -88,6 +93,9 @@ class ExploreDriver:
         if self.sensing.blind:
             self.state = "blind"
             return self._stop(observation)
+        away = self._back_off(observation, sight)
+        if away is not None:
+            return away
         late = self._now - self._mapped_ns > self._config.look_after * 1e9
         if self._runner is None or (late and observation.scan is not None):
             self._choose(observation)
@@ -96,6 +104,20 @@ class ExploreDriver:
         if sight is not None:
             self._see(sight)
         return self._pursue(self._runner, observation, sight is not None)
+
+    def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
+        """The command while getting away from something that no lidar sees; None when there is no need."""
+        T_odom_base = observation.odometry.T_odom_base
+        if sight is not None and self._unseen.noticed(sight, T_odom_base, self.online.T_map_odom, self._last):
+            self.online.distrust()
+            self._runner = None
+        wanted = self._unseen.backing_off(self._now, T_odom_base)
+        if wanted is None or self._tools is None:
+            return None
+        self.state = "back_off"
+        factor = self._tools.monitor.limit(wanted, self.sensing.points_base(T_odom_base))
+        self._last = self._tools.controller.ramp(Twist(wanted.v * factor, 0.0), self._last)
+        return self._last
 
     def stand_by(self, observation: Observation) -> None:
         """Map on while someone else drives."""
@@ -115,7 +137,7 @@ class ExploreDriver:
         self._publisher.map(self._now, grid)
         self._publisher.map_to_odom(self._now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
-        costmap = costmap_from_grid(grid, self._config.costmap)
+        costmap = self._unseen.kept_out(costmap_from_grid(grid, self._config.costmap))
         radius = self._model.circumscribed_radius + self._config.margin
         goal = next_view(grid, costmap, self.estimate, radius, self._spent, self._config.frontier)
         if goal is None:
@@ -155,7 +177,7 @@ class ExploreDriver:
 
     def _finish(self, observation: Observation) -> Twist:
         if self.state != "done":
-            self._publisher.map(self._now, self.online.update())
+            self._publisher.map(self._now, self.online.finish())
         self.state = "done"
         return self._stop(observation)
 

@@ -1,69 +1,202 @@
-"""SLAM while driving: the recording so far is mapped anew whenever a map is wanted."""
+"""SLAM while driving: every scan is placed once as it comes, loops are closed as the map is wanted.
+
+The front end and the loop closure are the offline mapper's own, fed bit by bit; the grid while driving
+shows the key scans. When the drive is over, `finish` maps the whole recording as the offline mapper does.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
+from datasets.se2 import SE2, Array
 from datasets.types import Observation, Recording, Scan, Trajectory
-from pipeline.slam.slam import SlamConfig, run_slam
+from pipeline.navigation.growing import GrowingClouds
+from pipeline.slam.align import observable
+from pipeline.slam.clouds import sweep_motion
+from pipeline.slam.loops import BATCH, LoopFinder
+from pipeline.slam.occupancy import make_grid
+from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
+from pipeline.slam.tracking import Track, Tracker
 
 # A scan is kept when the robot has moved this far since the last one kept.
-KEEP_M, KEEP_RAD = 0.04, 0.06
+KEEP_M, KEEP_RAD = 0.1, 0.15
 LEAST_SCANS = 3
+HERE_M = 0.15
 # Odometry samples that reach back past the start of a sweep.
 RECENT = 32
 
 
+@dataclass
+class _Kept:
+    """What is remembered of the scans kept, in their order: `track` and `motion` are poses (3,)."""
+
+    scans: list[Scan] = field(default_factory=list)
+    odometry: list[Array] = field(default_factory=list)
+    motion: list[Array] = field(default_factory=list)
+    track: list[Array] = field(default_factory=list)
+    information: list[Array] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+
 class OnlineMap:
-    """Collects scans and odometry; `update` maps them. The map frame is odometry's at the start."""
+    """Takes in observations; `update` draws the map so far. The map frame is odometry's at the start."""
 
     def __init__(self, T_base_lidar: SE2, config: SlamConfig) -> None:
         self.T_map_odom = SE2.identity()
         self.grid: OccupancyGrid | None = None
         self._T_base_lidar, self._config = T_base_lidar, config
-        self._scans: list[Scan] = []
-        self._kept: list[SE2] = []
         self._stamps: list[int] = []
         self._odometry: list[SE2] = []
+        self._kept = _Kept()
+        self._clouds = GrowingClouds()
+        self._tracker: Tracker | None = None
+        self._loops: LoopFinder | None = None
+        self._searched = 0
+        self._distrusted: set[int] = set()
 
     def observe(self, observation: Observation) -> None:
-        """Take in odometry, and the scan if there is one."""
+        """Take in odometry, and place the scan if there is one and the robot has moved on."""
         self._stamps.append(observation.odometry.stamp_ns)
         self._odometry.append(observation.odometry.T_odom_base)
         scan = observation.scan
         if scan is None:
             return
-        recent = Trajectory(np.array(self._stamps[-RECENT:]), SE2.stack(self._odometry[-RECENT:]))
-        at = recent.at(np.array([scan.stamp_ns]))[0]
+        one = self._recording([scan], RECENT)
+        at = one.T_odom_base
+        assert at is not None
         if len(self._kept) >= LEAST_SCANS:
-            x, y, yaw = (self._kept[-1].inverse() @ at).xyt
+            x, y, yaw = (SE2(self._kept.odometry[-1]).inverse() @ at[0]).xyt
             if np.hypot(x, y) < KEEP_M and abs(yaw) < KEEP_RAD:
                 return
-        self._scans.append(scan)
-        self._kept.append(at)
+        motion = sweep_motion(one) if scan.lidar.time_increment > 0.0 else None
+        self._kept.scans.append(scan)
+        self._kept.odometry.append(at.xyt[0])
+        self._kept.motion.append(np.zeros(3) if motion is None else motion.xyt[0])
+        self._place(one, motion)
+
+    def distrust(self) -> None:
+        """The robot has been pushing against something here: its scans since it came are not drawn.
+
+        Wheels that turn on the spot bend the sweeps, by which each scan's beams are put in order.
+        """
+        here = self._kept.track[-1][:2]
+        for k in range(len(self._kept) - 1, 0, -1):
+            if np.linalg.norm(self._kept.track[k][:2] - here) > HERE_M:
+                break
+            self._distrusted.add(k)
 
     @property
     def ready(self) -> bool:
         """Whether there is enough to map."""
-        return len(self._scans) >= LEAST_SCANS
+        return len(self._kept) >= LEAST_SCANS
 
     def update(self) -> OccupancyGrid:
-        """Map everything seen so far; also corrects `T_map_odom`."""
+        """Close loops and draw what the key scans and the last one saw; also corrects `T_map_odom`."""
+        assert self._tracker is not None
+        keys = np.array(self._tracker.keys)
+        T_map_keys = self._closed(keys)
+        last = len(self._kept) - 1
+        T_last = T_map_keys[-1] @ (SE2(self._kept.track[keys[-1]]).inverse() @ SE2(self._kept.track[last]))
+        self.T_map_odom = T_last @ SE2(self._kept.odometry[last]).inverse()
+        poses = {int(key): pose for key, pose in zip(keys, T_map_keys.xyt, strict=True)} | {last: T_last.xyt}
+        shown = [k for k in poses if k not in self._distrusted]
+        recording = self._recording([self._kept.scans[k] for k in shown], None)
+        motion = SE2(np.array([self._kept.motion[k] for k in shown]))
+        drawn_at = SE2(np.array([poses[k] for k in shown]))
+        self.grid = make_grid(recording, drawn_at, self._config.grid, self._usable, motion)
+        return self.grid
+
+    def finish(self) -> OccupancyGrid:
+        """The map of everything seen, as the offline mapper makes it."""
         result = run_slam(self.recording(), self._config)
-        self.T_map_odom = result.trajectory.poses[-1] @ self._kept[-1].inverse()
+        last = max(set(range(len(self._kept))) - self._distrusted)
+        self.T_map_odom = result.trajectory.poses[-1] @ SE2(self._kept.odometry[last]).inverse()
         self.grid = result.grid
         return result.grid
 
     def recording(self) -> Recording:
         """What was kept, as a log."""
+        trusted = [scan for k, scan in enumerate(self._kept.scans) if k not in self._distrusted]
+        return self._recording(trusted, None)
+
+    @property
+    def _usable(self) -> float:
+        return min(self._kept.scans[0].lidar.range_max, self._config.usable_range_m)
+
+    def _recording(self, scans: list[Scan], recent: int | None) -> Recording:
+        """Scans with the odometry about them, of which the last `recent` samples are enough or all needed."""
+        first = 0 if recent is None else -recent
+        odometry = Trajectory(np.array(self._stamps[first:]), SE2.stack(self._odometry[first:]))
+        stamps = np.array([scan.stamp_ns for scan in scans])
         return Recording(
             source="exploration",
-            stamps_ns=np.array([scan.stamp_ns for scan in self._scans]),
-            ranges=np.stack([scan.ranges for scan in self._scans]),
-            lidar=self._scans[0].lidar,
+            stamps_ns=stamps,
+            ranges=np.stack([scan.ranges for scan in scans]),
+            lidar=scans[0].lidar,
             T_base_lidar=self._T_base_lidar,
-            T_odom_base=SE2.stack(self._kept),
-            odometry=Trajectory(np.array(self._stamps), SE2.stack(self._odometry)),
+            T_odom_base=odometry.at(stamps),
+            odometry=odometry,
+        )
+
+    def _place(self, one: Recording, motion: SE2 | None) -> None:
+        """The pose of the newest scan among the last key scans, by the front end."""
+        self._clouds.append(one, self._usable, motion)
+        scan, odometry = len(self._kept) - 1, np.array(self._kept.odometry)
+        if self._tracker is None:
+            self._tracker = Tracker(self._clouds.view(), one, self._config.tracking, self._usable)
+            self._tracker.start(0, odometry[0])
+            information = np.zeros((3, 3))
+        else:
+            self._tracker.clouds, self._tracker.odometry = self._clouds.view(), odometry
+            information = observable(self._tracker.step(scan)[0].information)
+        before = SE2(self._kept.track[-1]) if self._kept.track else None
+        self._kept.track.append(self._tracker.pose)
+        self._kept.information.append(information)
+        if before is None:
+            return
+        # What the last update corrected holds on; the front end's own step comes on top.
+        T_map_last = self.T_map_odom @ SE2(odometry[-2])
+        T_map_base = T_map_last @ (before.inverse() @ SE2(self._tracker.pose))
+        self.T_map_odom = T_map_base @ SE2(odometry[-1]).inverse()
+
+    def _closed(self, keys: NDArray[np.int64]) -> SE2:
+        """Key poses with the loops closed that were found among them."""
+        track = self._track(keys)
+        steps = step_constraints(track, self._config.tracking)
+        T_track_keys = track.T_track_base[keys]
+        if not self._config.loops.enabled or len(keys) < 3:
+            return T_track_keys
+        part = np.zeros(len(keys), dtype=np.int64)
+        clouds = self._clouds.view()
+        if self._loops is None:
+            self._loops = LoopFinder(clouds, keys, T_track_keys, steps, self._config.loops, part)
+        else:
+            self._loops.extend(clouds, keys, T_track_keys, steps, part)
+        while self._searched < len(keys):
+            batch = range(self._searched, min(self._searched + BATCH, len(keys)))
+            self._loops.process(batch)
+            self._searched = batch.stop
+        return SE2(self._loops.poses)
+
+    def _track(self, keys: NDArray[np.int64]) -> Track:
+        tracker, kept = self._tracker, self._kept
+        assert tracker is not None
+        n = len(kept)
+        odometry = tracker.calibration.corrected(tracker.key_odometry())
+        return Track(
+            SE2(np.array(kept.track)),
+            keys,
+            np.ones(n),
+            np.zeros(n),
+            np.array(kept.information),
+            np.zeros(n, dtype=np.int8),
+            odometry,
+            tracker.calibration,
+            np.ones(n, dtype=bool),
         )

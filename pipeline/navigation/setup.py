@@ -45,7 +45,7 @@ from sim.simulator import CONTROL_HZ
 Task = Literal["goal", "patrol", "avoid", "explore"]
 TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid", "explore")
 DEFAULT_DURATION_S = 60.0
-DEFAULT_EXPLORE_S = 900.0
+DEFAULT_EXPLORE_S = 1800.0
 MAX_SIMULATED_S = 4 * 3600.0
 MAX_LAPS = 1000
 

@@ -126,6 +126,25 @@ class LoopFinder:
         self.path = np.concatenate([[0.0], np.cumsum(length)])
         self.check = IcpCheck() if config.open3d else None
 
+    def extend(
+        self,
+        clouds: Clouds,
+        keys: NDArray[np.int64],
+        T_track_keys: SE2,
+        steps: Sequence[Constraint],
+        part: NDArray[np.int64],
+    ) -> None:
+        """The log has gone on: all its key scans, where the front end has them, and all steps between.
+
+        The poses of key scans known before stay; the new ones follow the last of them.
+        """
+        known = len(self.poses)
+        self.clouds, self.keys, self.part, self.steps = clouds, keys, part, list(steps)
+        move = SE2(self.poses[-1]) @ T_track_keys[known - 1].inverse()
+        self.poses = np.vstack([self.poses, (move @ T_track_keys[np.arange(known, len(keys))]).xyt])
+        length = np.linalg.norm(np.diff(self.poses[known - 1 :, :2], axis=0), axis=1) + 0.05
+        self.path = np.concatenate([self.path, self.path[-1] + np.cumsum(length)])
+
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
