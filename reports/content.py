@@ -209,7 +209,9 @@ def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     rivals = metrics.get("planners") or []
     if rivals:
         found = sum(bool(entry.get("success")) for entry in rivals)
-        return (GOOD if found == len(rivals) else BAD), f"{found} of {len(rivals)} planners found a path."
+        good = bool(metrics.get("success", found))
+        sentence = f"{found} of {len(rivals)} planners found a path; the one asked for "
+        return GOOD if good else BAD, sentence + ("did." if good else "did not.")
     if not metrics.get("success", True):
         return BAD, f"No path was found: {metrics.get('reason') or 'no reason is given'}."
     length = metrics.get("length_m")

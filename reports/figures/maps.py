@@ -167,7 +167,8 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     first = next(iter(tracks.values())).poses
     draw_pose(axes, first[0], INK)
     axes.plot(first.x[-1], first.y[-1], "o", color=INK, markersize=6, zorder=5)
-    legend_above(axes)
+    figure.legend(loc="outside lower center", ncol=3, fontsize=8.5)
+    figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(tracks) // 3))
     return figure
 
 
