@@ -109,6 +109,7 @@ bench-sim: $(READY) ## simulated seconds per second, by world and robot
 bench-slam: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), synthetic logs, simulated worlds
 	$(PY) -m benchmarks.slam
 	$(PY) -m benchmarks.slam_worlds
+	$(PY) -m benchmarks.slam3d
 bench-localise: $(READY) ## localisation: accuracy, speed, from nothing, kidnapped
 	$(PY) -m benchmarks.localise
 bench-plan: $(READY) ## planners: time, length, clearance, success

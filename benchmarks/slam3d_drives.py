@@ -151,3 +151,20 @@ def room() -> list[Solid]:
 
 ROUND = [(1.5, 1.2), (5.5, 1.2), (7.3, 1.2), (7.3, 4.8), (1.5, 4.2), (1.5, 1.2), (4.0, 1.2)]
 """Once around the table of the room and a little on."""
+
+
+def corridors(length: float = 14.0, width: float = 2.0) -> tuple[list[Solid], list[tuple[float, float]]]:
+    """A square ring of bare corridors, and once around it and a little on: the place repeats four times,
+    and along each leg only its ends tell where one is."""
+    inner, high = length - 2.0 * width, (0.0, 2.4)
+    middle = 0.5 * length
+    outside = [
+        box("south", (middle, -0.1), (length + 0.4, 0.2), 0.0, high),
+        box("north", (middle, length + 0.1), (length + 0.4, 0.2), 0.0, high),
+        box("west", (-0.1, middle), (0.2, length), 0.0, high),
+        box("east", (length + 0.1, middle), (0.2, length), 0.0, high),
+    ]
+    core = box("core", (middle, middle), (inner, inner), 0.0, high)
+    near, far = 0.5 * width, length - 0.5 * width
+    path = [(near, near), (far, near), (far, far), (near, far), (near, near), (middle, near)]
+    return [*outside, core], path

@@ -121,18 +121,12 @@ def build_map(
 
 
 def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:
-    """Read the settings before anything else. Those that are only right for 3D are an error once the
-    input turns out to be planar: the returned function gives the settings or raises that error."""
+    """Read the settings before anything else. What is wrong with them for planar scans is an error only
+    once the input turns out to be planar: the returned function gives the settings or raises it."""
     try:
         resolved = load_config(SlamConfig, config, settings)
     except InputError as error:
-        from pipeline.slam3d.slam3d import Slam3dConfig
-
         problem = error
-        try:
-            load_config(Slam3dConfig, config, settings)
-        except InputError:
-            raise error from None
 
         def refuse() -> SlamConfig:
             raise problem

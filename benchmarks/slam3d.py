@@ -1,0 +1,206 @@
+"""Accuracy and cost of 3D mapping, and what each package is worth in it.
+
+python -m benchmarks.slam3d [--quick] [--out DIR]
+
+Simulated worlds with a Waffle Pi that carries a 16-beam lidar (exact truth; errors without alignment),
+drives through a made room and a ring of corridors with everything switched off once, and the same logs
+damaged. Times are CPU seconds of one process, reading included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.slam import write
+from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
+from datasets import se3
+from datasets.bags.clouds import load_clouds
+from datasets.maps import load_map, save_map
+from datasets.trajectories import load_tum
+from datasets.types import Cloud, Recording3D, Trajectory
+from pipeline.record import record
+from pipeline.slam3d.cloud_map import save_ply
+from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
+from reports.metrics.map import map_metrics
+from reports.metrics.trajectory import ate
+
+WORLDS = (("turtlebot3_world", "tour"), ("turtlebot3_house", "tour"), ("office:3", "tour"))
+VARIANTS: dict[str, dict[str, Any]] = {
+    "everything": {},
+    "odometry only": {"sensors": "odometry"},
+    "KISS-ICP only": {
+        "tracking": {"surfels": False},
+        "loops": {"enabled": False},
+        "refine": {"rounds": 0},
+        "posing": {"enabled": False},
+    },
+    "no KISS-ICP": {"tracking": {"kiss": {"enabled": False}}},
+    "front end only": {
+        "loops": {"enabled": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}
+    },
+    "no loops": {"loops": {"enabled": False}},
+    "loops without Open3D": {"loops": {"open3d": False}},
+    "loops by distance only": {"loops": {"appearance": False}},
+    "no joint refinement": {"refine": {"rounds": 0}},
+    "KISS-ICP, loops": {"tracking": {"surfels": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}},
+    "KISS-ICP, loops without Open3D": {
+        "tracking": {"surfels": False},
+        "loops": {"open3d": False},
+        "refine": {"rounds": 0},
+        "posing": {"enabled": False},
+    },
+    "no deskew": {"sweeps": {"deskew": False}},
+    "lidar only": {"sensors": "lidar"},
+}  # fmt: skip
+
+
+def timed(recording: Recording3D, settings: dict[str, Any]) -> tuple[Slam3dResult, float]:
+    """The result and the CPU seconds it took."""
+    start = time.process_time()
+    result = run_slam_3d(recording, Slam3dConfig.model_validate(settings))
+    return result, time.process_time() - start
+
+
+def placed(result: Slam3dResult, truth: Trajectory, *, from_nothing: bool) -> Trajectory:
+    """The trajectory; without odometry its map frame is put at the first true pose."""
+    if not from_nothing:
+        return result.trajectory
+    T = se3.lifted(truth.at(result.trajectory.stamps_ns[:1])) @ result.T_map_base
+    return Trajectory(result.trajectory.stamps_ns, se3.planar(T))
+
+
+def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+    """One row a drive in a simulated world, with wheels and without."""
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for world, teleop in cases:
+            name = f"{world.replace(':', '_')}-{teleop}"
+            drive = Path(scratch) / name
+            record(world, "waffle_pi_3d", teleop, 1, drive)
+            truth, true_map = load_tum(drive / "truth/trajectory.tum"), load_map(drive / "truth/map.yaml")
+            for sensors in ("both", "lidar"):
+                start = time.process_time()
+                recording = load_clouds(drive)
+                result, _ = timed(recording, {"sensors": sensors})
+                spent = time.process_time() - start
+                found = map_metrics(result.grid, true_map)
+                errors: Any = found["occupied_error_m"]
+                trajectory = placed(result, truth, from_nothing=sensors == "lidar")
+                flat = ate(trajectory, truth, align=False)
+                rows.append(
+                    {
+                        "world": world,
+                        "sensors": sensors,
+                        "clouds": len(recording),
+                        "ATE rmse [m]": f"{flat['rmse']:.4f}",
+                        "max": f"{flat['max']:.4f}",
+                        "fitted": f"{ate(trajectory, truth, align=True)['rmse']:.4f}",
+                        "height rms [m]": f"{np.sqrt(np.mean(result.T_map_base[:, 2, 3] ** 2)):.4f}",
+                        "within one cell": f"{errors['within_one_cell']:.4f}" if sensors == "both" else "-",
+                        "coverage": f"{found['coverage']:.3f}" if sensors == "both" else "-",
+                        "loops": sum(loop.accepted for loop in result.loops),
+                        "check": "good" if result.check.good else "doubtful",
+                        "clouds/CPU s": f"{len(recording) / spent:.0f}",
+                    }
+                )
+                print("  ", rows[-1], flush=True)
+                if sensors == "both":
+                    picture(result, out, name)
+    return rows
+
+
+def picture(result: Slam3dResult, out: Path, name: str) -> None:
+    """The slice as pgm, yaml and png, and the cloud."""
+    save_map(result.grid, out, name)
+    Image.open(out / f"{name}.pgm").save(out / f"{name}.png")
+    save_ply(out / f"{name}.ply", result.points)
+
+
+def worth(drives: dict[str, Drive3d]) -> list[dict[str, Any]]:
+    """Each part switched off: ATE of every drive (and CPU seconds)."""
+    rows = []
+    for label, settings in VARIANTS.items():
+        row: dict[str, Any] = {"variant": label}
+        for name, drive in drives.items():
+            if label == "odometry only" and drive.recording.T_odom_base is None:
+                row[name] = "-"
+                continue
+            result, spent = timed(drive.recording, settings)
+            found = ate(result.trajectory, drive.truth, align=False)["rmse"]
+            row[name] = f"{found:.4f} ({spent:.0f} s{'' if result.check.good else ', doubtful'})"
+        rows.append(row)
+        print("  ", row, flush=True)
+    return rows
+
+
+def hostile(drive: Drive3d) -> list[dict[str, Any]]:
+    """The same drive damaged, with wheels and without."""
+    rows = []
+    for label, damaged in _damages(drive).items():
+        row: dict[str, Any] = {"damage": label}
+        for name, one in (("with wheels", damaged), ("lidar only", without_wheels(damaged))):
+            result, _ = timed(one.recording, {})
+            found = Trajectory(one.truth.stamps_ns, result.trajectory.poses)
+            error = ate(found, one.truth, align=False)["rmse"]
+            row[name] = f"{error:.4f}{'' if result.check.good else ', doubtful'}"
+        rows.append(row)
+        print("  ", row, flush=True)
+    return rows
+
+
+def _damages(drive: Drive3d) -> dict[str, Drive3d]:
+    rng = np.random.default_rng(3)
+    backwards = drive.recording.stamps_ns.copy()
+    backwards[80:] -= 4 * 10**9
+    empty = Cloud(np.zeros((0, 3)), np.zeros(0))
+
+    def foul(k: int, cloud: Cloud) -> Cloud:
+        far = 1e20 * rng.normal(size=cloud.points.shape)
+        times = cloud.times
+        return Cloud(np.vstack([cloud.points, far]), None if times is None else np.tile(times, 2))
+
+    return {
+        "none": drive,
+        "three seconds missing": changed(drive, lambda k, cloud: None if 50 <= k < 65 else cloud),
+        "every fourth cloud empty": changed(drive, lambda k, cloud: empty if k % 4 == 3 else cloud),
+        "half the points astronomic": changed(drive, foul),
+        "no times of points": changed(drive, lambda k, cloud: Cloud(cloud.points, None)),
+        "time goes back by four seconds": replace(
+            drive, recording=replace(drive.recording, stamps_ns=backwards, odometry=None)
+        ),
+        "one point in twenty": changed(
+            drive,
+            lambda k, cloud: Cloud(cloud.points[::20], None if cloud.times is None else cloud.times[::20]),
+        ),
+    }
+
+
+def main() -> None:
+    """Print and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="the made room only")
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam3d"))
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    around = make_drive(room(), ROUND, v=0.6, w=1.2)
+    timed(changed(around, lambda k, cloud: cloud if k < 20 else None).recording, {})
+    if not args.quick:
+        write(args.out, "worlds", worlds(args.out, WORLDS))
+    drives = {"room": around}
+    if not args.quick:
+        drives["corridors"] = make_drive(*corridors(), v=0.6, w=1.2)
+    write(args.out, "worth", worth(drives))
+    write(args.out, "hostile", hostile(around))
+
+
+if __name__ == "__main__":
+    main()
