@@ -51,7 +51,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "loops without Open3D": {"loops": {"open3d": False}},
     "loops by distance only": {"loops": {"appearance": False}},
     "no joint refinement": {"refine": {"rounds": 0}},
-    "KISS-ICP, loops": {"tracking": {"surfels": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}},
+    "KISS-ICP, loops": {
+        "tracking": {"surfels": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}
+    },
     "KISS-ICP, loops without Open3D": {
         "tracking": {"surfels": False},
         "loops": {"open3d": False},
