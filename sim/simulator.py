@@ -73,10 +73,6 @@ class Simulator:
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
     ) -> None:
         self.world, self.robot, self.config, self.seed = world, robot, config or SimConfig(), seed
-        if robot.lidar3d is not None and world.movers:
-            raise InputError(
-                f"{world.name}: the 3D lidar of {robot.name} does not see movers; use another robot"
-            )
         self._solids = world.shapes
         self._standing = self._touchable = world.touchable(robot.height)
         everything = [*self._solids, *(mover.solid for mover in world.movers)]
@@ -124,6 +120,7 @@ class Simulator:
         if mount is not None:
             sigma = 0.0 if self.config.lidar.noise == "none" else self.config.lidar.sigma
             self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"))
+            self._lidar3d.know_movers([mover.solid for mover in self.world.movers])
             self._sweep3d = np.zeros((round(CONTROL_HZ / mount.rate_hz) + 1, 3))
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
         self._motors = Motors(self.robot, calibration, dt)
@@ -133,10 +130,10 @@ class Simulator:
             for number, mover in enumerate(self.world.movers)
         ]
         self._physics.reset(start, [one.position for one in self._moving])
-        self._place_movers(first=True)
-        self._touched = self._physics.touched()
         self._step = 0
-        self._carried = False
+        self._place_movers()
+        self._touched = self._physics.touched()
+        self._carried = self._carried3d = False
         self._sweep = np.zeros((self._steps_per_scan + 1, 3))
         self._scan_truth = start
         return self._observe()
@@ -148,7 +145,7 @@ class Simulator:
         if self._moving:
             for one in self._moving:
                 one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
-            self._place_movers(first=self._step % self._steps_per_scan == 0)
+            self._place_movers()
         wheels = self._motors.step(self._faults.command(command))
         wheels = self._faults.grip(self._step + 1, *wheels)
         self._touched = self._physics.step(*wheels, watch=self._something_near())
@@ -173,21 +170,25 @@ class Simulator:
         footprint = self._truth.T_world_base @ self._footprint
         return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
 
-    def _place_movers(self, first: bool) -> None:
-        """Tell physics, lidar and clearance where the movers stand now."""
+    def _place_movers(self) -> None:
+        """Tell physics, lidars and clearance where the movers stand now."""
         if not self._moving:
             return
         for number, one in enumerate(self._moving):
             self._physics.place(number, one.position, one.velocity)
         self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
-        self._lidar.note_movers(outlines(seen), first or not self.config.lidar.turning)
+        at_once = not self.config.lidar.turning
+        self._lidar.note_movers(outlines(seen), at_once or self._step % self._steps_per_scan == 0)
+        if self._lidar3d is not None:
+            first = at_once or self._step % (len(self._sweep3d) - 1) == 0
+            self._lidar3d.note_movers([one.position.copy() for one in self._moving], first)
 
     def _put_down(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere; of the sweep under way there is no scan."""
         self._physics.put_down(T_world_base)
         self._sweep[:] = T_world_base.xyt
-        self._carried = True
+        self._carried = self._carried3d = True
         if self._lidar3d is not None:
             self._sweep3d[:] = T_world_base.xyt
 
@@ -243,8 +244,11 @@ class Simulator:
         if not turning:
             return stamp_of(self._step), self._lidar3d.measure(pose[None])
         self._sweep3d[-1] = pose
-        cloud = self._lidar3d.measure(self._sweep3d)
+        carried, self._carried3d = self._carried3d, False
+        cloud = None if carried else self._lidar3d.measure(self._sweep3d)
         self._sweep3d[0] = pose
+        if cloud is None:
+            return None
         return stamp_of(self._step - steps), cloud
 
     def _something_near(self) -> bool:

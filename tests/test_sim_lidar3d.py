@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from datasets.bags.clouds import load_clouds
-from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.types import Twist
 from pipeline.record import record
 from sim.bullet import bullet
 from sim.lidar import Lidar, LidarConfig
@@ -14,8 +15,8 @@ from sim.lidar3d import Lidar3d
 from sim.movers import Mover
 from sim.physics import Physics, PhysicsConfig
 from sim.robots import load_robot
-from sim.shapes import ball, box, cylinder
-from sim.simulator import Simulator
+from sim.shapes import ball, box, cylinder, mesh
+from sim.simulator import SimConfig, Simulator
 from sim.worlds import load_world
 
 ROBOT = load_robot("waffle_pi_3d")
@@ -107,14 +108,51 @@ def test_a_recording_holds_clouds_with_times_in_their_own_frame(tmp_path):
     assert np.abs(low[:, 2] + 0.36).mean() < 0.01
 
 
-def test_balls_are_refused_with_a_reason():
-    with pytest.raises(InputError, match="3D lidar"):
-        sensor([ball("b", (0.0, 0.0, 0.5), 0.5), cylinder("c", (1.0, 0.0), 0.1, (0.0, 1.0))])
+def brick(name, center, size):
+    """A box as a mesh of twelve triangles."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    corners = corners * np.array(size) + np.array(center)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return mesh(name, corners[np.array(faces)])
 
 
-def test_a_world_with_movers_is_refused_rather_than_seen_through():
-    person = Mover(
-        solid=cylinder("person", (0.0, 0.0), 0.2, (0.0, 1.0)), path=np.array([[1.0, 0.0]]), speed=0.3
-    )
-    with pytest.raises(InputError, match="does not see movers"):
-        Simulator(dataclasses.replace(load_world("empty"), movers=(person,)), load_robot("waffle_pi_3d"))
+def test_a_mesh_is_seen_as_the_same_box_is():
+    spots = [((2.0, 0.5, 0.4), (0.6, 0.8, 0.8)), ((-1.5, 1.0, 0.9), (0.5, 0.5, 0.3))]
+    boxes = [box("b", c[:2], s[:2], 0.0, (c[2] - s[2] / 2, c[2] + s[2] / 2)) for c, s in spots]
+    pose = np.array([[0.1, -0.2, 0.3]])
+    expected = sensor(boxes).true_ranges(pose)
+    found = sensor([brick("m", c, s) for c, s in spots]).true_ranges(pose)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert (expected < sensor([]).true_ranges(pose)).sum() > 500
+
+
+def test_points_on_a_ball_lie_on_it():
+    centre = np.array([1.5, 0.4, 0.5])
+    lidar, pose = sensor([ball("b", tuple(centre), 0.4)]), np.zeros((1, 3))
+    cloud = lidar.measure(pose)
+    points = cloud.points + np.array(MOUNT.position)
+    on = points[points[:, 2] > 0.01]
+    assert len(on) > 300
+    np.testing.assert_allclose(np.linalg.norm(on - centre, axis=1), 0.4, atol=1e-9)
+    assert np.all((on - centre) @ (np.array(MOUNT.position) - centre) > 0.0)  # on this side of it
+
+
+def test_a_mover_is_seen_where_it_stands_in_each_step():
+    away = np.array([[0.0, 1.5], [0.0, 9.0]])
+    person = Mover(solid=cylinder("person", (0.0, 0.0), 0.2, (0.0, 1.5)), path=away, speed=1.0)
+    world = dataclasses.replace(load_world("empty"), movers=(person,))
+    config = SimConfig(lidar=LidarConfig(noise="none"))
+    seen = []
+    with Simulator(world, ROBOT, config) as simulator:
+        simulator.reset(SE2.from_xyt(0.0, 0.0, 0.0))
+        for _ in range(24):
+            cloud = simulator.step(Twist()).cloud
+            if cloud is not None:
+                points = cloud[1].points + np.array(MOUNT.position)
+                seen.append(points[points[:, 2] > 0.3])
+    # A quarter turn into each sweep, so 50 ms after its stamp: it has gone one control step by then.
+    near = np.array([points[:, 1].min() for points in seen])
+    np.testing.assert_allclose(near, 1.3 + 0.2 * np.arange(4) + 2 / 30, atol=0.04)
+    np.testing.assert_allclose(np.diff(near), 0.2, atol=0.005)
+    assert all(np.abs(points[:, 0]).max() < 0.21 and len(points) > 50 for points in seen)
