@@ -10,14 +10,18 @@ from report_fakes import fake_record
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.maps import save_map
+from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
-from datasets.types import Trajectory
+from datasets.types import Trajectory, Twist
 from pipeline.cache import StageCache
 from pipeline.campaign.oracle import true_drive, true_steps, with_sensors, with_truth
 from pipeline.cli import main
 from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.metrics import run_metrics
 from pipeline.navigation.setup import Request, prepare
 from pipeline.slam.slam import SlamConfig, run_slam
+from planners.tasks.sequence import GoalOutcome
+from planners.tasks.waypoints import Waypoint
 from reports.metrics.trajectory import ate
 from reports.stages import load_stage
 from sim.robots import load_robot
@@ -150,3 +154,28 @@ def test_the_true_plan_goes_by_the_true_map(short_drive, tmp_path):
     informed = true_drive(world, mission, walled, ["localisation", "plan"])
     assert usual.metrics["goals"][0]["status"] == "reached"
     assert informed.metrics["goals"][0]["status"] in ("unreachable", "rejected")
+
+
+@pytest.mark.parametrize(("x", "there"), [(1.1, True), (1.4, False)])
+def test_a_robot_that_is_not_where_it_takes_itself_to_be_has_no_true_success(x, there):
+    builder = RunLogBuilder()
+    for k in range(3):
+        builder.append(
+            k * 10**9,
+            T_world_base=SE2.from_xyt(1.0, 0.0, 0.0),
+            T_map_base=SE2.from_xyt(x, 0.0, 0.0),
+            T_odom_base=SE2.identity(),
+            command=Twist(),
+            clearance_m=0.5,
+            contact_visible=False,
+            contact_low=False,
+            goal_index=0,
+            state="follow",
+        )
+    log = builder.build()
+    goal = GoalOutcome(0, Waypoint(SE2.from_xyt(x, 0.0, 0.0), "", (x, 0.0, 0.0)), "reached", "", 0, 2 * 10**9)
+    truth = Trajectory(log.t_ns, log.T_world_base)
+    found = run_metrics("patrol", log, [goal], truth, truth)
+    assert found["success"]
+    assert found["true_success"] is there
+    assert found["goal_error_m"]["max"] == pytest.approx(x - 1.0)

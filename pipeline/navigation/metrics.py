@@ -20,6 +20,9 @@ from reports.metrics.navigation import (
     takeovers,
 )
 
+THERE_M = 0.25
+"""A robot that is farther from its goal than this is not there, whatever it believes."""
+
 
 def run_metrics(
     task: str,
@@ -28,17 +31,24 @@ def run_metrics(
     truth: Trajectory,
     estimate: Trajectory | None,
 ) -> dict[str, Any]:
-    """The contract's keys; `estimate` is None for a run without a map."""
+    """The contract's keys, and whether the robot truly was where it took itself to be at each goal.
+
+    `estimate` is None for a run without a map.
+    """
     contact = log.contact_visible | log.contact_low
     touched = collision_episodes(log.t_ns, contact)
     counts = collisions(log.t_ns, log.contact_visible, log.contact_low)
     goals = [_goal(outcome, log, touched) for outcome in outcomes]
     reached = all(goal["status"] == "reached" for goal in goals)
+    misses = [goal["error_m"] for goal in goals if goal["status"] == "reached"]
+    success = reached and not touched
     known = estimate is not None and len(estimate) > 0
     return {
         "task": task,
-        "success": reached and not touched,
+        "success": success,
+        "true_success": success and max(misses, default=0.0) <= THERE_M,
         "goals": goals,
+        "goal_error_m": {"mean": float(np.mean(misses)), "max": max(misses)} if misses else None,
         "collisions": counts,
         "min_clearance_m": min_clearance(log.clearance_m),
         "takeovers": takeovers(log.t_ns, log.owner),
