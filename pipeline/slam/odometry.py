@@ -4,8 +4,8 @@ Vizzo et al. (2023), "KISS-ICP: In Defense of Point-to-Point ICP". Its pipeline 
 so its parts are used: the voxel map, the adaptive threshold and the registration, started from the
 caller's prediction. Planar points stay planar. One thread, for the same bits every time.
 
-Where walls are seen it adds nothing to the point-to-line alignment (measured: no log's error changes by
-1 % with or without it), so it works where there are none.
+Where walls are seen it adds nothing to the point-to-line alignment (measured: no error of a log with
+odometry changes by 1 % with or without it), so it works where there are none.
 """
 
 from __future__ import annotations
