@@ -183,3 +183,17 @@ def test_curvature_of_a_circle_and_braking_before_a_slow_place():
     assert speeds[20] == 0.2
     assert speeds[10] == pytest.approx(math.sqrt(0.04 + 2.0 * 0.5 * 0.5))
     assert speeds[21] == 1.0
+
+
+def test_pursuit_that_was_settling_turns_to_the_path_when_it_is_elsewhere():
+    far = SE2.from_xyt(np.linspace(1.0, 5.0, 50), np.full(50, 2.0), np.zeros(50))
+    near = SE2.from_xyt(np.linspace(4.9, 5.0, 5), np.full(5, 2.0), np.zeros(5))
+    pursuit = Pursuit(BURGER, PursuitConfig(), DT)
+    pursuit.set_path(near)
+    pursuit.command(near[3], Twist(), big_room())
+    assert pursuit.state == "settle"
+    pursuit.set_path(near)
+    assert pursuit.state == "settle"
+    # The same goal, and the robot finds that it is four metres from it.
+    pursuit.set_path(far)
+    assert pursuit.state == "turn"

@@ -32,6 +32,8 @@ BETTER_BY = 0.1
 NEARER_BY = 0.05
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
+# Agreement below this part of the best so far is worth a second look, so many updates apart.
+FADED, SECOND_LOOK_PAUSE = 0.9, 24
 
 
 class Amcl:
@@ -67,6 +69,7 @@ class Amcl:
         self._T_map_odom: SE2 | None = None
         self._estimate: Estimate | None = None
         self._slow = self._fast = NOMINAL_AGREEMENT
+        self._best = 0.0
         self._updates = self._next_search = 0
         self._pause = FIRST_PAUSE
 
@@ -171,6 +174,7 @@ class Amcl:
         self._weights = np.full(len(poses), 1.0 / len(poses))
         self._T_odom_base = self._T_map_odom = self._estimate = None
         self._slow = self._fast = NOMINAL_AGREEMENT
+        self._best = 0.0
         self._updates = self._next_search = 0
         self._pause = FIRST_PAUSE
         if self._fine is not None:
@@ -218,12 +222,22 @@ class Amcl:
         share = self._stranger_share()
         if share == 0.0:
             self._pause = FIRST_PAUSE
-            return 0.0
+            return self._second_look()
         if self._updates < self._next_search:
             return 0.0
         self._next_search = self._updates + self._pause
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
         return share
+
+    def _second_look(self) -> float:
+        """Share for a search while nothing seems wrong but scans agree less than they once did.
+
+        In the twin of a place almost all agrees; only a search shows that the other one agrees better.
+        """
+        if self._fast >= FADED * self._best or self._updates < self._next_search:
+            return 0.0
+        self._next_search = self._updates + SECOND_LOOK_PAUSE
+        return LEAST_STRANGERS
 
     def _stranger_share(self) -> float:
         """Augmented MCL: how far the agreement of late is below that of long."""
@@ -300,3 +314,4 @@ class Amcl:
         c = self.config
         self._slow += c.recovery_alpha_slow * (agreement - self._slow)
         self._fast += (c.recovery_alpha_fast if self._fast > 0.0 else 1.0) * (agreement - self._fast)
+        self._best = max(self._best, self._fast)

@@ -132,8 +132,9 @@ class NavigationDriver:
         seeker, localiser, now = self._seeker, self.localiser, observation.stamp_ns
         if seeker is None or localiser is None:
             return False
+        jumped = seeker.jumped(observation, localiser)
         action = seeker.check(now, localiser)
-        if seeker.jumped(observation, localiser.T_map_odom) or (action != "go" and not self._seeking):
+        if jumped or (action != "go" and not self._seeking):
             self._forget()
         self._seeking = action != "go"
         if not self._seeking:

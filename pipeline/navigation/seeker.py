@@ -57,14 +57,21 @@ class Seeker:
             self._task.suspect(now_ns, localiser.updates)
         return doubtful
 
-    def jumped(self, observation: Observation, T_map_odom: SE2 | None) -> bool:
-        """Whether the estimate has moved otherwise than by odometry since the last question."""
-        before, self._T_map_odom = self._T_map_odom, T_map_odom
-        if before is None or T_map_odom is None or before is T_map_odom:
+    def jumped(self, observation: Observation, localiser: Localiser) -> bool:
+        """Whether the estimate has moved otherwise than by odometry since the last question.
+
+        Such a robot looks about before it drives on by the new estimate.
+        """
+        before, self._T_map_odom = self._T_map_odom, localiser.T_map_odom
+        if before is None or self._T_map_odom is None or before is self._T_map_odom:
             return False
         T_odom_base = observation.odometry.T_odom_base
-        x, y, yaw = ((before @ T_odom_base).inverse() @ (T_map_odom @ T_odom_base)).xyt.tolist()
-        return x * x + y * y > JUMP_M * JUMP_M or abs(yaw) > JUMP_RAD
+        x, y, yaw = ((before @ T_odom_base).inverse() @ (self._T_map_odom @ T_odom_base)).xyt.tolist()
+        far = x * x + y * y > JUMP_M * JUMP_M or abs(yaw) > JUMP_RAD
+        if far and self._task.action == "go" and localiser.updates > 0:
+            self._task.suspect(observation.stamp_ns, localiser.updates)
+            self._wiggle = None
+        return far
 
     def command(self, observation: Observation, last: Twist) -> Twist:
         """The command of a tick in which the robot is lost: no map is used, nothing seen is touched."""

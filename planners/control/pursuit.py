@@ -83,7 +83,9 @@ class Pursuit(Ramped):
         if same_goal and self.state == "follow":
             # A new path under way: no stop, unless it leads elsewhere.
             return
-        if not (same_goal and self.state in ("settle", "align", "arrived")):
+        # A path of some length means that the robot is not where it was thought to settle.
+        near = len(self._lengths) > 0 and self._lengths[-1] < 4.0 * self.config.settle_distance
+        if not (same_goal and near and self.state in ("settle", "align", "arrived")):
             self.state = "turn"
 
     def command(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
