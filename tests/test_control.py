@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ from planning_room import BURGER, room
 
 from datasets.se2 import SE2, wrap
 from datasets.types import Twist
-from planners.control.dwa import Dwa, DwaConfig
+from planners.control.dwa import Dwa, DwaConfig, resolved
 from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from planners.control.interface import SpeedLimits, ramped
 from planners.control.monitor import CollisionMonitor, MonitorConfig, depth_inside, free_time, moved, padded
@@ -197,3 +198,35 @@ def test_pursuit_that_was_settling_turns_to_the_path_when_it_is_elsewhere():
     # The same goal, and the robot finds that it is four metres from it.
     pursuit.set_path(far)
     assert pursuit.state == "turn"
+
+
+def test_dwa_turns_round_rather_than_driving_a_long_way_backwards():
+    costmap, fast = big_room(), replace(BURGER, max_v=2.0, max_w=3.0, max_dv=2.5, max_dw=6.0)
+    line = densify(np.array([[5.0, 4.4], [1.0, 4.4]]), 0.05)
+    path = with_headings(line, 0.0, 3.1)
+    share = {}
+    for bias in (1.5, 0.0):
+        controller = Dwa(fast, DwaConfig(backward_bias=bias), PursuitConfig(), DT)
+        poses, commands = follow(controller, SE2.from_xyt(5.0, 4.4, 0.0), path, 60.0, costmap)
+        share[bias] = float((commands[:, 0] < -0.1).mean())
+        assert np.linalg.norm(poses[-1, :2] - [1.0, 4.4]) < 0.05
+    assert share[1.5] < 0.15 < share[0.0]
+    assert DwaConfig().backward_bias == 1.5
+
+
+def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_acceleration():
+    burger = resolved(DwaConfig(preset="tutorial"), BURGER)
+    assert (burger.sim_time, burger.vx_samples, burger.vth_samples) == (1.5, 20, 40)
+    assert (burger.path_distance_bias, burger.goal_distance_bias, burger.occdist_scale) == (32.0, 20.0, 0.02)
+    assert (burger.min_vel_trans, burger.min_vel_theta) == (pytest.approx(0.11), 1.37)
+    waffle = resolved(DwaConfig(preset="tutorial"), replace(BURGER, max_v=0.26, max_w=1.82))
+    assert (waffle.sim_time, waffle.min_vel_trans, waffle.min_vel_theta) == (2.0, pytest.approx(0.13), 0.9)
+    controller = Dwa(BURGER, DwaConfig(preset="tutorial"), PursuitConfig(), DT)
+    assert controller.limits.max_v == 0.22
+    assert controller.limits.max_dv <= BURGER.max_dv
+    line = densify(np.array([[1.0, 4.4], [5.0, 4.4]]), 0.05)
+    poses, commands = follow(
+        controller, SE2.from_xyt(1.0, 4.4, 0.0), with_headings(line, 0.0, 0.0), 60.0, big_room()
+    )
+    assert np.linalg.norm(poses[-1, :2] - [5.0, 4.4]) < 0.05
+    assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= BURGER.max_dv * DT + 1e-9

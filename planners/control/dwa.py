@@ -7,6 +7,7 @@ footprint; the admissible one that gets nearest to the goal along the floor, and
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -16,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel, Twist
 from planners.control.interface import Ramped, ramped
-from planners.control.monitor import moved
+from planners.control.monitor import depth_inside, moved
 from planners.control.pursuit import Pursuit, PursuitConfig
 from planners.costmap import Costmap
 from planners.distance import distance_field
-from planners.footprint import Field32, footprint_clearance, sample_footprint
+from planners.footprint import Field32, field_at, footprint_clearance, sample_footprint
 from planners.wavefront import wave
 
 
@@ -28,6 +29,8 @@ class DwaConfig(BaseModel):
     """Names as in dwa_local_planner where the idea is the same; SI units."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    preset: Literal["own", "tutorial"] = "own"
+    """`tutorial`: turtlebot3_navigation's numbers (TUTORIAL) in place of all below but the acceleration."""
     max_v: float = Field(default=1.4, gt=0.0)
     min_v: float = -0.4
     """Backwards, as far as the robot goes; 0 forbids it."""
@@ -44,6 +47,13 @@ class DwaConfig(BaseModel):
     forward_point_distance: float = Field(default=0.325, ge=0.0)
     backward_bias: float = Field(default=1.5, ge=0.0)
     """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
+    forward_path_bias: float = Field(default=0.0, ge=0.0)
+    """The same as path_distance_bias for the forward point."""
+    occdist_scale: float = Field(default=0.0, ge=0.0)
+    """Weight of costmap_2d's inflated cost (0..252) at the worst footprint point of the arc."""
+    min_vel_trans: float = Field(default=0.0, ge=0.0)
+    min_vel_theta: float = Field(default=0.0, ge=0.0)
+    """An arc slower than both is not driven."""
     clearance_bias: float = Field(default=1.5, ge=0.0)
     """Worth of each metre of room up to `comfort`, in metres of way."""
     comfort: float = Field(default=0.3, gt=0.0)
@@ -57,11 +67,50 @@ class DwaConfig(BaseModel):
     """From here on the goal's pose is settled on as pure pursuit does."""
 
 
+TUTORIAL = {
+    "preset": "tutorial",
+    "max_v": 0.26,
+    "min_v": -0.26,
+    "max_w": 2.75,
+    "vx_samples": 20,
+    "vth_samples": 40,
+    "path_distance_bias": 32.0,
+    "forward_path_bias": 32.0,
+    "goal_distance_bias": 20.0,
+    "forward_point_distance": 0.325,
+    "occdist_scale": 0.02,
+    "backward_bias": 0.0,
+    "clearance_bias": 0.0,
+    "least_room": 0.0,
+    # From here on every arc of min_vel_trans over sim_time would end beyond the goal.
+    "settle_distance": 0.2,
+}
+"""turtlebot3_navigation's dwa_local_planner_params (noetic); speeds are cut to the robot's own.
+
+Its acc_lim_x of 2.5 m/s^2 is not taken: a burger tips above 1.3.
+"""
+
+
+def resolved(config: DwaConfig, model: RobotModel) -> DwaConfig:
+    """The configuration with the preset's numbers, if one is asked for."""
+    if config.preset == "own":
+        return config
+    slow = model.max_v > 0.24  # waffle and waffle_pi: looked ahead for longer, turned more slowly
+    own = {
+        "sim_time": 2.0 if slow else 1.5,
+        "min_vel_trans": 0.5 * min(model.max_v, 0.26),
+        "min_vel_theta": 0.9 if slow else 1.37,
+        # The speeds that 2.5 m/s^2 opens in 0.1 s: else min_vel_trans is out of reach from a standstill.
+        "window": 0.1 * 2.5 / (config.acceleration_share * model.max_dv),
+    }
+    return config.model_copy(update={**TUTORIAL, **own})
+
+
 class Dwa(Ramped):
     """A controller (see planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, pursuit: PursuitConfig, period: float) -> None:
-        self.config = config
+        self.config = config = resolved(config, model)
         super().__init__(
             model,
             period,
@@ -70,6 +119,8 @@ class Dwa(Ramped):
             acceleration_share=config.acceleration_share,
         )
         self.samples = sample_footprint(model, 0.05)
+        depths = [depth_inside(model.footprint, x, y) for x, y in self.samples.points]
+        self._outline = int(np.sum(np.array(depths) < 1e-9))
         self.state = "idle"
         self._settler = Pursuit(model, pursuit, period)
         self._path = SE2.identity(0)
@@ -130,6 +181,9 @@ class Dwa(Ramped):
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
         # dwa_local_planner: an exact zero joins when the window straddles it.
         vs, ws = np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
+        # Nearer than that to the goal the forward point would hold the robot back.
+        near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < c.forward_point_distance
+        ahead = 0.0 if near else c.forward_point_distance
         x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
         s = self.samples
         v, w = best_arc(
@@ -138,6 +192,7 @@ class Dwa(Ramped):
             self._to_path,
             costmap.resolution,
             s.points,
+            self._outline,
             s.inscribed,
             s.circumscribed,
             x,
@@ -152,11 +207,15 @@ class Dwa(Ramped):
                     0.8 * limits.max_dv,
                     c.goal_distance_bias,
                     c.path_distance_bias,
-                    c.forward_point_distance,
+                    ahead,
                     c.clearance_bias,
                     c.comfort,
                     c.least_room,
                     c.backward_bias,
+                    c.forward_path_bias,
+                    c.occdist_scale,
+                    c.min_vel_trans,
+                    c.min_vel_theta,
                 ]
             ),
         )
@@ -179,6 +238,7 @@ def best_arc(
     to_path: Field32,
     resolution: float,
     points: Array,
+    outline: int,
     inscribed: float,
     circumscribed: float,
     x: float,
@@ -190,17 +250,25 @@ def best_arc(
 ) -> tuple[float, float]:
     """The (v, w) of least cost among vs x ws, in the grid frame; (0, 0) when none is admissible.
 
+    The first `outline` of the footprint's points are those on its outline.
     `settings`: simulated time, step, braking, biases of goal and path, forward point, bias of room,
-    comfortable room, least room, bias of backward driving. An arc is admissible when the robot can stop
+    comfortable room, least room, bias of backward driving, of the forward point's distance to the path, of
+    the inflated cost, least speeds. An arc is admissible when the robot can stop
     before the place
     where it would come nearer than the least room; one that starts too near may only get freer.
     """
-    time, step, braking, k_goal, k_path, ahead, k_room, comfort, least, k_back = settings
+    time, step, braking, k_goal, k_path, ahead, k_room, comfort, least, k_back = settings[:10]
+    k_nose_path, k_occupied, least_v, least_w = settings[10:]
+    edge = points[:outline]
+    # More room than this makes no difference.
+    enough = comfort + resolution if k_occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, points, inscribed, circumscribed, x, y, yaw)
     base = _value(to_goal, resolution, x, y, 1.0e3)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
     for v in vs:
         for w in ws:
+            if abs(v) < least_v and abs(w) < least_w:
+                continue
             # Long enough to see the stopping distance.
             horizon = max(time, abs(v) / braking + step)
             steps = math.ceil(horizon / step)
@@ -209,7 +277,15 @@ def best_arc(
             ex, ey, eyaw = x, y, yaw
             for i in range(1, steps + 1):
                 px, py, pyaw = moved(x, y, yaw, v, w, i * step)
-                d = footprint_clearance(clearance, resolution, points, inscribed, circumscribed, px, py, pyaw)
+                center = field_at(clearance, resolution, px, py)
+                if center - circumscribed > enough:
+                    d = center - circumscribed
+                else:
+                    # With nothing within the circle nothing is within the polygon: its outline decides.
+                    checked = edge if center > circumscribed + resolution else points
+                    d = footprint_clearance(
+                        clearance, resolution, checked, inscribed, circumscribed, px, py, pyaw
+                    )
                 if d < least and d <= here:
                     # It stops here at the latest: what counts is where it got to.
                     if abs(v) * (i - 1) * step < stop_needed or i <= 2:
@@ -227,6 +303,11 @@ def best_arc(
             off = _value(to_path, resolution, ex, ey, 1.0)
             back = max(-v, 0.0) * time
             cost = k_goal * (end + nose) + k_path * off + k_back * back - k_room * min(room, comfort)
+            if k_nose_path > 0.0:
+                cost += k_nose_path * _value(to_path, resolution, fx, fy, 1.0)
+            if k_occupied > 0.0:
+                # costmap_2d's inflation with turtlebot3's cost_scaling_factor 3.
+                cost += k_occupied * 252.0 * min(math.exp(-3.0 * (room - inscribed)), 1.0)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w
