@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from benchmarks.slam_drives import (
 )
 from benchmarks.slam_logs import hall, office_plan
 from benchmarks.slam_scores import score
+from datasets.se2 import SE2
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.pose_graph import Constraint, optimise
 from pipeline.slam.refine import refine
@@ -124,24 +126,86 @@ def test_few_contradicted_scans_of_many_are_noticed():
     np.testing.assert_array_equal(contradicted_keys(pairs, share, 0.35), [0, 5])
 
 
-def test_false_loop_forced_into_the_graph_is_overruled():
+@pytest.fixture(scope="module")
+def plain() -> tuple[Log, SlamResult]:
     log = office()
-    config, result = SlamConfig(), mapped(log)
-    clouds, track = make_clouds(log.recording, 30.0), result.track
+    return log, mapped(log)
+
+
+def graph_of(result: SlamResult) -> tuple[list[Constraint], list[Constraint]]:
+    """Steps and accepted loops, as the loop closure sees them."""
+    config = SlamConfig()
     found = [loop for loop in result.loops if loop.accepted]
-    assert len(found) >= 5
-    soft = config.loops.soft
     loops = [
-        Constraint(x.j, x.i, x.T_j_i, x.information / config.loops.inflation, "loop", soft) for x in found
+        Constraint(x.j, x.i, x.T_j_i, x.information / config.loops.inflation, "loop", config.loops.soft)
+        for x in found
     ]
-    # the start of the log and its middle, 20 m away, said to be one place, as surely as a true loop
-    lie = Constraint(5, len(track.keys) // 2, np.zeros(3), loops[0].information, "loop", soft)
-    steps = step_constraints(track, config.tracking)
-    closed = optimise(track.T_track_base[track.keys], [*steps, *loops, lie])
-    refined, _ = refine(clouds, track.keys, closed, [*steps, lie], config.refine)
-    true = log.truth.poses[track.keys]
-    error = true.inverse() @ true[0] @ refined[0].inverse() @ refined
-    assert np.abs(error.xy).max() < 0.05
+    return step_constraints(result.track, config.tracking), loops
+
+
+def false_loops(kind: str, n: int, sure: Constraint) -> list[Constraint]:
+    """Loops that are none, each as sure as a true one: at random, or a whole stretch said to be another."""
+    rng = np.random.default_rng(5)
+    if kind == "one":
+        pairs, poses = [(5, n // 2)], np.zeros((1, 3))
+    elif kind == "ten at random":
+        pairs = [(int(i), int(i) + 60 + int(d)) for i, d in rng.integers(0, (n - 130) // 2, (10, 2))]
+        poses = rng.normal(0.0, 0.5, (10, 3))
+    else:
+        pairs, poses = [(5 + k, n // 2 + k) for k in range(8)], np.zeros((8, 3))
+    return [
+        Constraint(i, j, T, sure.information, "loop", sure.soft)
+        for (i, j), T in zip(pairs, poses, strict=True)
+    ]
+
+
+def worst(poses: SE2, log: Log, result: SlamResult) -> float:
+    true = log.truth.poses[result.keys]
+    return float(np.abs((true.inverse() @ true[0] @ poses[0].inverse() @ poses).xy).max())
+
+
+@pytest.mark.parametrize("kind", ["one", "ten at random", "a stretch"])
+def test_false_loops_forced_into_the_graph_are_overruled(plain, kind):
+    log, result = plain
+    clouds, keys = make_clouds(log.recording, 30.0), result.keys
+    steps, loops = graph_of(result)
+    assert len(loops) >= 5
+    lies = false_loops(kind, len(keys), loops[0])
+    closed = optimise(result.track.T_track_base[keys], [*steps, *loops, *lies])
+    refined, _ = refine(clouds, keys, closed, [*steps, *lies], SlamConfig().refine)
+    assert worst(refined, log, result) < 0.05
+
+
+def test_kernel_overrules_false_loops_as_well_as_graduated_non_convexity(plain):
+    log, result = plain
+    steps, loops = graph_of(result)
+    start = result.track.T_track_base[result.keys]
+    lies = false_loops("ten at random", len(result.keys), loops[0])
+    graph = [*steps, *loops, *lies]
+    bare = [replace(c, soft=0.0) if c.kind == "loop" else c for c in graph]
+    assert worst(optimise(start, bare), log, result) > 1.0
+    assert worst(optimise(start, graph), log, result) < worst(with_gnc(start, graph), log, result) + 0.01
+
+
+def with_gnc(start: SE2, constraints: list[Constraint]) -> SE2:
+    """The same graph by GTSAM's graduated non-convexity (Yang et al. 2020), the steps known to be true."""
+    factors = gtsam.NonlinearFactorGraph()
+    fixed = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, 1e-6))
+    factors.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*start.xyt[0]), fixed))
+    values = gtsam.Values()
+    for k, pose in enumerate(start.xyt.tolist()):
+        values.insert(k, gtsam.Pose2(*pose))
+    for c in constraints:
+        noise = gtsam.noiseModel.Gaussian.Information(c.information + 1e-4 * np.eye(3))
+        factors.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise))
+    parameters = gtsam.GncLMParams()
+    parameters.setLossType(gtsam.GncLossType.TLS)
+    parameters.setKnownInliers([0, *(k for k, c in enumerate(constraints, start=1) if c.kind != "loop")])
+    optimizer = gtsam.GncLMOptimizer(factors, values, parameters)
+    optimizer.setInlierCostThresholdsAtProbability(0.99)
+    found = optimizer.optimize()
+    poses = [found.atPose2(k) for k in range(len(start))]
+    return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])

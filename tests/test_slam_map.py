@@ -13,7 +13,7 @@ from datasets.se2 import SE2
 from datasets.types import Trajectory
 from pipeline.cli import main
 from pipeline.slam.explain import loop_record, worst_edges
-from pipeline.slam.occupancy import OccupancyConfig, beam_lengths, classify, make_grid, trace
+from pipeline.slam.occupancy import OccupancyConfig, beam_lengths, certainty, classify, make_grid, trace
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import Constraint, mahalanobis, optimise, write_g2o
 from pipeline.slam.slam import SlamConfig, run_slam
@@ -152,6 +152,24 @@ def test_open_space_is_cleared_to_the_range():
     assert not np.any(grid.value_at(3.4 * disc) == FREE)
     off = make_grid(log, SE2.identity(3), OccupancyConfig(clear_without_return=False), 30.0)
     assert np.all(off.cells == UNKNOWN)
+
+
+def test_grid_says_how_decided_its_cells_are():
+    hits = np.array([[4, 0, 2, 0, 1]], dtype=np.uint16)
+    misses = np.array([[0, 4, 2, 0, 1]], dtype=np.uint16)
+    found = certainty(hits, misses, 2)
+    # cells met by three beams: certain, certain, one bit
+    assert found.entropy_bits == pytest.approx(1.0 / 3.0)
+    assert found.wall_share == pytest.approx(0.75)
+    assert np.isnan(certainty(hits * 0, misses * 0, 2).entropy_bits)
+
+
+def test_map_drawn_along_drifting_wheels_is_called_doubtful_by_its_walls(log, result):
+    along = run_slam(log, SlamConfig(sensors="odometry"))
+    assert any("pass through the walls" in reason for reason in along.check.reasons)
+    said = result.check.as_metrics()
+    assert said["wall_share"] > 2.0 * along.check.certainty.wall_share
+    assert said["map_entropy_bits"] < 0.7 * along.check.certainty.entropy_bits
 
 
 def test_cells_are_what_most_beams_say():

@@ -9,8 +9,10 @@ rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.special
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
@@ -22,6 +24,8 @@ from datasets.types import Recording
 from pipeline.slam.clouds import NOTHING_M, sweep_motion
 
 MAX_CELLS = 400_000_000
+# Cells that fewer beams met say little of themselves.
+MIN_MET = 3
 
 
 class OccupancyConfig(BaseModel):
@@ -46,6 +50,15 @@ class OccupancyConfig(BaseModel):
     )
 
 
+@dataclass(frozen=True)
+class Certainty:
+    """How decided the cells are: mean entropy of the cells that MIN_MET beams met [bit], and the share of
+    the beams that met a wall's cells which it returned; NaN where there are no such cells."""
+
+    entropy_bits: float
+    wall_share: float
+
+
 def make_grid(
     recording: Recording,
     T_map_base: SE2,
@@ -54,6 +67,17 @@ def make_grid(
     motion: SE2 | None = None,
 ) -> OccupancyGrid:
     """Grid of all scans at poses (n,); cell borders lie on multiples of the resolution."""
+    return make_checked_grid(recording, T_map_base, config, usable_range, motion)[0]
+
+
+def make_checked_grid(
+    recording: Recording,
+    T_map_base: SE2,
+    config: OccupancyConfig,
+    usable_range: float,
+    motion: SE2 | None = None,
+) -> tuple[OccupancyGrid, Certainty]:
+    """As `make_grid`, with what the counts behind it say of its quality."""
     lidar, resolution = recording.lidar, config.resolution_m
     usable, no_return = min(lidar.range_max, usable_range), 0.0
     ranges = np.asarray(recording.ranges)
@@ -75,7 +99,20 @@ def make_grid(
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, False, config.occupied_share)
-    return trimmed(classify(hits, misses, config), corner, config)
+    return trimmed(classify(hits, misses, config), corner, config), certainty(hits, misses, config.min_hits)
+
+
+def certainty(hits: NDArray[np.uint16], misses: NDArray[np.uint16], min_hits: int) -> Certainty:
+    """How well the beams agree on the cells: a wall drawn twice is seen through, and so undecided."""
+    met = hits.astype(np.int64) + misses
+    known = met >= MIN_MET
+    if not known.any():
+        return Certainty(math.nan, math.nan)
+    share = hits[known] / met[known]
+    entropy = scipy.special.entr(share) + scipy.special.entr(1.0 - share)
+    walls = hits[known] >= min_hits
+    wall_share = float(share[walls].mean()) if walls.any() else math.nan
+    return Certainty(float(entropy.mean() / math.log(2.0)), wall_share)
 
 
 def beam_lengths(

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
 from pipeline.slam.tracking import HYPOTHESES, Track
 
@@ -40,6 +41,9 @@ class SelfCheckConfig(BaseModel):
         default=5, gt=0, description="key scans that most of their revisits deny, to doubt a map"
     )
     min_overlap: float = Field(default=0.3, gt=0.0, description="of a scan with its references, not lost")
+    min_wall_share: float = Field(
+        default=0.3, ge=0.0, description="of the beams that meet a wall's cells, returned by them"
+    )
     max_lost: float = Field(default=0.02, gt=0.0, description="share of lost scans")
 
 
@@ -53,6 +57,7 @@ class SelfCheck:
     lost_scans: int
     unconfirmed_span: tuple[int, int] | None
     denied: Array
+    certainty: Certainty
     reasons: tuple[str, ...]
 
     @property
@@ -69,14 +74,21 @@ class SelfCheck:
             "denied_mean": self.denied_mean,
             "bad_places": self.bad_places,
             "lost_scans": self.lost_scans,
+            "map_entropy_bits": self.certainty.entropy_bits,
+            "wall_share": self.certainty.wall_share,
         }
 
 
 def check_map(
-    clouds: Clouds, track: Track, T_map_keys: SE2, config: SelfCheckConfig, breaks: NDArray[np.int64]
+    clouds: Clouds,
+    track: Track,
+    T_map_keys: SE2,
+    config: SelfCheckConfig,
+    breaks: NDArray[np.int64],
+    certainty: Certainty,
 ) -> SelfCheck:
     """Check a finished map; `breaks` are the scans before which nothing confirms the motion, and that no
-    recognised place joins to the rest."""
+    recognised place joins to the rest; `certainty` is the grid's."""
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
@@ -101,6 +113,10 @@ def check_map(
         reasons.append(
             f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): folded or doubled"
         )
+    if certainty.wall_share < config.min_wall_share:
+        reasons.append(
+            f"beams pass through the walls: they return {certainty.wall_share:.0%} of those that meet them"
+        )
     if len(lost) > config.max_lost * max(len(track.usable), 1):
         reasons.append(f"{len(lost)} scans fit nothing seen before them (first: scan {lost[0]})")
     if len(breaks):
@@ -115,7 +131,7 @@ def check_map(
     if longest is not None and track.odometry_steps is None:
         reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
     denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
-    return SelfCheck(len(share), mean, bad, len(lost), longest, denied, tuple(reasons))
+    return SelfCheck(len(share), mean, bad, len(lost), longest, denied, certainty, tuple(reasons))
 
 
 def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:

@@ -20,8 +20,9 @@ from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.gyro import with_gyro
 from pipeline.slam.loops import Loop, LoopConfig
-from pipeline.slam.occupancy import OccupancyConfig, make_grid
+from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.recall import RecallConfig
@@ -57,6 +58,7 @@ class SlamConfig(BaseModel):
     deskew: bool = Field(
         default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
     )
+    gyro: bool = Field(default=True, description="where wheels slip in turning, believe the gyro")
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
     recall: RecallConfig = RecallConfig()
@@ -176,14 +178,16 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         [session.key, config.posing],
         lambda: pose_all_scans(clouds(), track, graph.T_map_keys, config.posing, chain.gaps),
     )
-    grid, _ = run.cache.step(
-        "grid", [key, config.grid], lambda: make_grid(recording, poses, config.grid, usable, session.motion)
+    (grid, certainty), key = run.cache.step(
+        "grid",
+        [key, config.grid],
+        lambda: make_checked_grid(recording, poses, config.grid, usable, session.motion),
     )
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
     check, _ = run.cache.step(
         "self-check",
-        [session.key, config.self_check],
-        lambda: check_map(clouds(), track, graph.T_map_keys, config.self_check, breaks),
+        [key, config.self_check],
+        lambda: check_map(clouds(), track, graph.T_map_keys, config.self_check, breaks, certainty),
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
@@ -193,6 +197,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
     recording, config = _with_sensors(recording, run.config)
+    recording = with_gyro(recording) if config.gyro else recording
     usable = min(recording.lidar.range_max, config.usable_range_m)
     motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
 

@@ -1,0 +1,159 @@
+"""The gyro as witness of rotation: it knows nothing of wheels, and does not slip.
+
+Where it proves itself - it turns with the odometry most of the time - each turn of the odometry that
+stands out from it is a slip, and the gyro's turn takes its place. All other turns stay the wheels' own:
+over a whole drive a gyro's bias wanders further than good wheels err (house: 4.3 mm become 5.8 mm).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array, wrap
+from datasets.types import ImuLog, Recording, Trajectory
+
+# A gyro slower than this, or with longer holes, is not followed through them.
+HOLE_S = 0.1
+# Of the gyro's turns, taken over about a second each, at least this share must agree with the odometry,
+# within floor [rad] and share.
+WINDOW_S = 1.0
+MIN_AGREEING, AGREE_RAD, AGREE_SHARE = 0.6, 0.03, 0.15
+TURNING_RAD, FEWEST = 0.1, 8
+# What may part gyro and odometry, as standard deviations: bias [rad/s], turn (share), turn per metre.
+PRIOR = np.array([0.01, 0.05, 0.01])
+NOISE_RAD, CAUCHY = 0.01, 2.0
+# A turn slips when it is this many standard deviations (by the median) off the gyro's, at least this much
+# [rad], and by this share of the turn more: wheels scrub in every turn.
+SLIP_SIGMAS, SLIP_RAD, SLIP_SHARE = 6.0, 0.01, 0.05
+# Of a scan period the stamps of gyro and wheels may be apart.
+LATE_SHARE = 0.25
+
+
+def with_gyro(recording: Recording) -> Recording:
+    """The recording with the turns its wheels slipped in taken from its gyro; as it is when there is no
+    gyro, no odometry, no slip, or when the two do not turn together."""
+    if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
+        return recording
+    gyro, stamps = _Gyro(recording.imu), recording.stamps_ns
+    steps = _steps(recording.T_odom_base)
+    trusted = _trusted(gyro, steps, stamps)
+    if trusted is None:
+        return recording
+    expected, known = _expected(gyro, steps, stamps, *trusted)
+    left = np.abs(wrap(steps[:, 2] - expected))
+    least = max(SLIP_SIGMAS * 1.4826 * float(np.median(left[known])), SLIP_RAD)
+    # stamps of gyro and wheels are never quite the same: where turning starts or ends they differ
+    change = np.abs(np.diff(expected, prepend=expected[:1], append=expected[-1:]))
+    late = LATE_SHARE * np.maximum(change[:-1], change[1:])
+    slips = known & (left > least + SLIP_SHARE * np.abs(expected) + late)
+    if not slips.any():
+        return recording
+    T = _turned(recording.T_odom_base, steps, np.where(slips, expected, steps[:, 2]))
+    stream = recording.odometry
+    if stream is not None and len(stream) > 1:
+        steps = _steps(stream.poses)
+        expected, known = _expected(gyro, steps, stream.stamps_ns, *trusted)
+        within = np.clip(np.searchsorted(stamps, stream.stamps_ns[:-1], side="right") - 1, 0, len(slips) - 1)
+        turns = np.where(known & slips[within], expected, steps[:, 2])
+        stream = Trajectory(stream.stamps_ns, _turned(stream.poses, steps, turns))
+    return replace(recording, T_odom_base=T, odometry=stream)
+
+
+def _steps(T_odom_base: SE2) -> Array:
+    return (T_odom_base[:-1].inverse() @ T_odom_base[1:]).xyt
+
+
+def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[float, Array] | None:
+    """Sign of the gyro (-1: mounted upside down), and bias [rad/s], share of turn and turn per metre between
+    it and the odometry; None when the two do not turn together."""
+    turns, known = gyro.turns(stamps_ns)
+    waits = np.diff(stamps_ns) * 1e-9
+    if np.count_nonzero(known) < FEWEST:
+        return None
+    for sign in (1.0, -1.0):
+        found = _apart(sign * turns[known], steps[known], waits[known])
+        expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
+        likely = bool(np.all(np.abs(found) < 3.0 * PRIOR))
+        if likely and _agrees(expected[known], steps[known, 2], waits[known]):
+            return sign, found
+    return None
+
+
+def _expected(
+    gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64], sign: float, found: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The turns (n,) that wheels without slip would tell by the gyro, and where it knows."""
+    turns, known = gyro.turns(stamps_ns)
+    return sign * turns - _parts(sign * turns, steps, np.diff(stamps_ns) * 1e-9) @ found, known
+
+
+class _Gyro:
+    """Yaw by the gyro's z axis."""
+
+    def __init__(self, imu: ImuLog) -> None:
+        rate = imu.angular_velocity[:, 2]
+        good = np.isfinite(rate)
+        stamps, first = np.unique(imu.stamps_ns[good], return_index=True)
+        self._stamps = stamps
+        rate = rate[good][first]
+        waits = np.diff(stamps) * 1e-9
+        self._yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * waits)])[: len(stamps)]
+        self._holes = np.concatenate([[0], np.cumsum(waits > HOLE_S)])[: len(stamps)]
+
+    def turns(self, stamps_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
+        """Turn between successive stamps (n - 1,), and whether the gyro was there all the while."""
+        n = len(stamps_ns)
+        if len(self._stamps) < 2:
+            return np.zeros(n - 1), np.zeros(n - 1, dtype=bool)
+        at = np.searchsorted(self._stamps, stamps_ns, side="right")
+        inside = (at > 0) & (stamps_ns <= self._stamps[-1])
+        hi = np.clip(at, 1, len(self._stamps) - 1)
+        span = self._stamps[hi] - self._stamps[hi - 1]
+        f = np.clip((stamps_ns - self._stamps[hi - 1]) / span, 0.0, 1.0)
+        yaw = self._yaw[hi - 1] + f * (self._yaw[hi] - self._yaw[hi - 1])
+        whole = (self._holes[hi[1:]] == self._holes[hi[:-1] - 1]) & (np.diff(stamps_ns) > 0)
+        return np.diff(yaw), whole & inside[1:] & inside[:-1]
+
+
+def _parts(turns: Array, steps: Array, waits: Array) -> Array:
+    # the gyro's own turns: those of wheels that slip would pull on the answer
+    return np.column_stack([waits, turns, np.hypot(steps[:, 0], steps[:, 1])])
+
+
+def _apart(turns: Array, steps: Array, waits: Array) -> Array:
+    """Bias, share of turn and turn per metre (3,) between gyro and odometry, robustly."""
+    rows, error = _parts(turns, steps, waits), wrap(turns - steps[:, 2])
+    found: Array = np.zeros(3, dtype=np.float64)
+    for _ in range(10):
+        left = error - rows @ found
+        weight = 1.0 / (NOISE_RAD**2 * (1.0 + (left / (CAUCHY * NOISE_RAD)) ** 2))
+        normal = rows.T @ (weight[:, None] * rows) + np.diag(PRIOR**-2)
+        found = np.asarray(np.linalg.solve(normal, rows.T @ (weight * error)), dtype=np.float64)
+    return found
+
+
+def _agrees(turns: Array, odometry: Array, waits: Array) -> bool:
+    """Whether the odometry turns with the gyro, for most of the gyro's turns: wheels that slip turn alone."""
+    together = max(1, round(WINDOW_S / float(np.median(waits)))) if len(waits) else 1
+    starts = np.arange(0, len(turns), together)
+    if len(starts) < FEWEST:
+        return False
+    mine, theirs = np.add.reduceat(turns, starts), np.add.reduceat(odometry, starts)
+    turning = np.abs(mine) > TURNING_RAD
+    if np.count_nonzero(turning) < FEWEST:
+        return False
+    apart = np.abs(mine[turning] - theirs[turning])
+    return bool(np.mean(apart < AGREE_RAD + AGREE_SHARE * np.abs(mine[turning])) >= MIN_AGREEING)
+
+
+def _turned(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:
+    """Odometry poses (n,) with other turns (n - 1,), each step driven along an arc of the same length."""
+    distance = np.hypot(steps[:, 0], steps[:, 1])
+    bearing = np.arctan2(steps[:, 1], steps[:, 0]) + 0.5 * (turns - steps[:, 2])
+    yaw = T_odom_base.yaw[0] + np.concatenate([[0.0], np.cumsum(turns)])
+    move = distance[:, None] * np.stack([np.cos(yaw[:-1] + bearing), np.sin(yaw[:-1] + bearing)], axis=1)
+    xy = T_odom_base.xy[0] + np.concatenate([np.zeros((1, 2)), np.cumsum(move, axis=0)])
+    return SE2.from_array(np.column_stack([xy, yaw]))
