@@ -52,9 +52,9 @@ def everything(result):
     ("change", "made"),
     [
         ({}, []),
-        ({"grid": {"resolution_m": 0.1}}, ["grid"]),
+        ({"grid": {"resolution_m": 0.1}}, ["grid", "self-check"]),
         ({"self_check": {"near_m": 1.0}}, ["self-check"]),
-        ({"posing": {"enabled": False}}, ["scan poses", "grid"]),
+        ({"posing": {"enabled": False}}, ["scan poses", "grid", "self-check"]),
         ({"refine": {"rounds": 1}}, STEPS[2:]),
         ({"loops": {"min_overlap": 0.8}}, STEPS[1:]),
         ({"tracking": {"reference_keys": 6}}, STEPS),
@@ -259,7 +259,7 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     )
     found, said = mapped("fine", "--set", "grid.resolution_m=0.025")
     assert said == [
-        "from the cache: reading, front end, loops, refinement, scan poses, self-check; made: grid"
+        "from the cache: reading, front end, loops, refinement, scan poses; made: grid, self-check"
     ]
     assert mapped("moved", "--laser", "0.1,0,0")[0] == []
     words = ["compare", str(tmp_path / "first"), str(tmp_path / "fine"), "--out", str(tmp_path / "to-fine")]
