@@ -9,10 +9,12 @@ import pytest
 from benchmarks.slam_logs import arena, posts
 from benchmarks.slam_scores import score
 from datasets.se2 import SE2
+from pipeline.slam.calibration import Calibration
 from pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.slam import SlamConfig, run_slam
+from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
 from pipeline.slam.threads import WORTH_IT, in_parts
+from pipeline.slam.tracking import Track, TrackingConfig
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +111,19 @@ def test_parts_come_back_in_order_whatever_finishes_first():
     assert [k for part in in_parts(slow_at_first, n) for k in part] == list(range(n))
     assert in_parts(slow_at_first, 3) == [[0, 1, 2]]
     assert in_parts(slow_at_first, 0) == [[]]
+
+
+def test_without_odometry_no_direction_of_a_step_is_left_free():
+    """Keys that are blind the same way, one after another, once flew 40 m off along it."""
+    turns = np.linspace(0.0, 2.0, 6)
+    poses = SE2(np.stack([0.3 * np.arange(6), np.zeros(6), turns], axis=1))
+    corridor = np.broadcast_to(np.diag([0.0, 1e4, 1e4]), (6, 3, 3))
+    keys = np.arange(6)
+    track = Track(
+        poses, keys, np.ones(6), np.zeros(6), corridor, np.zeros(6, np.int8), None, Calibration(), keys >= 0
+    )
+    steps = step_constraints(track, TrackingConfig())
+    for k in range(5):
+        known = sum(c.information for c in steps if c.i == k)
+        assert np.linalg.eigvalsh(known)[0] > 1.0
+    assert {c.kind for c in steps} == {"step", "steady"}

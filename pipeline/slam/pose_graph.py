@@ -15,7 +15,7 @@ import numpy as np
 
 from datasets.se2 import SE2, Array
 
-Kind = Literal["step", "odometry", "loop", "pair"]
+Kind = Literal["step", "odometry", "steady", "loop", "pair"]
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 FLOOR = np.diag([1e-4, 1e-4, 1e-4])
 

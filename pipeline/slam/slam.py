@@ -37,7 +37,7 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning, track_log
+from pipeline.slam.tracking import STEADY_SHARE, Track, TrackingConfig, dead_reckoning, track_log
 
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
@@ -288,7 +288,8 @@ def _optimised(
 def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
     """Between successive key scans: what the scans saw, and what the calibrated odometry says.
 
-    In a direction the scans are blind in only the odometry holds; where both see, the scans do.
+    In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
+    odometry a weak belief in the front end's own motion takes its place.
     """
     T = track.T_track_base[track.keys]
     matched = (T[:-1].inverse() @ T[1:]).xyt
@@ -296,7 +297,11 @@ def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
     for k, step in enumerate(matched):
         seen = track.information[track.keys[k + 1]] / STEP_INFLATION
         constraints.append(Constraint(k, k + 1, step, seen, "step"))
-        if track.odometry_steps is not None:
+        if track.odometry_steps is None:
+            # without it the front end took the motion for steady there; nothing at all would tear the graph
+            steady = STEADY_SHARE * config.odometry.information(step)
+            constraints.append(Constraint(k, k + 1, step, steady, "steady"))
+        else:
             odometry = track.odometry_steps[k]
             information = track.calibration.information(odometry)
             constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))

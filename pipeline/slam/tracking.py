@@ -91,6 +91,8 @@ class Track:
 
 # A score must be that much higher to prefer a steady motion to the odometry's.
 SURELY_BETTER = 0.05
+# Without odometry the last motion is expected to go on, with this share of an odometry step's information.
+STEADY_SHARE = 0.05
 # Odometry is calibrated anew whenever the key scans have doubled since this many.
 FIRST_CALIBRATION = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
@@ -128,7 +130,7 @@ class Tracker:
         prior_step = self.velocity if odometry_step is None else odometry_step
         information = self.config.odometry.information(prior_step)
         if odometry_step is None:
-            information = information * 0.05
+            information = STEADY_SHARE * information
         if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
             result, source = self._by_points(scan, guess, steady)
         else:
