@@ -76,15 +76,15 @@ def test_recovery_moves_where_it_can():
     )
     pose = SE2.identity()
 
-    def moves(possible):
+    def moves(room):
         ladder = Ladder(RecoveryConfig(ladder=rungs), lambda: None)
-        return [ladder.climb(0, pose, possible).command(0, pose) for _ in rungs]
+        return [ladder.climb(0, pose, room).command(0, pose) for _ in rungs]
 
-    free = moves(lambda twist: True)
+    free = moves(lambda twist, amount: 1.0)
     assert [np.sign(t.v) for t in free] == [-1.0, 0.0, 0.0]
     assert free[1].w == -free[2].w
-    ahead = moves(lambda twist: twist.v > 0.0 or twist.w > 0.0)
+    ahead = moves(lambda twist, amount: 0.1 * amount if twist.v > 0.0 or twist.w > 0.0 else 0.0)
     assert ahead[0].v > 0.0
     assert ahead[1].w > 0.0
     assert ahead[2].w > 0.0
-    assert moves(lambda twist: False) == [Twist()] * 3
+    assert moves(lambda twist, amount: -np.inf) == [Twist()] * 3

@@ -12,9 +12,9 @@ from datasets.types import RobotModel, Twist
 from pipeline.navigation.moving import Wary
 from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from planners.control.interface import Controller
-from planners.control.monitor import CollisionMonitor
+from planners.control.monitor import CollisionMonitor, moved
 from planners.costmap import Costmap
-from planners.footprint import path_clearance, sample_footprint
+from planners.footprint import footprint_clearance, path_clearance, sample_footprint
 from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
 from planners.live import LiveLayer
 from planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
@@ -193,6 +193,19 @@ class GoalRunner:
             )
         return factor
 
+    def _room_after(self, twist: Twist, amount: float, pose: SE2) -> float:
+        """Room round the footprint [m] after a twist over an amount [m or rad]; -inf when it is held."""
+        if self._passed(twist, pose) <= 0.5:
+            return -np.inf
+        costmap, s = self.tools.live.costmap, self._samples
+        x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
+        after = moved(x, y, yaw, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
+        return float(
+            footprint_clearance(
+                costmap.clearance, costmap.resolution, s.points, s.inscribed, s.circumscribed, *after
+            )
+        )
+
     def _held_up(self, now_ns: int, pose: SE2, wanted: Twist, command: Twist) -> Verdict | None:
         """Recovery when the monitor holds the robot, or when it does not get on."""
         moving = abs(wanted.v) > 0.005 or abs(wanted.w) > 0.03
@@ -205,7 +218,7 @@ class GoalRunner:
     def _recover(self, now_ns: int, pose: SE2, trouble: str) -> Verdict | None:
         self._watch.reset()
         self._driven = 0.0
-        self._manoeuvre = self._ladder.climb(now_ns, pose, lambda t: self._passed(t, pose) > 0.5)
+        self._manoeuvre = self._ladder.climb(now_ns, pose, lambda t, far: self._room_after(t, far, pose))
         if self._manoeuvre is None:
             return Verdict("unreachable", f"{trouble}; given up after {self._ladder.used} recoveries")
         return None

@@ -144,7 +144,11 @@ class NavigationDriver:
         elif self.sequence.update(now, LOST) is not None:
             self.goal_index = self.sequence.index
         self.state = action
-        self._last = seeker.command(observation, self._last)
+        moving = self._moving.points_base(observation.odometry.T_odom_base)
+        if self.tools.wary.holds(moving):
+            self._last = self.tools.controller.brake(self._last)
+        else:
+            self._last = seeker.command(observation, self._last)
         return True
 
     def _forget(self) -> None:

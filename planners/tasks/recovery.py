@@ -106,12 +106,13 @@ class Ladder:
         self._rung = 0
 
     def climb(
-        self, now_ns: int, pose: SE2, possible: Callable[[Twist], bool] = lambda twist: True
+        self, now_ns: int, pose: SE2, room: Callable[[Twist, float], float] = lambda twist, amount: 0.0
     ) -> Manoeuvre | None:
         """The next manoeuvre; None when there is none left.
 
-        `possible` says of a twist whether the robot may move so: when backing up or turning one way is
-        not, it tries the opposite, and waits a little when that is not either.
+        `room` says how much room there is after a twist over an amount [m or rad], -inf when the robot
+        may not move so: of backing up and going on, and of turning either way, it takes what ends with
+        more room, the first of the two if equal, and waits a little when neither is possible.
         """
         if self._rung >= len(self.config.ladder) or self.used >= self.config.total:
             return None
@@ -123,9 +124,9 @@ class Ladder:
         if rung.kind == "clear":
             self._clear()
             return Wait(now_ns + 300_000_000, "recover_clear")
-        return self._move(rung, now_ns, pose, possible)
+        return self._move(rung, now_ns, pose, room)
 
-    def _move(self, rung: Rung, now_ns: int, pose: SE2, possible: Callable[[Twist], bool]) -> Manoeuvre:
+    def _move(self, rung: Rung, now_ns: int, pose: SE2, room: Callable[[Twist, float], float]) -> Manoeuvre:
         if rung.kind == "back_up":
             speed, amount = self.config.back_up_v, rung.amount
             ways = {"recover_back_up": Twist(-speed, 0.0), "recover_go_on": Twist(speed, 0.0)}
@@ -134,10 +135,11 @@ class Ladder:
             first = speed if self.used % 2 else -speed
             ways = {"recover_rotate": Twist(0.0, first), "recover_rotate_back": Twist(0.0, -first)}
         limit = now_ns + round((amount / speed + 1.0) * 1e9)
-        for name, twist in ways.items():
-            if possible(twist):
-                return Move(pose, twist, amount, limit, name)
-        return Wait(now_ns + 2 * 10**9)
+        rooms = {name: room(twist, amount) for name, twist in ways.items()}
+        best = max(rooms, key=lambda name: rooms[name])
+        if rooms[best] == -math.inf:
+            return Wait(now_ns + 2 * 10**9)
+        return Move(pose, ways[best], amount, limit, best)
 
 
 class ProgressWatch:
