@@ -68,7 +68,10 @@ def result_over_factor(
         figure.supxlabel(words(x), fontsize="medium")
         figure.supylabel(text, fontsize="medium")
     if lines is not None and grid[0].get_legend_handles_labels()[0]:
-        grid[0].legend(loc="best", title=words(lines))
+        handles, names = grid[0].get_legend_handles_labels()
+        names[0] = f"{words(lines)}: {names[0]}"
+        # Above, where it hides no mark.
+        figure.legend(handles, names, loc="outside upper right", ncols=len(names))
     return figure
 
 
