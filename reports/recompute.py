@@ -152,6 +152,13 @@ def _run(stage: Stage) -> dict[str, Any]:
         ]
         reached = {int(i) for i, state in zip(log.goal_index, log.state, strict=True) if state == "reached"}
         found["goals_reached"] = len(reached - {-1})
+        misses = [
+            again["error_m"]
+            for goal, again in zip(goals, found["goals"], strict=True)
+            if goal["status"] == "reached" and "error_m" in again
+        ]
+        if misses:
+            found["goal_error_m"] = {"mean": float(np.mean(misses)), "max": max(misses)}
     return found
 
 

@@ -69,6 +69,22 @@ RUN = (
         (
             Spec("goals_reached", "goals reached", "count", "Goals the goal checker accepted in time.", LOG),
             Spec(
+                "goal_error_m.mean",
+                "distance from the goals, mean",
+                "cm",
+                "Where the robot truly stood when it took a goal to be reached, against that goal.",
+                BAG,
+                TRUTH,
+            ),
+            Spec(
+                "goal_error_m.max",
+                "distance from the goals, largest",
+                "cm",
+                "The same, at the worst of the goals.",
+                BAG,
+                TRUTH,
+            ),
+            Spec(
                 "collisions.visible",
                 "collisions with visible things",
                 "count",
