@@ -15,6 +15,7 @@ import io
 import os
 import pickle
 import platform
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
@@ -38,6 +39,8 @@ LIMIT_MB = 1024
 LIMIT_ENTRIES = 4000
 SMALL = 4096
 MAGIC = b"turtlebag stage 1\n"
+ENTRY_NAME = re.compile(r"[0-9a-f]{64}(\.\d+\.\d+)?")
+"""An entry, or one that is being written."""
 SOURCES = ("datasets", "pipeline/slam")
 """Whose code shapes the entries; changing any file of it makes all of them anew."""
 ROOT = Path(__file__).parents[1]
@@ -93,6 +96,8 @@ class StageCache:
             return
         entries = []
         for path in self._folder.glob("*"):
+            if not ENTRY_NAME.fullmatch(path.name):
+                continue  # not ours: whose folder this is nobody knows
             with suppress(OSError):  # another process was quicker
                 status = path.stat()
                 entries.append((status.st_mtime_ns, status.st_size, path))
@@ -124,7 +129,7 @@ def default_cache() -> StageCache:
     place, limit = os.environ.get(PLACE_VARIABLE, ""), os.environ.get(LIMIT_VARIABLE, str(LIMIT_MB))
     if place == "off":
         return StageCache()
-    if not limit.isdecimal():
+    if not limit.isdecimal() or len(limit) > 15:
         raise InputError(f"{LIMIT_VARIABLE}={limit}: expected a whole number of megabytes")
     return StageCache(Path(place) if place else _usual_folder(), int(limit))
 

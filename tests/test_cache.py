@@ -167,6 +167,17 @@ def test_a_folder_that_cannot_be_used_ends_no_run(tmp_path):
     cache.trim()
 
 
+def test_files_that_are_no_entries_are_never_removed(tmp_path):
+    (tmp_path / "thesis.pdf").write_bytes(bytes(2_000_000))
+    os.utime(tmp_path / "thesis.pdf", (0, 0))
+    cache = StageCache(tmp_path, limit_mb=1)
+    cache.step("a", [1], lambda: np.zeros(100_000))
+    cache.step("a", [2], lambda: np.zeros(100_000))
+    cache.trim()
+    assert (tmp_path / "thesis.pdf").exists()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def hammer(folder):
     """Use six entries over and over while others do the same; how often a value was not the right one."""
     wrong = 0
