@@ -40,6 +40,14 @@ def test_symmetric_room_is_ambiguous():
     assert not place.certain
 
 
+def test_a_map_without_surfaces_is_no_place():
+    poses = FIRST[:10]
+    log = recording(ROOM, poses)
+    blind = replace(log, ranges=np.where(np.arange(10)[:, None] < 5, np.float32(np.nan), log.ranges))
+    query = np.arange(5, 10)
+    assert find_place(make_clouds(blind, 30.0), np.arange(5), poses[:5], query, poses[query]) is None
+
+
 def test_one_opinion_is_not_enough():
     here, there = np.array([1.0, 2.0, 0.1]), np.array([3.0, 2.0, 0.1])
     sure, other, unsure = Place(here, 0.95, 0.5), Place(there, 0.95, 0.5), Place(here, 0.95, 0.94)

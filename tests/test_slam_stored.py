@@ -116,6 +116,33 @@ def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
         load_session(tmp_path)
 
 
+WRONG = {
+    "a loop that points at no key": ("constraint_j", lambda a: a + 10**6),
+    "keys out of order": ("track_keys", lambda a: a[::-1]),
+    "keys before the log": ("track_keys", lambda a: a - 1),
+    "poses that are no numbers": ("T_map_keys", lambda a: a * np.nan),
+    "poses beyond the earth": ("track_T_track_base", lambda a: a * 0.0 + 1e300),
+    "fractions of nanoseconds": ("stamps_ns", lambda a: a + 0.5),
+    "words": ("noise", lambda a: np.array(["x"] * 3)),
+    "one step too few": ("chain_broken", lambda a: a[1:]),
+    "no mounting": ("T_base_lidar", lambda a: a[:2]),
+    "a lidar of words": ("about", lambda a: np.frombuffer(bytes(a).replace(b"25", b'"x"'), np.uint8)),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_graph_whose_arrays_compiled_code_would_trip_over_is_refused(tmp_path, result, what):
+    path, (name, change) = tmp_path / FILE, WRONG[what]
+    save_session(path, result.session, USABLE_M)
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    changed = change(arrays[name])
+    assert changed.shape != arrays[name].shape or (changed != arrays[name]).any()
+    np.savez(path, **{**arrays, name: changed})
+    with pytest.raises(InputError, match=r"graph\.npz"):
+        load_session(tmp_path)
+
+
 def test_g2o_and_tum_are_read_back_as_they_are(tmp_path, result):
     write_g2o(tmp_path / "graph.g2o", result.T_map_keys, result.constraints)
     graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), False)

@@ -24,6 +24,7 @@ HEADINGS = 120
 PEAKS, PEAK_APART_M = 6, 0.8
 MIN_OVERLAP, RIVAL_OVERLAP = 0.8, 0.08
 NEAR_KEYS = 12
+LEAST_POINTS = 30
 AGREE_M, AGREE_RAD = 0.4, 0.1
 
 
@@ -56,7 +57,8 @@ def find_place(
     T_query_middle = SE2(T_query[len(query) // 2])
     T_query = (T_query_middle.inverse() @ SE2(T_query)).xyt
     points = points_in_map(clouds.points, clouds.starts, query, T_query)
-    if len(points) < 30 or len(map_keys) == 0:
+    seen = int((clouds.starts[map_keys + 1] - clouds.starts[map_keys]).sum())
+    if min(len(points), seen) < LEAST_POINTS:
         return None
     found: list[tuple[float, Array]] = []
     for start in _peaks(clouds, map_keys, T_map_keys, points):

@@ -32,6 +32,57 @@ from pipeline.slam.tracking import Track
 
 FILE = "graph.npz"
 FORMAT = 1
+# What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
+# shape: b beams, s scans, k keys, m steps between keys, others alike where the letter is.
+LAYOUT = {
+    "stamps_ns": ("i", "s"),
+    "ranges": ("f", "sb"),
+    "T_base_lidar": ("n", "3"),
+    "noise": ("n", "3"),
+    "T_odom_base": ("n", "s3"),
+    "motion": ("n", "s3"),
+    "T_map_keys": ("n", "k3"),
+    "unbridged": ("b", "m"),
+    "track_T_track_base": ("n", "s3"),
+    "track_keys": ("i", "k"),
+    "track_overlap": ("f", "s"),
+    "track_rmse": ("f", "s"),
+    "track_information": ("n", "s33"),
+    "track_source": ("i", "s"),
+    "track_odometry_steps": ("n", "m3"),
+    "track_usable": ("b", "s"),
+    "chain_broken": ("b", "m"),
+    "chain_contradicted": ("b", "m"),
+    "chain_alone": ("b", "m"),
+    "chain_drift_m": ("n", "m"),
+    "chain_length_m": ("n", "m"),
+    "chain_gaps": ("i", "g2"),
+    "constraint_i": ("i", "c"),
+    "constraint_j": ("i", "c"),
+    "constraint_T_i_j": ("n", "c3"),
+    "constraint_information": ("n", "c33"),
+    "constraint_soft": ("n", "c"),
+    "loop_i": ("i", "l"),
+    "loop_j": ("i", "l"),
+    "loop_T_j_i": ("n", "l3"),
+    "loop_information": ("n", "l33"),
+    "recognised_i": ("i", "r"),
+    "recognised_j": ("i", "r"),
+    "recognised_T_j_i": ("n", "r3"),
+    "recognised_information": ("n", "r33"),
+}
+OPTIONAL = ("T_odom_base", "motion", "track_odometry_steps")
+INDICES = {
+    "track_keys": "s",
+    "chain_gaps": "s",
+    **{f"{record}_{end}": "k" for record in ("constraint", "loop", "recognised") for end in "ij"},
+}
+"""Arrays that number scans or keys."""
+UNREADABLE = (
+    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+FARTHEST = 1e8
+"""No pose is farther off than this [m], no weight of one larger than its square [1/m^2]."""
 
 
 def save_session(path: Path, session: Session, usable_range: float) -> None:
@@ -76,7 +127,7 @@ def load_session(folder: Path) -> Session:
     try:
         with np.load(path, allow_pickle=False) as stored:
             return _session({name: stored[name] for name in stored.files}, sha256_file(path))
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+    except UNREADABLE as error:
         raise InputError(f"{path}: not a graph that can be read ({error})") from None
 
 
@@ -84,16 +135,23 @@ def _session(stored: dict[str, Any], key: str) -> Session:
     about = json.loads(bytes(stored["about"]))
     if about["format"] != FORMAT:
         raise ValueError(f"format {about['format']}, expected {FORMAT}")
+    lidar = {name: float(value) for name, value in about["lidar"].items()}
+    calibration_of = {name: float(value) for name, value in about["calibration"].items()}
+    numbers = np.array([*lidar.values(), *calibration_of.values(), about["usable_range_m"]], dtype=float)
+    if not np.isfinite(numbers).all() or numbers[-1] <= 0.0:
+        raise ValueError("its lidar or its calibration is none")
+    beams, pairs = int(lidar.pop("n_beams")), int(calibration_of.pop("pairs"))
+    _check(stored, beams)
     recording = Recording(
-        source=about["source"],
+        source=str(about["source"]),
         stamps_ns=stored["stamps_ns"],
         ranges=stored["ranges"],
-        lidar=LidarSpec(**about["lidar"]),
+        lidar=LidarSpec(n_beams=beams, **lidar),
         T_base_lidar=SE2(stored["T_base_lidar"]),
         T_odom_base=_poses(stored, "T_odom_base"),
     )
     motion, usable = _poses(stored, "motion"), float(about["usable_range_m"])
-    calibration = Calibration(**about["calibration"], noise=stored["noise"])
+    calibration = Calibration(**calibration_of, pairs=pairs, noise=stored["noise"])
     track: dict[str, Any] = {f.name: stored.get(f"track_{f.name}") for f in fields(Track)}
     track |= {"T_track_base": SE2(stored["track_T_track_base"]), "calibration": calibration}
     graph = Graph(
@@ -104,12 +162,37 @@ def _session(stored: dict[str, Any], key: str) -> Session:
         stored["unbridged"],
     )
     chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
-    scans, keys = len(recording.stamps_ns), track["keys"]
-    lengths = {len(recording.ranges), len(track["T_track_base"]), len(track["information"])}
-    if lengths != {scans} or keys.max(initial=0) >= scans or len(keys) != len(graph.T_map_keys):
-        raise ValueError("its parts do not fit each other")
     clouds = once(lambda: make_clouds(recording, usable, motion))
     return Session(recording, clouds, motion, Track(**track), chain, graph, key)
+
+
+def _check(stored: dict[str, Any], beams: int) -> None:
+    """ValueError unless every array is of its kind and shape and points at what is there: compiled code
+    that reads them looks no second time."""
+    keys = len(stored["track_keys"])
+    sizes = {"b": beams, "k": keys, "m": keys - 1, "2": 2, "3": 3}
+    for name, (kind, shape) in LAYOUT.items():
+        if name not in stored and name in OPTIONAL:
+            continue
+        array = stored[name]
+        if array.shape == (0,) and len(shape) > 1 and sizes.setdefault(shape[0], 0) == 0:
+            continue  # no record of this kind
+        expected = tuple(
+            sizes.setdefault(letter, size) for letter, size in zip(shape, array.shape, strict=False)
+        )
+        if array.ndim != len(shape) or array.shape != expected:
+            raise ValueError(f"{name} does not fit the rest")
+        # no rows are written as no numbers, whatever they would hold
+        if array.dtype.kind != {"n": "f"}.get(kind, kind) and array.size:
+            raise ValueError(f"{name} holds something else")
+        largest = FARTHEST if "T_" in name else FARTHEST**2
+        if kind == "n" and array.size and not np.abs(array).max() <= largest:
+            raise ValueError(f"{name} holds numbers out of all bounds")
+        limit = sizes.get(INDICES.get(name, ""))
+        if limit is not None and array.size and not 0 <= array.min() <= array.max() < limit:
+            raise ValueError(f"{name} points at nothing")
+    if keys == 0 or (np.diff(stored["track_keys"]) <= 0).any():
+        raise ValueError("its keys are in no order")
 
 
 def _text(value: object) -> Any:
