@@ -155,11 +155,14 @@ def _plan_poses(
     ends = search.entry(start.xy), search.entry(goal.xy)
     if ends[0] is None or ends[1] is None or not search.connected(ends[0], ends[1]):
         raise NoPath("no way leads there")
+    name = f"{config.ompl.planner} in {config.ompl.space}"
+    if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
+        there = SE2(np.stack([start.xyt, goal.xyt]))
+        return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name, 0)
     samples = sample_footprint(model, costmap.resolution / 2.0)
     for attempt in range(config.ompl.restarts):
         poses = solve_poses(costmap, samples, start, goal, config.ompl, config.spacing, seed + attempt)
         if poses is not None:
-            name = f"{config.ompl.planner} in {config.ompl.space}"
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name, attempt + 1)
     raise NoPath(f"{config.ompl.planner} found no path within its iterations")
 
@@ -233,6 +236,8 @@ class _Search:
 
     def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int] | None:
         """Corners (n, 2) of a tight path between joined cells and how many OMPL runs; None: not found."""
+        if start == goal:  # OMPL's informed planners have no ellipse about a single point
+            return np.array([self.center(start), self.center(goal)]), 0
         from_goal = self.to_goal(goal)
         limit = float(from_goal[start]) * self.config.ompl.informed_factor + 2.0
         from_start = wave(self.free, start[0], start[1], limit)

@@ -221,3 +221,14 @@ def test_planners_that_improve_are_content_with_the_straight_line(planner):
     start, goal = SE2.from_xyt(1.025, 1.025, 0.0), SE2.from_xyt(1.025, 2.225, 0.0)
     plan = plan_path(costmap, BURGER, start, goal, config, seed=1)
     assert plan.length == pytest.approx(1.2, rel=0.01)
+
+
+@pytest.mark.parametrize("space", ["disc", "se2"])
+@pytest.mark.parametrize("planner", ["RRTConnect", "InformedRRTstar", "SORRTstar", "PRM"])
+def test_a_robot_that_stands_at_its_goal_has_a_plan(planner, space):
+    costmap = costmap_from_grid(room(), CostmapConfig())
+    here = SE2.from_xyt(1.0, 1.0, 0.3)
+    config = PlanConfig(ompl=OmplConfig(planner=planner, space=space))
+    plan = plan_path(costmap, BURGER, here, here, config, seed=1)
+    assert plan.length < 0.1  # to the middle of its cell and back, at most
+    np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [here.xyt, here.xyt], atol=1e-9)
