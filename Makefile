@@ -70,7 +70,7 @@ report: $(REPORT_DIR)/manifest.json ## make the page of a run   (OUT, or as navi
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/record.py | $(READY)
 	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
 
-$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam datasets reports/metrics) pipeline/build_map.py | $(READY)
+$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) pipeline/build_map.py pipeline/build_map3d.py | $(READY)
 	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 
 data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json

@@ -31,6 +31,7 @@ LEFT, LEAST = 0.85, 0.4
 HEIGHT = (0.0, 1.0)
 LIMITS = {"boxes": 20, "movers": 20}
 TRIES = 300
+LONGEST_SEED = 100
 
 
 def cluttered(world: World, settings: str) -> World:
@@ -54,13 +55,13 @@ def cluttered(world: World, settings: str) -> World:
 def _parsed(where: str, settings: str) -> tuple[int, dict[str, int]]:
     seed, *pairs = settings.split(",")
     counts = {"boxes": 3, "movers": 0}
-    if not seed.isdecimal():
+    if not seed.isdecimal() or len(seed) > LONGEST_SEED:
         raise InputError(f"{where}: clutter needs a seed, as in +clutter:7,boxes=3,movers=2")
     for pair in pairs:
         key, _, value = pair.partition("=")
         if key not in counts:
             raise InputError(f"{where}: clutter has no option '{key}' (it has: {', '.join(counts)})")
-        if not value.isdecimal() or int(value) > LIMITS[key]:
+        if not value.isdecimal() or len(value) > LONGEST_SEED or int(value) > LIMITS[key]:
             raise InputError(f"{where}: {key}={value}: must be a whole number up to {LIMITS[key]}")
         counts[key] = int(value)
     return int(seed), counts

@@ -157,6 +157,7 @@ def test_intervals_that_touch_are_one_takeover():
         ("- {begin: 1, end: 2}\n- {begin: 1.5, end: 3}", "overlap"),
         ("- {begin: 1, end: 2, vv: 1}", "unknown key"),
         ("- {begin: 1, end: .nan}", "finite"),
+        ("- {begin: 1, end: 1.0e300}", "less than or equal"),
     ],
 )
 def test_bad_takeover_files_are_one_line(tmp_path, capsys, text, said):

@@ -26,12 +26,16 @@ from sim.simulator import CONTROL_HZ
 Owner = Literal["navigation", "teleop"]
 
 
+LATEST_S = 1e9
+"""Stamps are whole nanoseconds of 64 bits."""
+
+
 class Interval(BaseModel):
     """Someone asks for one command from a time on until before another [s, m/s, rad/s]."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     begin: float = Field(ge=0.0)
-    end: float
+    end: float = Field(le=LATEST_S)
     v: float = 0.0
     w: float = 0.0
 
