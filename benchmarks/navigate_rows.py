@@ -169,15 +169,25 @@ def summary(name: str, rows: Sequence[dict[str, Any]]) -> str:
     """One line of the table."""
     n, ok = len(rows), sum(row["success"] for row in rows)
     w, c = wilson(ok, n), clopper_pearson(ok, n)
-    seeds = [row["seed"] for row in rows]
     return (
-        f"| {name} | {min(seeds)}..{max(seeds)} | {ok}/{n} | {ok / n:.3f} "
+        f"| {name} | {spans([row['seed'] for row in rows])} | {ok}/{n} | {ok / n:.3f} "
         f"| {w[0]:.3f}..{w[1]:.3f} | {c[0]:.3f}..{c[1]:.3f} "
         f"| {sum(r['visible'] for r in rows)} | {sum(r['low'] for r in rows)} "
         f"| {sum(r['own_speed'] for r in rows)} | {_of(np.max, rows, 'worst_error_m', 3)} "
         f"| {sum(r['distance_m'] for r in rows):.0f} | {_of(np.mean, rows, 'seen_share', 3)} "
         f"| {_of(np.mean, rows, 'score', 3)} | {_of(np.median, rows, 'x_real_time', 0)} |"
     )
+
+
+def spans(numbers: Sequence[int]) -> str:
+    """Whole numbers as runs: `0..9, 20..29`."""
+    found: list[list[int]] = []
+    for number in sorted(set(numbers)):
+        if found and number == found[-1][1] + 1:
+            found[-1][1] = number
+        else:
+            found.append([number, number])
+    return ", ".join(f"{a}..{b}" for a, b in found)
 
 
 def failures(rows: Sequence[dict[str, Any]]) -> list[str]:

@@ -10,7 +10,7 @@ from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
 from benchmarks.intervals import clopper_pearson, wilson
 from benchmarks.navigate import scenarios
-from benchmarks.navigate_rows import Table, blank_row, failures, own_contacts, row_of, summary
+from benchmarks.navigate_rows import Table, blank_row, failures, own_contacts, row_of, spans, summary
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
 from datasets.types import Twist
@@ -113,6 +113,11 @@ def test_a_goal_reached_in_the_wrong_place_is_a_failure():
     assert row_of(shut, episode(0.01, 0.0), 1.0)["success"] == 0
     # Among things that stand still, any touch is the robot's own.
     assert row_of(patrol, episode(0.01, 0.0), 1.0)["success"] == 0
+
+
+def test_seeds_are_named_as_runs():
+    assert spans([3, 1, 2, 10, 11]) == "1..3, 10..11"
+    assert spans([7]) == "7..7"
 
 
 def test_a_campaign_goes_on_where_it_was(tmp_path):
