@@ -36,7 +36,7 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     if estimate is None:
         return []
     grid = given_map(stage, group)
-    record = group.first("record")
+    record = group.record_of(stage)
     truth = record.truth if record is not None else None
     if stage.metrics.get("status") == "rejected":
         caption = "Nobody told it where it was: in place of an estimate stands the odometry."

@@ -46,7 +46,7 @@ def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[P
 def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
     """The map and its errors where truth is known; the map with its path where not."""
     grid, slam = stage.map, stage.trajectory
-    record = group.first("record")
+    record = group.record_of(stage)
     truth = record.truth if record is not None else None
     true_map = record.true_map if record is not None else None
     recording = source_recording(stage, record)

@@ -80,7 +80,7 @@ def recomputed(stage: Stage, group: Group) -> dict[str, Any]:
 
 
 def _localise(stage: Stage, group: Group) -> dict[str, Any]:
-    record = group.first("record")
+    record = group.record_of(stage)
     if stage.trajectory is None:
         return {}
     found: dict[str, Any] = {"scans": len(stage.trajectory)}
@@ -117,7 +117,7 @@ def _map(stage: Stage, group: Group) -> dict[str, Any]:
         accepted = int(loops.accepted.sum())
         counts = {"proposed": len(loops.i), "accepted": accepted, "rejected": len(loops.i) - accepted}
         found["loops"] = counts
-    record = group.first("record")
+    record = group.record_of(stage)
     if "ate_m" in stage.metrics and record is not None and record.truth is not None:
         found |= trajectory_metrics(stage.trajectory, record.truth)
         if stage.map is not None and record.true_map is not None:

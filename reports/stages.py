@@ -26,6 +26,8 @@ KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}
 # Files that tie stages together when their hashes agree; a shared config proves nothing.
 LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2")
+# Files that no two recordings share, of one world either.
+DRIVEN = (".mcap", ".tum")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +139,13 @@ class Stage:
         """Its inputs by the names the manifest gives them."""
         return {name: Path(entry["path"]) for name, entry in self.manifest.get("inputs", {}).items()}
 
+    def read_hashes(self, inputs: Sequence[str]) -> set[str]:
+        """Hashes of the bags and trajectories among its inputs of those names."""
+        entries = (self.manifest.get("inputs", {}).get(name, {"sha256": {}}) for name in inputs)
+        return {
+            digest for entry in entries for path, digest in entry["sha256"].items() if path.endswith(DRIVEN)
+        }
+
     def linking_hashes(self) -> set[str]:
         """Hashes of the data files it read or wrote."""
         files = dict(self.outputs)
@@ -163,6 +172,21 @@ class Group:
     def of_kind(self, kind: str) -> list[Stage]:
         """All stages of a kind."""
         return [stage for stage in self.stages if stage.kind == kind]
+
+    def record_of(self, stage: Stage) -> Stage | None:
+        """The recording whose truth a stage was measured against, else whose bag it read: by their hashes.
+
+        A group may hold several recordings of its world, and times alone fit all of them.
+        """
+        for inputs in ("truth",), tuple(stage.manifest.get("inputs", {})):
+            read = stage.read_hashes(inputs)
+            for record in self.of_kind("record"):
+                wrote = {digest for path, digest in record.outputs.items() if path.endswith(DRIVEN)}
+                if wrote & read:
+                    return record
+            if read and inputs == ("truth",):
+                return None
+        return None
 
 
 def read_json(path: Path) -> dict[str, Any]:

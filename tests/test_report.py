@@ -18,7 +18,7 @@ from reports.content import collision_count, verdict
 from reports.numbers import numbers_of, shown
 from reports.provenance import rename
 from reports.specs import SECTIONS
-from reports.stages import Stage, changed_files, group_stages, load_stage
+from reports.stages import Group, Stage, changed_files, group_stages, load_stage
 from reports.words import WORDS, explained
 
 
@@ -124,6 +124,28 @@ def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp
 def test_any_subset_of_stages_makes_a_page(stages, chosen, tmp_path):
     page = make_report([stages[k] for k in chosen], tmp_path / "out", animate=False)
     assert "<svg" in page.read_text()
+
+
+def test_each_map_is_held_against_its_own_recording():
+    def stage(kind, inputs, outputs):
+        named = {name: {"path": name, "sha256": files} for name, files in inputs.items()}
+        manifest = {"stage": kind, "world": "room", "inputs": named, "outputs": outputs}
+        return Stage(Path(kind), kind, kind, manifest)
+
+    def record(n):
+        files = {"bag/bag_0.mcap": f"bag {n}", "truth/map.pgm": "room", "truth/trajectory.tum": f"truth {n}"}
+        return stage("record", {}, files)
+
+    first, second = record(1), record(2)
+    of_second = stage("map", {"source": {"bag_0.mcap": "bag 2"}, "truth": {"trajectory.tum": "truth 2"}}, {})
+    untold = stage("map", {"source": {"bag_0.mcap": "bag 1"}}, {})
+    elsewhere = stage("map", {"source": {"bag_0.mcap": "bag 1"}, "truth": {"trajectory.tum": "truth 3"}}, {})
+    unknown = stage("map", {"source": {"bag_0.mcap": "bag 3", "truth/map.pgm": "room"}}, {})
+    group = Group("room", (first, second, of_second, untold, elsewhere, unknown))
+    assert group.record_of(of_second) is second
+    assert group.record_of(untold) is first
+    assert group.record_of(elsewhere) is None
+    assert group.record_of(unknown) is None
 
 
 def test_stages_are_grouped_by_shared_files_and_labelled_uniquely(stages, tmp_path):
