@@ -45,3 +45,18 @@ def test_exploring_widens_the_map_without_a_contact():
     assert np.linalg.norm(true.xy - [-2.0, -0.5]) > 0.5
     error = true.inverse() @ driver.estimate
     assert np.hypot(error.x, error.y) < 0.05
+
+
+def test_exploring_ends_in_time_when_no_scan_ever_comes():
+    robot, explore = load_robot("burger"), ExploreConfig()
+    silent = SimConfig.model_validate({"faults": {"scan_loss": 1.0}})
+    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
+    driver = ExploreDriver(
+        explore, robot.model, sensing, online, lambda costmap: None, NoBag(), duration_s=1.0, seed=1
+    )
+    with Simulator(load_world("turtlebot3_world"), robot, silent, 1) as simulator:
+        observation = simulator.reset()
+        while not driver.finished and observation.stamp_ns < 2e9:
+            observation = simulator.step(driver.step(observation))
+    assert driver.finished
+    assert driver.grid is None

@@ -86,6 +86,8 @@ class ExploreDriver:
         sight = self.sensing.observe(observation)
         self.online.observe(observation)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
+        if not self.online.ready and self._now >= self._end_ns:
+            self.state = "done"  # no scan ever came: there is nothing to draw
         if not self.online.ready or self.state == "done":
             return self._stop(observation)
         if self._now >= self._end_ns:
