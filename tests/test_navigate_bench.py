@@ -111,6 +111,11 @@ def test_a_goal_reached_in_the_wrong_place_is_a_failure():
     shut = dataclasses.replace(case, wanted="unreachable")
     assert row_of(shut, episode(None, 0.0, "unreachable"), 1.0)["success"] == 1
     assert row_of(shut, episode(0.01, 0.0), 1.0)["success"] == 0
+    low = episode(0.01, 0.005)
+    low.metrics["collisions"] = {"visible": 0, "low": 1}
+    assert row_of(patrol, low, 1.0)["success"] == 0
+    wandering = dataclasses.replace(patrol, request=dataclasses.replace(patrol.request, task="avoid"))
+    assert row_of(wandering, low, 1.0)["success"] == 1
     # Among things that stand still, any touch is the robot's own.
     assert row_of(patrol, episode(0.01, 0.0), 1.0)["success"] == 0
 
