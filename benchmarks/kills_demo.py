@@ -21,7 +21,7 @@ from datasets.outputs import sha256_tree
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = shutil.ignore_patterns(".venv", "data", ".git", ".hypothesis", ".mypy_cache", ".ruff_cache")
-UNFINISHED = (".partial", ".old", ".unfinished")
+LEFT_BEHIND = (".partial", ".old")
 
 
 def copy_of_the_tree(folder: Path) -> Path:
@@ -48,9 +48,13 @@ def start_demo(folder: Path) -> subprocess.Popen[bytes]:
 
 
 def made(folder: Path) -> dict[str, str]:
-    """sha256 of every file of the demo but the manifests and what is kept to save work."""
+    """sha256 of every file of the demo but the manifests, what is kept to save work and what was set aside.
+
+    The bag of a killed drive is kept as OUT.unfinished: there is data in it.
+    """
     found = sha256_tree(folder / "data")
-    return {name: digest for name, digest in found.items() if not name.startswith("cache/")}
+    kept = [name for name in found if not name.startswith("cache/") and ".unfinished/" not in name]
+    return {name: found[name] for name in kept}
 
 
 def one_kill(folder: Path, after_s: float, wanted: dict[str, str]) -> str:
@@ -71,7 +75,7 @@ def one_kill(folder: Path, after_s: float, wanted: dict[str, str]) -> str:
     different = sorted(name for name, _ in set(found.items()) ^ set(wanted.items()))
     if different:
         return f"BAD: {len(different)} files differ, first {different[0]}"
-    left = [path.name for path in (folder / "data").rglob("*") if path.name.endswith(UNFINISHED)]
+    left = [path.name for path in (folder / "data").rglob("*") if path.name.endswith(LEFT_BEHIND)]
     return f"BAD: left behind {', '.join(left)}" if left else f"killed after {stages} stages: same bytes"
 
 

@@ -117,3 +117,12 @@ def test_a_goal_that_runs_out_of_time_says_what_the_trouble_was():
     tasks.fail_all("no lidar", 6 * S)
     assert [o.status for o in tasks.outcomes] == ["timeout", "unreachable"]
     assert math.isclose(tasks.outcomes[0].time_s, 5.0)
+
+
+def test_an_exploration_that_never_saw_anything_did_not_succeed():
+    config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_loss=1.0)))
+    mission = prepare(Request(task="explore", seed=1, duration_s=1.0), BURGER, config)
+    with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
+        episode = drive(simulator, mission, NoBag(), lambda line: None)
+    assert episode.grid is None
+    assert episode.metrics["success"] is False

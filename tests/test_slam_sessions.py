@@ -77,6 +77,15 @@ def test_second_session_joins_the_first_map():
     assert both["rmse"] < 0.01
 
 
+def test_sessions_drawn_along_their_odometry_are_not_bent_by_scans():
+    a = recording(ROOM, FIRST, odometry=drifted(FIRST))
+    b = recording(ROOM, SECOND, odometry=drifted(SECOND, seed=3), seed=7)
+    result = run_slam(a, SlamConfig(sensors="odometry"), more=[b])
+    np.testing.assert_allclose(result.trajectory.poses.xyt[:100], a.T_odom_base.xyt, atol=1e-3)
+    kinds = [c.kind for c in result.constraints]
+    assert (kinds.count("loop"), kinds.count("pair")) == (1, 0)  # the one holds the sessions together
+
+
 def test_another_lidar_is_refused():
     a = recording(ROOM, FIRST[:20], odometry=FIRST[:20])
     b = recording(ROOM, FIRST[:20], replace(LDS, range_max=7.0), odometry=FIRST[:20])

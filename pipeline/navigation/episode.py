@@ -77,6 +77,9 @@ def drive(
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
     if mission.request.task in ("avoid", "explore"):
         metrics |= _floor_metrics(simulator, truth, grid)
+    if mission.request.task == "explore" and grid is None:
+        # no map is what it was sent for
+        metrics |= {"success": False, "true_success": False}
     return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
 
 

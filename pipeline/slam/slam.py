@@ -239,7 +239,8 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))
-    graph, key = _optimised(clouds, track, chain, [*steps, border], key, run)
+    config = _with_sensors(recording, run.config)[1]
+    graph, key = _optimised(clouds, track, chain, [*steps, border], key, replace(run, config=config))
     return Session(recording, clouds, motion, track, chain, graph, key)
 
 
