@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from datasets.bags.mapping_input import NoScans
 from datasets.errors import InputError
@@ -15,7 +15,7 @@ from datasets.recordings import load_recording
 from datasets.relations import load_relations
 from datasets.se2 import SE2
 from datasets.trajectories import load_tum, save_tum
-from datasets.types import Recording, Trajectory
+from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, track
@@ -27,6 +27,9 @@ from pipeline.slam.stored import load_session, save_session
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics
+
+if TYPE_CHECKING:
+    from pipeline.slam3d.slam3d import Slam3dResult
 
 
 def build_map(
@@ -185,8 +188,8 @@ def _truth_folder(path: Path) -> Path:
     raise InputError(f"{path}: no truth here (expected trajectory.tum in it or in its truth/)")
 
 
-def summary(recording: Recording, result: SlamResult) -> dict[str, Any]:
-    """Metrics that need no reference."""
+def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
+    """Metrics that need no reference, the same of planar maps and of maps in 3D."""
     accepted = sum(loop.accepted for loop in result.loops)
     return {
         "scans": len(recording),

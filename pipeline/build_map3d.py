@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,15 +14,12 @@ from datasets.maps import save_map
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from datasets.se2 import Array
 from datasets.trajectories import save_tum_3d
-from datasets.types import Recording3D
+from pipeline.build_map import References, summary
 from pipeline.config import config_text, load_config
 from pipeline.console import log, track
 from pipeline.slam3d.cloud_map import save_ply
 from pipeline.slam3d.graph import residuals, write_g2o
 from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
-
-if TYPE_CHECKING:
-    from pipeline.build_map import References
 
 WORST = 10
 
@@ -57,7 +54,8 @@ def build_map_3d(
         metrics = references.metrics(result.trajectory, result.grid)
         if "ate_m" in metrics:
             metrics["out_of_plane"] = _out_of_plane(result.T_map_base)
-        write_json(folder / "metrics.json", {**summary(recording, result), **metrics})
+        cloud = {"points": len(result.points), "voxel_m": result.setting.voxel}
+        write_json(folder / "metrics.json", {**summary(recording, result), "cloud": cloud, **metrics})
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
         if explain:
@@ -79,23 +77,6 @@ def build_map_3d(
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
     return track(items, text, total)
-
-
-def summary(recording: Recording3D, result: Slam3dResult) -> dict[str, Any]:
-    """Metrics that need no reference: the keys of a planar map, and those of the cloud."""
-    accepted = sum(loop.accepted for loop in result.loops)
-    return {
-        "scans": len(recording),
-        "keyframes": len(result.keys),
-        "loops": {
-            "proposed": len(result.loops),
-            "accepted": accepted,
-            "rejected": len(result.loops) - accepted,
-        },
-        "log_s": recording.duration(),
-        "cloud": {"points": len(result.points), "voxel_m": result.setting.voxel},
-        "self_check": result.check.as_metrics(),
-    }
 
 
 def _out_of_plane(T: Array) -> dict[str, float]:

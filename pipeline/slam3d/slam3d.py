@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +15,8 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import Array
 from datasets.types import Recording3D, Trajectory
+from pipeline.slam.closing import Progress
+from pipeline.slam.slam import no_progress
 from pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished
 from pipeline.slam3d.graph import Constraint3d
 from pipeline.slam3d.loops import Loop3d, Loop3dConfig, close_loops
@@ -30,7 +32,6 @@ STEP_INFLATION = 50.0
 """The points of a cloud share their errors: a match is worth far less than the sum of its points."""
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])
 """Standard deviations of a step that nothing measured: it keeps the graph in one piece [rad, m]."""
-Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 
 
 class Slam3dConfig(BaseModel):
@@ -70,12 +71,6 @@ class Slam3dResult:
     def keys(self) -> NDArray[np.int64]:
         """Cloud index of each key."""
         return np.array(self.track.keys, dtype=np.int64)
-
-
-def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[int]:
-    """Shows nothing."""
-    del description, total
-    return items
 
 
 def run_slam_3d(
