@@ -20,9 +20,14 @@ def set_verbosity(level: int) -> None:
     log.setLevel({-1: logging.ERROR, 0: logging.INFO}.get(level, logging.DEBUG))
 
 
+def quiet() -> bool:
+    """Whether -q was given."""
+    return log.level >= logging.ERROR
+
+
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
     """Yield the items behind a progress bar; silent when stderr is not a terminal or -q was given."""
-    if not sys.stderr.isatty() or log.level >= logging.ERROR:
+    if quiet() or not sys.stderr.isatty():
         yield from items
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -16,6 +16,7 @@ import numpy as np
 
 from datasets.se2 import Array
 from datasets.types import Observation, Twist
+from pipeline.console import quiet
 from pipeline.terminal import Canvas
 from sim.robots import Limits, RobotSpec
 from sim.simulator import CONTROL_HZ, Truth
@@ -219,6 +220,7 @@ def clock(speed: float) -> Callable[[int], None]:
 
 
 def show(text: str) -> None:
-    """Write to the terminal (stderr), at once."""
-    sys.stderr.write(text)
-    sys.stderr.flush()
+    """Write to the terminal (stderr), at once; nothing when -q was given."""
+    if not quiet():
+        sys.stderr.write(text)
+        sys.stderr.flush()

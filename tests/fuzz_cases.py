@@ -137,8 +137,10 @@ def _record(chain, **changed):
 
 
 def _navigate(chain, task, *more, **changed):
-    given = {"world": chain / "room.yaml", "map": chain / "map" / "map.yaml", "timeout": "2", **changed}
-    words = ["navigate", "-q", "--task", task, "--initial-pose", "start"]
+    given = {"world": chain / "room.yaml", **changed}
+    if task in ("goal", "patrol"):
+        given = {"map": chain / "map" / "map.yaml", "initial-pose": "start", "timeout": "2", **given}
+    words = ["navigate", "-q", "--task", task]
     return [*words, *(w for key, value in given.items() for w in (f"--{key}", value)), *more]
 
 

@@ -126,6 +126,26 @@ def test_mapping_without_any_truth_at_hand_changes_no_byte(stages, tmp_path):
         assert (tmp_path / "map" / name).read_bytes() == (stages / "map" / name).read_bytes(), name
 
 
+def test_quiet_stages_print_their_results_and_nothing_else(stages, tmp_path, capfd):
+    (tmp_path / "dash.yaml").write_text("name: dash\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.8, -0.5]]}\n")
+    world, grid = ("--world", "turtlebot3_world", "--seed", 5), ("--map", stages / "map" / "map.yaml")
+    record, page = tmp_path / "record", tmp_path / "report"
+    commands = {
+        "record": ("record", *world, "--teleop", tmp_path / "dash.yaml"),
+        "map": ("map", record, "--explain"),
+        "localise": ("localise", record, *grid, "--initial-pose=-2,-0.5,0"),
+        "plan": ("plan", *grid, "--start=-2,-0.5,0", "--goal=-1.5,-1.5,0"),
+        "avoid": ("navigate", *world, "--task", "avoid", "--duration", 1),
+        "explore": ("navigate", *world, "--task", "explore", "--duration", 1),
+        "report": ("report", "--no-animation", record, tmp_path / "map"),
+        "convert": ("bag", "convert", record),
+        "recover": ("bag", "recover", record),
+    }
+    for name, (verb, *words) in commands.items():
+        assert turtlebag(verb, "-q", *words, "--out", tmp_path / name) in (0, 1), name
+        assert capfd.readouterr() == (f"{page / 'index.html'}\n" if name == "report" else "", ""), name
+
+
 def wrong_inputs(stages):
     map_yaml = stages / "map" / "map.yaml"
     lonely = stages / "lonely.yaml"

@@ -1,3 +1,4 @@
+import argparse
 import math
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.se2 import SE2
+from pipeline.cli import main
 from pipeline.commands import navigate as navigate_command
 from pipeline.navigation import setup
 from planners.tasks.sequence import GoalSequence, SequenceConfig
@@ -26,6 +28,64 @@ def test_the_tutorial_patrol_is_the_eight_waypoints_in_order():
 
 def test_the_command_offers_the_tasks_there_are():
     assert set(navigate_command.TASKS) == set(setup.TASKS)
+
+
+GIVEN = {
+    "map": "--map=m.yaml",
+    "initial_pose": "--initial-pose=start",
+    "wiggle": "--wiggle",
+    "keepout": "--keepout=none",
+    "timeout": "--timeout=5",
+    "goal": "--goal=1,0,0",
+    "waypoints": "--waypoints=w.yaml",
+    "laps": "--laps=2",
+    "duration": "--duration=3",
+    "mode": "--mode=tutorial",
+}
+WITH_EVERY_TASK = {
+    "world",
+    "robot",
+    "task",
+    "seed",
+    "start",
+    "takeover",
+    "config",
+    "settings",
+    "out",
+    "force",
+}
+
+
+def refusal(capsys, *words):
+    """The line that a command line to an unknown world is refused with."""
+    assert main(["navigate", "--world", "moon", "--out", "nowhere", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize("task", navigate_command.TASKS)
+@pytest.mark.parametrize("name", GIVEN)
+def test_an_option_that_the_task_does_not_use_is_refused_by_name(capsys, task, name):
+    needed = ["--map=m.yaml"] if task in navigate_command.TAKEN_BY["map"] else []
+    error = refusal(capsys, "--task", task, *needed, GIVEN[name])
+    if task in navigate_command.TAKEN_BY[name]:
+        assert "unknown world 'moon'" in error
+    else:
+        assert f"{GIVEN[name].split('=')[0]}: not for --task {task}" in error
+
+
+@pytest.mark.parametrize("name", navigate_command.ON_A_MAP)
+def test_a_goal_without_a_map_refuses_what_only_a_map_gives_sense(capsys, name):
+    option = GIVEN[name].split("=")[0]
+    assert f"{option}: a goal without --map" in refusal(capsys, "--task", "goal", "--goal=1,0,0", GIVEN[name])
+
+
+def test_every_option_is_said_to_go_with_every_task_or_with_some():
+    parser = argparse.ArgumentParser()
+    navigate_command.add_arguments(parser)
+    options = {action.dest for action in parser._actions} - {"help"}
+    assert options == WITH_EVERY_TASK | set(navigate_command.TAKEN_BY) == WITH_EVERY_TASK | set(GIVEN)
 
 
 def test_waits_before_the_first_and_pauses_after_each_reached():

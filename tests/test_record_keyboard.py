@@ -95,6 +95,15 @@ def test_keys_from_a_pipe_are_given_one_by_one_and_end():
     os.close(reader)
 
 
+@pytest.mark.parametrize("view", [(), ("--view",)])
+def test_quiet_driving_shows_nothing(tmp_path, monkeypatch, capsys, view):
+    with open(os.devnull) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        drive = ["teleop", "-q", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec"), *view]
+        assert main(drive) == 0
+    assert capsys.readouterr() == ("", "")
+
+
 def test_the_command_records_from_piped_keys_and_refuses_a_wrong_world(tmp_path, monkeypatch, capsys):
     reader, writer = os.pipe()
     os.write(writer, b"w" * 20)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,18 @@ def test_the_end_of_a_pipe_hands_back():
         load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
     )
     assert [keys.asked(k) for k in range(3)] == [Twist(0.02, 0.0), None, None]
+
+
+@pytest.mark.parametrize("noise", ["-q", "-v"])
+def test_the_table_of_keys_is_shown_unless_it_is_to_be_quiet(tmp_path, monkeypatch, capsys, noise):
+    with open(os.devnull) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        words = ["navigate", noise, "--world", WORLD, "--task", "avoid", "--duration", "1"]
+        words += ["--takeover", "keyboard", "--set", "takeover.speed=50", "--out", str(tmp_path / "run")]
+        assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert ("hand back" in err, bool(out)) == (noise == "-v", noise == "-v")
+    assert noise == "-v" or err == ""
 
 
 def test_intervals_that_touch_are_one_takeover():

@@ -20,6 +20,21 @@ EXAMPLE = (
 
 # Not imported from pipeline.navigation.setup: --help need not load a simulator.
 TASKS = ("goal", "patrol", "avoid", "explore")
+# Options that only some tasks take; all others go with every task.
+TAKEN_BY = {
+    "map": ("goal", "patrol"),
+    "initial_pose": ("goal", "patrol"),
+    "wiggle": ("goal", "patrol"),
+    "keepout": ("goal", "patrol"),
+    "timeout": ("goal", "patrol"),
+    "goal": ("goal",),
+    "waypoints": ("patrol",),
+    "laps": ("patrol",),
+    "duration": ("avoid", "explore"),
+    "mode": ("avoid",),
+}
+ON_A_MAP = ("initial_pose", "wiggle", "keepout")
+"""Of these, what a goal without --map has no use for."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.navigation.config import NavigateConfig
     from pipeline.navigation.setup import Request
 
+    _refuse_unused(args)
     settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
     request = Request(
         task=args.task,
@@ -97,6 +113,18 @@ def run(args: argparse.Namespace) -> int:
         command_line=args.command_line,
         say=(lambda line: None) if args.verbosity < 0 else None,
     )
+
+
+def _refuse_unused(args: argparse.Namespace) -> None:
+    """InputError for the first option given that the task would not look at."""
+    given = [name for name in TAKEN_BY if getattr(args, name) not in (None, False)]
+    for name in given:
+        option = f"--{name.replace('_', '-')}"
+        if args.task not in TAKEN_BY[name]:
+            takers = " and ".join(TAKEN_BY[name])
+            raise InputError(f"{option}: not for --task {args.task}, only for {takers}; leave it out")
+        if args.task == "goal" and args.map is None and name in ON_A_MAP:
+            raise InputError(f"{option}: a goal without --map has no use for it; give --map or leave it out")
 
 
 def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
