@@ -23,7 +23,7 @@ from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
 from pipeline.slam.stored import FILE as GRAPH
-from pipeline.slam.stored import load_session, save_session
+from pipeline.slam.stored import load_session, require_same_front_end, save_session
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics
@@ -78,10 +78,13 @@ def build_map(
             raise InputError(f"{option}: only for planar scans, and {source} is mapped in 3D") from None
         return build_map_3d(source, topic, out, references, config, settings, explain, force, command, watch)
     resolved = settled()
-    for note in (note for one in recordings for note in one.notes):
+    notes = [note for one in recordings for note in one.notes]
+    if continued is not None and earlier is not None:
+        notes += require_same_front_end(continued, earlier[1], resolved)
+    for note in notes:
         log.warning(note)
     if earlier is not None:
-        result = continue_slam(earlier, recordings, resolved, _progress, cache=cache)
+        result = continue_slam(earlier[0], recordings, resolved, _progress, cache=cache)
     else:
         result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
     cache.trim()
@@ -97,7 +100,7 @@ def build_map(
         )
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
-        save_session(folder / GRAPH, result.session, min(recording.lidar.range_max, resolved.usable_range_m))
+        save_session(folder / GRAPH, result.session, resolved)
         if explain:
             write_explanation(folder, result, resolved)
         write_manifest(

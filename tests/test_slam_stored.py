@@ -19,7 +19,6 @@ from tests.test_slam_map import carmen_text
 
 FIRST = around_the_room(90)
 SECOND = around_the_room(80) + np.array([0.1, 0.1, 0.0])
-USABLE_M = 30.0
 
 
 @pytest.fixture(scope="module")
@@ -59,20 +58,21 @@ def assert_same(a, b):
 
 def test_session_is_read_back_to_the_last_bit(tmp_path, result):
     session = replace(result.session, recording=replace(result.session.recording, odometry=None))
-    save_session(tmp_path / FILE, session, USABLE_M)
-    again = load_session(tmp_path)
+    save_session(tmp_path / FILE, session, SlamConfig())
+    again, config = load_session(tmp_path)
+    assert config == SlamConfig()
     assert_same(again, session)
     for name in ("points", "normals", "table"):
         np.testing.assert_array_equal(getattr(again.clouds(), name), getattr(session.clouds(), name))
     before = (tmp_path / FILE).read_bytes()
-    save_session(tmp_path / FILE, again, USABLE_M)
+    save_session(tmp_path / FILE, again, config)
     assert (tmp_path / FILE).read_bytes() == before
 
 
 def test_going_on_from_a_file_is_the_same_as_mapping_both(tmp_path, first, result):
     both = run_slam(first, SlamConfig(), more=[second()])
-    save_session(tmp_path / FILE, result.session, USABLE_M)
-    continued = continue_slam(load_session(tmp_path), [second()], SlamConfig())
+    save_session(tmp_path / FILE, result.session, SlamConfig())
+    continued = continue_slam(load_session(tmp_path)[0], [second()], SlamConfig())
     np.testing.assert_array_equal(continued.trajectory.poses.xyt, both.trajectory.poses.xyt)
     np.testing.assert_array_equal(continued.grid.cells, both.grid.cells)
     assert len(continued.trajectory) == 170
@@ -95,16 +95,91 @@ def test_command_goes_on_with_an_earlier_map(tmp_path, first):
     assert "continued" in json.loads((on / "manifest.json").read_text())["inputs"]
 
 
-@pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "other shapes", "changed"])
+FRONT_END = [
+    "usable_range_m=3.0",
+    "sensors=lidar",
+    "deskew=false",
+    "gyro=false",
+    "tracking.odometry.soft=2.5",
+]
+LATER = ["loops.enabled=false", "grid.resolution_m=0.1", "refine.rounds=0"]
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, first):
+    """Folder with logs first.clf and second.clf, and the map of the first."""
+    folder = tmp_path_factory.mktemp("saved")
+    for name, log in (("first", first), ("second", second())):
+        (folder / f"{name}.clf").write_text(carmen_text(log))
+    assert main(["map", str(folder / "first.clf"), "--out", str(folder / "map"), "-q"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("setting", FRONT_END)
+def test_going_on_with_another_front_end_names_the_setting_and_both_values(saved, tmp_path, capsys, setting):
+    words = [
+        "map",
+        str(saved / "second.clf"),
+        "--continue",
+        str(saved / "map"),
+        "--out",
+        str(tmp_path / "on"),
+    ]
+    assert main([*words, "--set", setting]) == 2
+    error = capsys.readouterr().err
+    key, now = setting.split("=")
+    was = SlamConfig().model_dump(mode="json")
+    for part in key.split("."):
+        was = was[part]
+    assert error.count("\n") == 1
+    assert f"{key}={json.dumps(was)}, not " in error
+    assert now.strip('"') in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_settings_of_all_that_comes_after_the_front_end_may_change_and_that_is_said(saved, tmp_path, capsys):
+    words = [
+        "map",
+        str(saved / "second.clf"),
+        "--continue",
+        str(saved / "map"),
+        "--out",
+        str(tmp_path / "on"),
+    ]
+    settings = [word for setting in LATER for word in ("--set", setting)]
+    assert main([*words, *settings]) == 0
+    said = capsys.readouterr().err
+    assert [key for key in LATER if f"{key.split('=')[0]} was " not in said] == []
+    assert load_session(tmp_path / "on")[1].refine.rounds == 0
+
+
+def test_a_map_goes_on_with_the_settings_it_was_made_with(saved, tmp_path):
+    def mapped(out, log, *more):
+        words = ["map", str(saved / log), "--set", "usable_range_m=3.0", "--out", str(tmp_path / out), "-q"]
+        assert main([*words, *more]) == 0
+
+    mapped("first", "first.clf")
+    mapped("both", "first.clf", "--also", str(saved / "second.clf"))
+    mapped("on", "second.clf", "--continue", str(tmp_path / "first"))
+    for name in ("map.pgm", "trajectory.tum", FILE):
+        assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "both" / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "other shapes", "changed", "wrong settings"])
 def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
     path = tmp_path / FILE
     if damage != "absent":
-        save_session(path, result.session, USABLE_M)
+        save_session(path, result.session, SlamConfig())
         whole = path.read_bytes()
         if damage == "cut":
             path.write_bytes(whole[: len(whole) // 2])
         elif damage == "no zip":
             path.write_text("nothing")
+        elif damage == "wrong settings":
+            with np.load(path) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            about = bytes(arrays["about"]).replace(b'"usable_range_m": 30.0', b'"usable_range_m": -3.0')
+            np.savez(path, **{**arrays, "about": np.frombuffer(about, np.uint8)})
         elif damage == "changed":
             middle = len(whole) // 2
             path.write_bytes(whole[:middle] + bytes(64) + whole[middle + 64 :])
@@ -112,8 +187,9 @@ def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
             with np.load(path) as stored:
                 arrays = {name: stored[name] for name in stored.files}
             np.savez(path, **{**arrays, "ranges": arrays["ranges"][:-1]})
-    with pytest.raises(InputError, match=r"graph\.npz"):
+    with pytest.raises(InputError, match=r"graph\.npz") as refusal:
         load_session(tmp_path)
+    assert "\n" not in str(refusal.value)
 
 
 WRONG = {
@@ -133,7 +209,7 @@ WRONG = {
 @pytest.mark.parametrize("what", WRONG)
 def test_graph_whose_arrays_compiled_code_would_trip_over_is_refused(tmp_path, result, what):
     path, (name, change) = tmp_path / FILE, WRONG[what]
-    save_session(path, result.session, USABLE_M)
+    save_session(path, result.session, SlamConfig())
     with np.load(path) as stored:
         arrays = {name: stored[name] for name in stored.files}
     changed = change(arrays[name])

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="continued",
         type=Path,
         metavar="MAP_DIR",
-        help="go on with the graph of an earlier map: INPUT joins it, and nothing of it is done again",
+        help="go on with the graph of an earlier map: INPUT joins it, tracked by the same settings",
     )
     parser.add_argument(
         "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"

@@ -127,7 +127,7 @@ class OnlineMap:
 
     @property
     def _usable(self) -> float:
-        return min(self._kept.scans[0].lidar.range_max, self._config.usable_range_m)
+        return self._config.usable(self._kept.scans[0].lidar)
 
     def _recording(self, scans: list[Scan], recent: int | None) -> Recording:
         """Scans with the odometry about them, of which the last `recent` samples are enough or all needed."""

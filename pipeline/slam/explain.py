@@ -78,7 +78,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
     """Write `explain.json` (worst edges, contradicting places, hypotheses, calibration) and the map that
     the front end alone would have drawn, `before.pgm`, to hold beside `map.pgm`."""
     session = result.session
-    usable = min(session.recording.lidar.range_max, config.usable_range_m)
+    usable = config.usable(session.recording.lidar)
     before = make_grid(session.recording, session.track.T_track_base, config.grid, usable, session.motion)
     save_map(before, folder, "before")
     write_json(

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
-from datasets.types import Recording, Trajectory
+from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
@@ -66,6 +66,10 @@ class SlamConfig(BaseModel):
     posing: PosingConfig = PosingConfig()
     self_check: SelfCheckConfig = SelfCheckConfig()
     grid: OccupancyConfig = OccupancyConfig()
+
+    def usable(self, lidar: LidarSpec) -> float:
+        """Returns beyond this range [m] of such a lidar are left out."""
+        return min(lidar.range_max, self.usable_range_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +175,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     for other in more:
         session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
-    usable = min(recording.lidar.range_max, config.usable_range_m)
+    usable = config.usable(recording.lidar)
     clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
     poses, key = run.cache.step(
         "scan poses",
@@ -198,7 +202,7 @@ def _session(recording: Recording, run: _Run) -> Session:
         raise InputError(f"{recording.source}: no scans to map with")
     recording, config = _with_sensors(recording, run.config)
     recording = with_gyro(recording) if config.gyro else recording
-    usable = min(recording.lidar.range_max, config.usable_range_m)
+    usable = config.usable(recording.lidar)
     motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:

@@ -1,7 +1,8 @@
 """The whole graph of a map in one file, `graph.npz`: all that it takes to go on with another recording.
 
 Scans, odometry, track, key poses, constraints and the records of loops, as plain arrays (NumPy's npz, no
-pickled objects); the lists of records as JSON. What is read back is what was written, to the last bit.
+pickled objects); the lists of records and the settings as JSON. What is read back is what was written, to
+the last bit.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from functools import cache as once
 from pathlib import Path
@@ -21,6 +22,7 @@ from datasets.errors import InputError
 from datasets.outputs import sha256_file
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording
+from datasets.yaml_files import checked
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.chain import Chain
 from pipeline.slam.clouds import make_clouds
@@ -28,10 +30,11 @@ from pipeline.slam.consistency import Recognised
 from pipeline.slam.loops import Loop
 from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.sessions import Graph, Session
+from pipeline.slam.slam import LATER, SlamConfig
 from pipeline.slam.tracking import Track
 
 FILE = "graph.npz"
-FORMAT = 1
+FORMAT = 2
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, k keys, m steps between keys, others alike where the letter is.
 LAYOUT = {
@@ -79,20 +82,23 @@ INDICES = {
 }
 """Arrays that number scans or keys."""
 UNREADABLE = (
-    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error,
+    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError,
+    InputError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
+Change = tuple[str, str, str]
+"""Dotted key of a setting, its value before and now."""
 FARTHEST = 1e8
 """No pose is farther off than this [m], no weight of one larger than its square [1/m^2]."""
 
 
-def save_session(path: Path, session: Session, usable_range: float) -> None:
-    """Write a session; `usable_range` [m] is what its clouds were made with. No path and no time goes in."""
+def save_session(path: Path, session: Session, config: SlamConfig) -> None:
+    """Write a session and the settings it was made with. No path and no time goes in."""
     recording, track, graph = session.recording, session.track, session.graph
     about = {
         "format": FORMAT,
         "source": " + ".join(Path(part).name for part in recording.source.split(" + ")),
         "lidar": asdict(recording.lidar),
-        "usable_range_m": usable_range,
+        "settings": config.model_dump(mode="json"),
         "calibration": {k: v for k, v in vars(track.calibration).items() if k != "noise"},
     }
     arrays: dict[str, Any] = {
@@ -119,8 +125,9 @@ def save_session(path: Path, session: Session, usable_range: float) -> None:
         np.savez_compressed(file, **{name: value for name, value in arrays.items() if value is not None})
 
 
-def load_session(folder: Path) -> Session:
-    """The session of a map's folder; InputError when it holds none that can be read."""
+def load_session(folder: Path) -> tuple[Session, SlamConfig]:
+    """The session of a map's folder and the settings it was made with; InputError when it holds none that
+    can be read."""
     path = folder / FILE
     if not path.is_file():
         raise InputError(f"{folder}: no {FILE} here to continue from; map its recording again")
@@ -131,15 +138,40 @@ def load_session(folder: Path) -> Session:
         raise InputError(f"{path}: not a graph that can be read ({error})") from None
 
 
-def _session(stored: dict[str, Any], key: str) -> Session:
+def require_same_front_end(folder: Path, before: SlamConfig, now: SlamConfig) -> list[str]:
+    """InputError when going on from `folder` would mix scans that were tracked by other settings than now.
+
+    What only comes after - loops, refinement, grid - is made of all scans together, so its settings may
+    change: gives a line for each that does.
+    """
+    notes = []
+    for key, was, is_now in _changes(before.model_dump(mode="json"), now.model_dump(mode="json")):
+        if key.split(".")[0] not in LATER:
+            raise InputError(
+                f"--continue {folder}: its graph was made with {key}={was}, not {is_now}; "
+                f"give --set {key}={was}, or map its recording again"
+            )
+        notes.append(f"--continue {folder}: {key} was {was} there, all is joined with {is_now}")
+    return notes
+
+
+def _changes(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> Iterator[Change]:
+    for key, was in before.items():
+        if isinstance(was, Mapping):
+            yield from _changes(was, now[key], f"{path}{key}.")
+        elif was != now[key]:
+            yield f"{path}{key}", json.dumps(was), json.dumps(now[key])
+
+
+def _session(stored: dict[str, Any], key: str) -> tuple[Session, SlamConfig]:
     about = json.loads(bytes(stored["about"]))
     if about["format"] != FORMAT:
         raise ValueError(f"format {about['format']}, expected {FORMAT}")
     lidar = {name: float(value) for name, value in about["lidar"].items()}
     calibration_of = {name: float(value) for name, value in about["calibration"].items()}
-    numbers = np.array([*lidar.values(), *calibration_of.values(), about["usable_range_m"]], dtype=float)
-    if not np.isfinite(numbers).all() or numbers[-1] <= 0.0:
+    if not np.isfinite([*lidar.values(), *calibration_of.values()]).all():
         raise ValueError("its lidar or its calibration is none")
+    config = checked(SlamConfig, about["settings"], where="its settings")
     beams, pairs = int(lidar.pop("n_beams")), int(calibration_of.pop("pairs"))
     _check(stored, beams)
     recording = Recording(
@@ -150,7 +182,7 @@ def _session(stored: dict[str, Any], key: str) -> Session:
         T_base_lidar=SE2(stored["T_base_lidar"]),
         T_odom_base=_poses(stored, "T_odom_base"),
     )
-    motion, usable = _poses(stored, "motion"), float(about["usable_range_m"])
+    motion, usable = _poses(stored, "motion"), config.usable(recording.lidar)
     calibration = Calibration(**calibration_of, pairs=pairs, noise=stored["noise"])
     track: dict[str, Any] = {f.name: stored.get(f"track_{f.name}") for f in fields(Track)}
     track |= {"T_track_base": SE2(stored["track_T_track_base"]), "calibration": calibration}
@@ -163,7 +195,7 @@ def _session(stored: dict[str, Any], key: str) -> Session:
     )
     chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
     clouds = once(lambda: make_clouds(recording, usable, motion))
-    return Session(recording, clouds, motion, Track(**track), chain, graph, key)
+    return Session(recording, clouds, motion, Track(**track), chain, graph, key), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:
