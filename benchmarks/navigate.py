@@ -22,10 +22,10 @@ from benchmarks import navigate_faults as faults
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_maps import Maps
 from benchmarks.navigate_rows import HEAD, Table, failures, refused_row, row_of, summary
-from benchmarks.no_bag import NoBag
 from datasets.errors import InputError
 from pipeline.navigate import navigate_in
 from pipeline.navigation.episode import drive
+from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.setup import prepare
 from sim.simulator import Simulator
 

@@ -9,16 +9,16 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from datasets.errors import InputError
 from datasets.maps import load_map
 from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
 from datasets.se2 import SE2
 from datasets.seeds import stream
 from pipeline.config import config_text
 from pipeline.console import log
+from pipeline.pose_check import require_free
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from planners.footprint import path_clearance, sample_footprint
-from planners.global_plan import NoPath, Plan, PlanConfig, fits, plan_path
+from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
 from planners.ompl_planner import OmplConfig, PlannerName
 from sim.robots import RobotSpec, load_robot
 
@@ -55,7 +55,7 @@ def plan(
     spec = load_robot(robot)
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
-        _check_pose(option, pose, costmap, spec, map_path)
+        require_free(option, pose, costmap, spec.model, map_path)
     found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
     metrics = plan_metrics(costmap, spec, found, reason, config)
     others: dict[str, Plan | None] = {}
@@ -125,17 +125,6 @@ def _search(
     except NoPath as error:
         return None, str(error), watch.seconds()
     return found, "", watch.seconds()
-
-
-def _check_pose(option: str, pose: SE2, costmap: Costmap, spec: RobotSpec, map_path: Path) -> None:
-    x, y, yaw = pose.xyt.tolist()
-    text = f"{option} {x:g},{y:g},{yaw:g}"
-    gx, gy = (costmap.T_grid_map @ pose.xy).tolist()
-    width, height = costmap.size
-    if not (0.0 <= gx < width and 0.0 <= gy < height):
-        raise InputError(f"{text}: is off the map {map_path}")
-    if not fits(costmap, spec.model, pose):
-        raise InputError(f"{text}: the robot would stand in an obstacle or unknown space of {map_path}")
 
 
 def plan_metrics(

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from benchmarks.no_bag import NoBag
 from datasets.grid import FREE
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.explore import ExploreConfig, ExploreDriver
 from pipeline.navigation.online_map import OnlineMap
+from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import make_tools
 from planners.live import LiveLayer

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.no_bag import NoBag
 from datasets.maps import save_map
 from datasets.se2 import SE2
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import drive
+from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.setup import Request, prepare
 from planners.tasks.relocalise import RelocaliseConfig, Relocaliser
 from planners.tasks.sequence import GoalSequence, SequenceConfig

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from datasets.types import Observation, Odometry, Recording, Twist
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.localiser import Localiser
 from pipeline.navigation.navigator import NavigationDriver
-from pipeline.navigation.recorder import Bag
+from pipeline.navigation.recorder import Bag, NoBag
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from pipeline.slam.chain import Chain
@@ -124,8 +123,7 @@ def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection
                 localiser = driver.localiser = _TrueLocaliser(localiser, driver.sensing, bag, simulator)
             return driver, localiser, sequence
 
-        silent: Any = _Silent()
-        return drive(simulator, mission, silent, silent, make=make)
+        return drive(simulator, mission, NoBag(), lambda line: None, make=make)
 
 
 class _TrueWheels(Simulator):
@@ -158,13 +156,3 @@ class _TrueLocaliser(Localiser):
         self.T_map_odom = T_world_base @ observation.odometry.T_odom_base.inverse()
         if observation.scan is not None:
             self.scan_poses.append((observation.scan.stamp_ns, self._simulator.scan_truth))
-
-
-class _Silent:
-    """Takes every message and every call, and forgets it."""
-
-    def __getattr__(self, name: str) -> Callable[..., None]:
-        return self
-
-    def __call__(self, *args: object) -> None:
-        return None

@@ -47,6 +47,16 @@ class Bag(Publisher, Protocol):
         ...
 
 
+class NoBag:
+    """A bag that forgets: for when only the numbers of a run are wanted."""
+
+    def _forget(self, *message: object, **named: object) -> None:
+        """Nothing is kept of it."""
+
+    static_transforms = observation = truth = command = owner = map = _forget
+    amcl_pose = map_to_odom = particles = plan = goal = _forget
+
+
 class RunRecorder:
     """Writes each tick of a run to the bag and keeps its rows."""
 

@@ -27,12 +27,12 @@ from pipeline.navigation.recorder import Bag
 from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.takeover import load_script
+from pipeline.pose_check import require_free
 from planners.control.dwa import Dwa
 from planners.control.interface import Controller
 from planners.control.monitor import CollisionMonitor
 from planners.control.pursuit import Pursuit
 from planners.costmap import Costmap, costmap_from_grid
-from planners.global_plan import fits
 from planners.live import LiveLayer
 from planners.rolling import RollingLayer
 from planners.tasks.guarded import Guard
@@ -106,8 +106,8 @@ def prepare(
     grid = load_map(request.map_path)
     outlines = keepout if request.keepout is None else request.keepout
     costmap = costmap_from_grid(grid, config.costmap, [*outlines, *places.keepout])
-    if request.task == "goal":
-        _check_goal(request, costmap, robot)
+    if request.goal is not None:
+        require_free("--goal", request.goal, costmap, robot.model, request.map_path)
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
 
 
@@ -118,22 +118,6 @@ def _places(request: Request) -> WaypointFile:
         x, y, yaw = request.goal.xyt.tolist()
         return WaypointFile((Waypoint(request.goal, "", (x, y, yaw)),))
     return tutorial_patrol() if request.waypoints_path is None else load_waypoints(request.waypoints_path)
-
-
-def _check_goal(request: Request, costmap: Costmap, robot: RobotSpec) -> None:
-    goal = request.goal
-    if goal is None:
-        return
-    x, y, yaw = goal.xyt.tolist()
-    text = f"--goal {x:g},{y:g},{yaw:g}"
-    gx, gy = (costmap.T_grid_map @ goal.xy).tolist()
-    width, height = costmap.size
-    if not (0.0 <= gx < width and 0.0 <= gy < height):
-        raise InputError(f"{text}: is off the map {request.map_path}")
-    if not fits(costmap, robot.model, goal):
-        raise InputError(
-            f"{text}: the robot would stand in an obstacle or unknown space of {request.map_path}"
-        )
 
 
 def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:

@@ -1,0 +1,23 @@
+"""A pose that the user gave for a map: refused in one line when the robot could not stand there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from datasets.errors import InputError
+from datasets.se2 import SE2
+from datasets.types import RobotModel
+from planners.costmap import Costmap
+from planners.global_plan import fits
+
+
+def require_free(option: str, T_map_base: SE2, costmap: Costmap, model: RobotModel, map_path: Path) -> None:
+    """InputError when the pose is off the map, or the footprint there touches an obstacle or the unknown."""
+    x, y, yaw = T_map_base.xyt.tolist()
+    text = f"{option} {x:g},{y:g},{yaw:g}"
+    gx, gy = (costmap.T_grid_map @ T_map_base.xy).tolist()
+    width, height = costmap.size
+    if not (0.0 <= gx < width and 0.0 <= gy < height):
+        raise InputError(f"{text}: is off the map {map_path}")
+    if not fits(costmap, model, T_map_base):
+        raise InputError(f"{text}: the robot would stand in an obstacle or unknown space of {map_path}")
