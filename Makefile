@@ -33,7 +33,7 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
+.PHONY: help setup doctor demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
   bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 
@@ -45,11 +45,11 @@ setup: $(READY) ## make the virtual environment (every other target does it when
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' 2>/dev/null \
 	  || { echo "make: needs Python 3.10 or newer with venv (on Debian: apt install python3-venv); or make PYTHON=/path/to/python3 ..." >&2; exit 2; }
-	$(PYTHON) -m venv .venv
-	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	$(TURTLEBAG) doctor --trial
+	@$(PYTHON) -I pipeline/install.py $(@D)
 	@touch $@
+
+doctor: $(READY) ## check the installation: a line for each thing that is missing
+	$(TURTLEBAG) doctor
 
 demo: $(READY) ## from nothing to a navigation report: record, map, navigate in the arena and the house, report
 	$(MAKE) --no-print-directory --jobs=2 demo-world demo-house

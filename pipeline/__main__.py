@@ -16,7 +16,13 @@ def run() -> int:
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if ours:
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(128 + number))
-    from pipeline.cli import main
+    try:
+        from pipeline.cli import main
+    except ImportError as error:
+        from pipeline.missing import missing_package
+
+        print(missing_package(error), file=sys.stderr)
+        return 2
 
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)

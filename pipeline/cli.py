@@ -17,6 +17,7 @@ from typing import NoReturn
 from datasets.errors import InputError
 from datasets.outputs import discard_unfinished
 from pipeline.console import set_verbosity
+from pipeline.missing import missing_package
 
 # verb -> (module in pipeline.commands, what `turtlebag --help` says). A module has `EXAMPLE`,
 # `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
@@ -128,6 +129,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(args.run(args))
     except InputError as error:
         print(f"turtlebag: {error}", file=sys.stderr)
+        return EXIT_INPUT
+    except ImportError as error:
+        print(missing_package(error), file=sys.stderr)
         return EXIT_INPUT
     except BrokenPipeError:
         sys.stderr.close()

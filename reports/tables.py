@@ -12,6 +12,9 @@ from reports.numbers import SI
 from reports.specs import GOAL_MEANINGS, GOAL_UNITS
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
+LATEX |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "|": "$|$"}
+# After a line's end LaTeX would take these for arguments of the end.
+LATEX |= {"[": "{[}", "*": "{*}"}
 SYMBOLS = {
     "\u202f": r"\,",
     "\u2212": r"$-$",

@@ -79,7 +79,7 @@ def test_a_command_that_is_only_mentioned_is_one_we_have(line):
     if words[0] == "turtlebag":
         check_verb(words[1:])
     elif words[0] == "make":
-        for target in words[1:]:
+        for target in (word for word in words[1:] if word != "-B"):
             assert target in TARGETS, f"make has no target {target}"
     else:
         assert words[:2] == ["python", "-m"], f"{line}: neither turtlebag nor make"

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.copying import into_mcap
+from datasets.bags.doctor import examine
 from datasets.bags.folder import BagFolder
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
 from datasets.bags.source import open_bag
@@ -90,6 +91,38 @@ def test_truth_is_never_read(drive, tmp_path):
 def test_an_option_places_the_laser(drive):
     T = SE2.from_xyt(0.1, 0.2, 0.3)
     assert load_recording(drive, T_base_lidar=T).T_base_lidar is T
+
+
+@pytest.mark.parametrize(
+    ("links", "known"),
+    [
+        ([], "base_footprint, odom"),
+        ([("base_footprint", "laser")], "base_footprint, laser, odom"),
+        (
+            [("base_footprint", "base_link"), ("mast", "base_scan")],
+            "base_footprint, base_link, base_scan, mast, odom",
+        ),
+    ],
+    ids=["no static transforms", "another frame", "two trees"],
+)
+def test_scans_in_a_frame_that_nothing_connects_to_the_robot_say_so_and_what_to_do(tmp_path, links, known):
+    sits = (-0.032, 0.0, 0.172), (0.0, 0.0, 0.0, 1.0)
+    messages = [("/tf_static", TF, 0, tf(transform(0, *link, *sits))) for link in links]
+    for k in range(10):
+        messages.append(("/odom", ODOMETRY, k * 10**8, odometry(k * 10**8, 0.01 * k)))
+        link = transform(k * 10**8, "odom", "base_footprint", (0.01 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, k * 10**8, tf(link)))
+        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
+    bag = write_foreign(tmp_path / "bag", messages)
+    recording = load_recording(bag)
+    (note,) = (note for note in recording.notes if "no fixed transform" in note)
+    assert note.startswith("no fixed transform base_footprint -> base_scan ")
+    assert f"frames in /tf and /tf_static: {known})" in note
+    assert "--laser X,Y,YAW" in note
+    assert recording.T_base_lidar.xyt.tolist() == [0.0, 0.0, 0.0]
+    placed = load_recording(bag, T_base_lidar=SE2.from_xyt(-0.032, 0.0, 0.0))
+    assert not any("no fixed transform" in note for note in placed.notes)
+    assert any("--laser" in finding.breaks for finding in examine(bag))
 
 
 def test_single_streams(drive):

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import re
+import shutil
+import subprocess
 
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
@@ -9,7 +12,8 @@ from report_fakes import fake_map, fake_record, fake_run
 from pipeline.cli import main
 from pipeline.report import make_index, make_report
 from reports.index import index_lines, used_columns
-from reports.numbers import DISPLAY, SI
+from reports.numbers import DISPLAY, SI, shown
+from reports.specs import SPECS
 from reports.tables import latex, latex_table
 
 
@@ -52,10 +56,69 @@ def test_the_csv_holds_the_goals_and_says_the_unit_of_every_value(base, tmp_path
 
 def test_the_latex_table_has_a_row_for_each_number(report):
     (path,) = (report / "tables").glob("*.tex")
-    text = path.read_text()
-    assert text.count(r"\\") == 1 + len(list(csv.reader((report / "tables/numbers.csv").open()))) - 1
-    assert r"\%" in text
-    assert "%" not in text.replace(r"\%", "")
+    assert len(table_rows(path.read_text())) == len(list(csv.reader((report / "tables/numbers.csv").open())))
+
+
+# All that may stand in a cell besides letters, digits and plain punctuation.
+MARKUP = re.compile(
+    r"\{[\[*]\}|\\(?:[&%_#${},]|textasciitilde\{\}|textasciicircum\{\})|\$(?:-|<|>|\||\^\\circ|\^2|\\approx)\$|--"
+)
+
+
+def table_rows(text):
+    """Cells of each row of a tabular; fails on anything LaTeX would trip over or misprint."""
+    assert text.isascii()
+    *lines, end = text.splitlines()
+    columns = re.fullmatch(r"\\begin\{tabular\}\{([lr]+)\}", lines[0])[1]
+    assert end == r"\end{tabular}"
+    assert [lines[1], lines[3], lines[-1]] == [r"\toprule", r"\midrule", r"\bottomrule"]
+    rows = []
+    for line in (lines[2], *lines[4:-1]):
+        assert line.endswith(r" \\")
+        cells = line.removesuffix(r" \\").split(" & ")
+        assert len(cells) == len(columns)
+        for cell in cells:
+            assert re.fullmatch(r"[A-Za-z0-9 .,:;()'/+=@!?\]-]*", MARKUP.sub("", cell)), cell
+        rows.append(cells)
+    return rows
+
+
+@pytest.fixture(scope="module")
+def tables(report, base, tmp_path_factory):
+    """Every kind of table, every label, every unit, and texts that nobody foresaw."""
+    out = tmp_path_factory.mktemp("tables")
+    make_report([base / "runs/missed"], out / "run", animate=False)
+    values = {"count": 3, "yes": True}
+    for kind, specs in SPECS.items():
+        rows = [(spec.label, shown(values.get(spec.unit, -0.123), spec.unit)) for spec in specs]
+        (out / f"{kind}.tex").write_text(latex_table(("number", "value"), rows, "lr"))
+    odd = "".join(map(chr, range(32, 127))).replace('"', "").replace("`", "")
+    (out / "odd.tex").write_text(latex_table((r"\#", "odd"), [("1", odd), ("2", shown(None, "m"))], "rl"))
+    return [*report.glob("tables/*.tex"), *out.rglob("*.tex")]
+
+
+def test_the_latex_tables_are_balanced_even_and_escaped(tables):
+    assert len(tables) >= 9
+    for path in tables:
+        assert len(table_rows(path.read_text())) > 1
+    for bad in (r"a & b & c \\", r"50% & 1 \\", r"a_b & 1 \\", r"3° & 1 \\", r"a & 1", r"$x$ & 1 \\"):
+        with pytest.raises(AssertionError):
+            table_rows(latex_table(("x", "y"), [("1", "2")], "lr").replace(r"1 & 2 \\", bad))
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex (texlive-latex-recommended)")
+def test_latex_sets_the_tables(tables, tmp_path):
+    inputs = "\\par\n".join(rf"\input{{{path}}}" for path in tables)
+    (tmp_path / "all.tex").write_text(
+        rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}\tiny {inputs}\end{{document}}"
+    )
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "all.tex"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, errors="replace", check=False
+    )
+    assert done.returncode == 0, done.stdout[-1000:]
+    assert "Missing character" not in (tmp_path / "all.log").read_text(errors="replace")
+    assert (tmp_path / "all.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_latex_is_escaped_and_has_symbols():

@@ -149,7 +149,7 @@ def _connections(found: Survey) -> list[Finding]:
     scans = found.of_type(SCAN)
     if scans and "/tf_static" not in found.topics and not frames.fixed:
         what = "no /tf_static and no fixed link in /tf"
-        breaks = "the laser is taken to sit at the robot's centre"
+        breaks = "the laser is taken to sit at the robot's centre; --laser X,Y,YAW tells its place"
         findings.append(Finding("error", "no static transforms", what, breaks))
     base = _base(found)
     for topic in scans:
@@ -157,7 +157,8 @@ def _connections(found: Survey) -> list[Finding]:
             if frame != base and frames.fixed and frames.lookup(base, frame) is None:
                 what = f"{topic.topic.name}: its frame '{frame}' is not connected to '{base}'"
                 breaks = (
-                    "the laser's place on the robot is unknown: every scan is dropped by tf2 message filters"
+                    "the laser's place on the robot is unknown: every scan is dropped by tf2 message filters, "
+                    "viewers stay blank; here --laser X,Y,YAW tells it"
                 )
                 findings.append(Finding("error", "frames do not connect", what, breaks))
     for topic in found.of_type(ODOMETRY):

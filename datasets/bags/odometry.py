@@ -83,7 +83,11 @@ def sensor_matrix(frames: FrameTree, base: str, sensor: str, notes: list[str]) -
         T = frames.lookup(start, sensor)
         if T is not None:
             return T
-    notes.append(f"no transform {base} -> {sensor}: the laser is taken to sit at the robot's centre")
+    known = ", ".join(sorted(frames.frames())) or "none"
+    notes.append(
+        f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): the laser is taken to "
+        "sit at the robot's centre; --laser X,Y,YAW says where it does"
+    )
     return np.eye(4)
 
 

@@ -6,8 +6,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Callable
-
-from datasets.outputs import package_versions
+from importlib.metadata import version
 
 EXAMPLE = "turtlebag doctor --trial"
 
@@ -31,13 +30,16 @@ def run(args: argparse.Namespace) -> int:
             print(f"ok      {name:<12} {detail}")
         except Exception as error:
             failed += 1
-            print(f"MISSING {name:<12} {' '.join(str(error).split())}{_hint(str(error))}")
+            print(f"MISSING {name:<12} {' '.join(str(error).split())}{_hint(error)}")
     print("all good" if not failed else f"{failed} of {len(checks)} checks failed")
     return 1 if failed else 0
 
 
-def _hint(message: str) -> str:
-    """What to install for a missing shared library."""
+def _hint(error: Exception) -> str:
+    """What to do about a missing package or shared library."""
+    if isinstance(error, ModuleNotFoundError):
+        return " -> make -B setup"
+    message = str(error)
     packages = {"libGL.so": "libgl1", "libEGL": "libegl1", "libX11": "libx11-6", "libudev": "libudev1"}
     packages |= {"libgomp": "libgomp1", "GLIBC": "(a newer system: glibc 2.35 or later)"}
     found = [package for part, package in packages.items() if part in message]
@@ -53,7 +55,7 @@ def _gtsam() -> str:
 
     if abs(gtsam.Pose2(1.0, 0.0, 0.0).inverse().x() + 1.0) > 1e-9:
         raise RuntimeError("gtsam gives wrong numbers with this NumPy")
-    return package_versions()["gtsam"]
+    return version("gtsam")
 
 
 def _open3d() -> str:
@@ -71,7 +73,7 @@ def _trial() -> str:
 def _imports(module: str, package: str) -> Callable[[], str]:
     def check() -> str:
         importlib.import_module(module)
-        return package_versions()[package]
+        return version(package)
 
     return check
 
@@ -81,18 +83,36 @@ def _pybullet() -> str:
 
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.disconnect(client)
-    return package_versions()["pybullet"]
+    return version("pybullet")
 
 
 CHECKS: dict[str, Callable[[], str]] = {
     "python": _python,
-    "numba": _imports("numba", "numba"),
+    **{
+        package: _imports(module, package)
+        for package, module in {
+            "numpy": "numpy",
+            "scipy": "scipy",
+            "numba": "numba",
+            "pydantic": "pydantic",
+            "pyyaml": "yaml",
+            "rich": "rich",
+            "kiss-icp": "kiss_icp.pybind.kiss_icp_pybind",
+            "rosbags": "rosbags.highlevel",
+            "mcap": "mcap.reader",
+            "zstandard": "zstandard",
+            "lz4": "lz4.frame",
+            "pooch": "pooch",
+            "ompl": "ompl.geometric",
+            "matplotlib": "matplotlib.figure",
+            "pillow": "PIL.Image",
+            "jinja2": "jinja2",
+            "dask": "dask",
+            "distributed": "distributed",
+            "duckdb": "duckdb",
+        }.items()
+    },
     "gtsam": _gtsam,
-    "kiss-icp": _imports("kiss_icp.pybind.kiss_icp_pybind", "kiss-icp"),
     "open3d": _open3d,
-    "rosbags": _imports("rosbags.highlevel", "rosbags"),
-    "mcap": _imports("mcap.reader", "mcap"),
-    "ompl": _imports("ompl.geometric", "ompl"),
     "pybullet": _pybullet,
-    "matplotlib": _imports("matplotlib.figure", "matplotlib"),
 }
