@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
@@ -12,6 +11,7 @@ from pipeline.console import track
 from reports.content import build_chapter
 from reports.figures.album import Album
 from reports.index import index_lines
+from reports.layout import viewer_layouts
 from reports.page import render, render_index
 from reports.stages import group_stages, load_stage
 from reports.tables import write_tables
@@ -28,7 +28,7 @@ def make_report(
 ) -> Path:
     """Write `index.html`, `figures/`, `tables/`, `metrics.json`, the manifest; returns the page's path.
 
-    A layout for Foxglove or Lichtblick, in which the bags can be scrubbed through, lies beside them.
+    Layouts for Foxglove or Lichtblick, in which the bags can be scrubbed through, lie beside them.
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
     share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
@@ -41,8 +41,9 @@ def make_report(
         chapters = [build_chapter(group, album) for group in track(groups, "draw")]
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")
-        layout = files("reports") / "templates" / "foxglove-layout.json"
-        (partial / "foxglove-layout.json").write_text(layout.read_text())
+        stages = [stage for group in groups for stage in group.stages]
+        for name, layout in viewer_layouts(stages).items():
+            (partial / name).write_text(layout)
         numbers = {
             chapter.name: {part.stage.label: part.metrics for part in chapter.parts} for chapter in chapters
         }

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from report_fakes import rehash
+from viewer import unresolved
 
 from datasets.maps import load_map
 from datasets.outputs import sha256_tree
@@ -47,6 +48,13 @@ def stages(tmp_path_factory):
 
 def metrics(folder):
     return json.loads((folder / "metrics.json").read_text())
+
+
+def test_a_viewer_finds_everything_of_its_layout_in_the_bags(stages):
+    layouts = {path.name: json.loads(path.read_text()) for path in stages.glob("report/foxglove-layout*")}
+    on_map, on_odometry = layouts["foxglove-layout.json"], layouts["foxglove-layout-odom.json"]
+    assert unresolved(on_map, stages / "run/bag", without={"/points"}) == []
+    assert unresolved(on_odometry, stages / "record/bag", without={"/points", "/amcl_pose"}) == []
 
 
 def test_the_map_trajectory_is_within_three_centimetres_of_the_truth(stages):

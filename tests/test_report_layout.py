@@ -9,9 +9,14 @@ import re
 from importlib.resources import files
 
 import pytest
+from bag_samples import LINKS, observation, stamp, write_drive
+from report_fakes import fake_record
 from rosbags.typesys import Stores, get_typestore
+from viewer import unresolved
 
 from datasets.bags.topics import TOPICS
+from datasets.bags.writer import BagWriter
+from pipeline.report import make_report
 
 LAYOUT = json.loads((files("reports") / "templates" / "foxglove-layout.json").read_text())
 PANELS = LAYOUT["configById"]
@@ -140,3 +145,47 @@ def test_every_plotted_line_has_a_name_with_its_unit(panel):
         assert set(path) == {"value", "enabled", "timestampMethod", "label"}
         assert path["timestampMethod"] in ("receiveTime", "headerStamp")
         assert re.search(r"\[(m|m/s|rad/s)\]$", path["label"])
+
+
+NAVIGATION = {"/map", "/plan", "/particlecloud", "/amcl_pose", "/goal_pose"}
+
+
+def test_everything_of_the_layout_is_found_in_a_bag_of_navigation(tmp_path):
+    write_drive(tmp_path / "bag", seconds=3, navigation=True)
+    assert unresolved(LAYOUT, tmp_path / "bag") == []
+
+
+def test_what_a_viewer_could_not_show_is_noticed(tmp_path):
+    write_drive(tmp_path / "drive", seconds=3)
+    blank = unresolved(LAYOUT, tmp_path / "drive", without={*NAVIGATION, "/points"})
+    assert "fixed frame map is in no transform" in blank
+    assert "/scan is in frame base_scan, which nothing connects" in blank
+    assert "/plan is not in the bag" in unresolved(LAYOUT, tmp_path / "drive")
+    with BagWriter(tmp_path / "loose", custom={}) as writer:
+        writer.static_transforms(0, LINKS[:1])
+        for step in range(1, 20):
+            writer.observation(observation(step))
+            writer.command(stamp(step), observation(step).odometry.twist)
+    layout = json.loads(json.dumps(LAYOUT).replace('"followTf": "map"', '"followTf": "odom"'))
+    without = {*NAVIGATION, "/points", "/ground_truth/odom"}
+    assert unresolved(layout, tmp_path / "loose", without=without) == [
+        "/scan is in frame base_scan, which nothing connects"
+    ]
+
+
+def test_the_layout_beside_a_report_is_in_a_frame_its_bags_have_and_shows_all_the_ground(tmp_path):
+    record = fake_record(tmp_path / "record")
+    make_report([record], tmp_path / "report", animate=False)
+    assert [path.name for path in (tmp_path / "report").glob("foxglove*")] == ["foxglove-layout.json"]
+    layout = json.loads((tmp_path / "report/foxglove-layout.json").read_text())
+    panel = layout["configById"]["3D!turtlebag"]
+    assert panel["followTf"] == "odom"
+    # The room is 6.6 x 5.4 m from (-3.3, -2.7).
+    assert panel["cameraState"]["targetOffset"] == [0.0, 0.0, 0.0]
+    assert panel["cameraState"]["distance"] == 8.6
+    changed = {"followTf", "cameraState", "topics"}
+    assert {key for key in panel if panel[key] != PANELS["3D!turtlebag"][key]} == changed
+    without = {"/points", "/tf_static", "/amcl_pose"}
+    assert unresolved(layout, record / "bag", without=without) == [
+        "/scan is in frame base_scan, which nothing connects"
+    ]
