@@ -157,8 +157,8 @@ def _connections(found: Survey) -> list[Finding]:
             if frame != base and frames.fixed and frames.lookup(base, frame) is None:
                 what = f"{topic.topic.name}: its frame '{frame}' is not connected to '{base}'"
                 breaks = (
-                    "the laser's place on the robot is unknown: every scan is dropped by tf2 message filters, "
-                    "viewers stay blank; here --laser X,Y,YAW tells it"
+                    "the laser's place on the robot is unknown: every scan is dropped by tf2 message "
+                    "filters, viewers stay blank; here --laser X,Y,YAW tells it"
                 )
                 findings.append(Finding("error", "frames do not connect", what, breaks))
     for topic in found.of_type(ODOMETRY):

@@ -85,8 +85,8 @@ def sensor_matrix(frames: FrameTree, base: str, sensor: str, notes: list[str]) -
             return T
     known = ", ".join(sorted(frames.frames())) or "none"
     notes.append(
-        f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): the laser is taken to "
-        "sit at the robot's centre; --laser X,Y,YAW says where it does"
+        f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): the laser is taken "
+        "to sit at the robot's centre; --laser X,Y,YAW says where it does"
     )
     return np.eye(4)
 
