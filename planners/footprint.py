@@ -97,6 +97,53 @@ def footprint_clearance(
 
 
 @njit(cache=True)
+def footprint_free(field: Field32, resolution: float, corners: Array, x: float, y: float, yaw: float) -> bool:
+    """Whether no lethal cell's centre lies in the convex polygon `corners` (n, 2), base frame, at a pose.
+
+    Exact, where samples of the outline can straddle a wall one cell thick; all beyond the grid is lethal.
+    """
+    rows, cols = field.shape
+    reach2 = 0.0
+    for k in range(len(corners)):
+        reach2 = max(reach2, corners[k, 0] ** 2 + corners[k, 1] ** 2)
+    reach = math.sqrt(reach2)
+    row, col = math.floor(y / resolution), math.floor(x / resolution)
+    if row < 0 or col < 0 or row >= rows or col >= cols:
+        return False
+    # The pose lies within 0.71 of a cell of its cell's centre.
+    if field[row, col] > reach + 0.71 * resolution:
+        return True
+    c, s = math.cos(yaw), math.sin(yaw)
+    low_x, high_x, low_y, high_y = x, x, y, y
+    for k in range(len(corners)):
+        px = x + c * corners[k, 0] - s * corners[k, 1]
+        py = y + s * corners[k, 0] + c * corners[k, 1]
+        low_x, high_x, low_y, high_y = min(low_x, px), max(high_x, px), min(low_y, py), max(high_y, py)
+    first_c, last_c = math.ceil(low_x / resolution - 0.5), math.floor(high_x / resolution - 0.5)
+    first_r, last_r = math.ceil(low_y / resolution - 0.5), math.floor(high_y / resolution - 0.5)
+    for r in range(first_r, last_r + 1):
+        for q in range(first_c, last_c + 1):
+            if 0 <= r < rows and 0 <= q < cols and field[r, q] > 0.0:
+                continue
+            dx, dy = (q + 0.5) * resolution - x, (r + 0.5) * resolution - y
+            if _inside(corners, c * dx + s * dy, c * dy - s * dx):
+                return False
+    return True
+
+
+@njit(cache=True)
+def _inside(corners: Array, x: float, y: float) -> bool:
+    """Whether a point lies in a convex polygon (n, 2), counter-clockwise, its edges included."""
+    n = len(corners)
+    for k in range(n):
+        ax, ay = corners[k, 0], corners[k, 1]
+        bx, by = corners[(k + 1) % n, 0], corners[(k + 1) % n, 1]
+        if (bx - ax) * (y - ay) - (by - ay) * (x - ax) < 0.0:
+            return False
+    return True
+
+
+@njit(cache=True)
 def disc_segment_free(
     field: Field32, resolution: float, radius: float, x0: float, y0: float, x1: float, y1: float
 ) -> bool:

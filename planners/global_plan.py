@@ -1,7 +1,8 @@
 """A path over the map: connectivity says whether one exists, OMPL finds it, an elastic band rounds it.
 
 The floor is searched for the disc that holds the whole footprint, first with room to spare, then
-with less: a differential robot can turn on the spot anywhere along such a path.
+with less: a differential robot can turn on the spot anywhere along such a path. Where that disc has no
+way, or a long way round, the footprint itself is looked at in every heading (planners.lattice).
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel
+from planners.control.monitor import padded
 from planners.costmap import Costmap
-from planners.footprint import footprint_clearance, sample_footprint
+from planners.footprint import footprint_free
+from planners.lattice import Lattice, inner_length
 from planners.ompl_planner import OmplConfig, solve
+from planners.oriented import free_from
 from planners.pose_planner import solve_poses
 from planners.smoothing import densify, path_length, relax, shortcut, with_headings
 from planners.wavefront import descend, wave
@@ -26,6 +30,10 @@ BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
 """Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
 TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
 """The same for pulling a path tight."""
+ROOM = 0.05
+"""Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
+OVER_CELLS, ORIENTED = "grid", "footprint lattice"
+"""What finds a path when the planner asked does not: tightened ways over cells, or cells and headings."""
 
 
 class PlanConfig(BaseModel):
@@ -33,15 +41,17 @@ class PlanConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ompl: OmplConfig = OmplConfig()
-    margins: tuple[Annotated[float, Field(ge=0.0)], ...] = Field(
+    margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
         default=(0.10, 0.07, 0.04, 0.0), min_length=1
     )
     """Room kept round the robot's circumscribed circle, tried in this order; the last one only in need."""
     stretch: float = Field(default=1.05, ge=1.0)
     """Room is bought with length up to this times the shortest way with the last margin."""
-    inflation_radius: float = Field(default=0.35, gt=0.0)
+    detour: float = Field(default=1.15, ge=1.0)
+    """A gap that only the turned footprint passes is taken when the way round is this much longer."""
+    inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Obstacles push the path away as far as this, beyond the disc itself."""
-    cost_scaling_factor: float = Field(default=3.0, gt=0.0)
+    cost_scaling_factor: float = Field(default=3.0, gt=0.0, le=1000.0)
     """How fast that push fades with distance, exp(-factor * d), as in costmap_2d."""
     spacing: float = Field(default=0.05, ge=0.01, le=1.0)
     """Distance between the path's poses."""
@@ -57,7 +67,10 @@ class NoPath(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path in the map frame, (n,) poses from start to goal, and how it came about."""
+    """A path in the map frame, (n,) poses from start to goal, and how it came about.
+
+    `planner` is what found it: the planner asked, or one of the last resorts.
+    """
 
     poses: SE2
     length: float
@@ -67,20 +80,9 @@ class Plan:
 
 
 def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
-    """Whether the footprint stands free of lethal cells at a pose."""
-    samples = sample_footprint(model, costmap.resolution / 2.0)
+    """Whether the footprint stands free of the centres of lethal cells at a pose."""
     x, y, yaw = (costmap.T_grid_map @ T_map_base).xyt.tolist()
-    clearance = footprint_clearance(
-        costmap.clearance,
-        costmap.resolution,
-        samples.points,
-        samples.inscribed,
-        samples.circumscribed,
-        x,
-        y,
-        yaw,
-    )
-    return clearance > 0.0
+    return bool(footprint_free(costmap.clearance, costmap.resolution, model.footprint, x, y, yaw))
 
 
 def plan_path(
@@ -92,6 +94,34 @@ def plan_path(
         raise NoPath("the goal is in an obstacle or off the map")
     if config.ompl.space != "disc":
         return _plan_poses(costmap, model, start, goal, config, seed)
+    way, reason = _disc_way(costmap, model, start, goal, config, seed)
+    if way is None:
+        oriented = _oriented_way(costmap, model, start, goal, config)
+        if oriented is None:
+            raise NoPath(reason)
+        return _oriented_plan(costmap, oriented)
+    poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
+    plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner, way.attempts)
+    bad = _blocked_until(costmap, model.footprint, poses)
+    if bad > 0.0:
+        oriented = _oriented_way(costmap, model, start, goal, config)
+        if oriented is not None:
+            return _oriented_plan(costmap, oriented)
+        # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
+        smaller = padded(model.footprint, -0.3 * costmap.resolution)
+        if _blocked_until(costmap, smaller, poses) > 2.0 * config.snap:
+            raise NoPath("no way leads there")
+    elif way.length > config.detour * inner_length(costmap, model.footprint, start, goal):
+        oriented = _oriented_way(costmap, model, start, goal, config, in_need=False)
+        if oriented is not None and config.detour * path_length(oriented.xy) < way.length:
+            return _oriented_plan(costmap, oriented)
+    return plan
+
+
+def _disc_way(
+    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
+) -> tuple[_Way | None, str]:
+    """The way of the disc round the footprint with most room that is not too long, or why there is none."""
     best: _Way | None = None
     reason, limit = "the goal is too near an obstacle", None
     for margin in config.margins:
@@ -108,22 +138,49 @@ def plan_path(
             reason = "no way leads there"
             continue
         found = search.run(entry, exit_, seed)
-        if found is None:
-            reason = f"{config.ompl.planner} found no path within its iterations"
-            continue
         if limit is None:
             limit = config.stretch * _shortest(costmap, model, start, goal, config)
-        tight, attempts = found
+        tight, attempts, by = found
         points = search.rounded(tight, start.xy, goal.xy, limit)
-        way = _Way(points, path_length(points), margin, attempts)
+        way = _Way(points, path_length(points), margin, attempts, by)
         if best is None or way.length < best.length:
             best = way
         if best.length <= limit:
             break
-    if best is None:
-        raise NoPath(reason)
-    poses = with_headings(best.points, float(start.yaw), float(goal.yaw))
-    return Plan(costmap.T_map_grid @ poses, best.length, best.margin, config.ompl.planner, best.attempts)
+    return best, reason
+
+
+def _oriented_way(
+    costmap: Costmap,
+    model: RobotModel,
+    start: SE2,
+    goal: SE2,
+    config: PlanConfig,
+    *,
+    in_need: bool = True,
+) -> SE2 | None:
+    """A way of the footprint itself in the grid frame; `in_need` also with no more room than cells need."""
+    if not np.isfinite(inner_length(costmap, model.footprint, start, goal)):
+        return None
+    # A lethal cell reaches half a cell beyond its centre.
+    half = 0.5 * costmap.resolution
+    lattice = Lattice(costmap, model.footprint, half)
+    if not lattice.joins(start, goal):
+        return None
+    roomy = Lattice(costmap, model.footprint, max(ROOM, half))
+    way = roomy.way(start, goal, config.spacing)
+    return lattice.way(start, goal, config.spacing) if way is None and in_need else way
+
+
+def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
+    return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, ORIENTED, 0)
+
+
+def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
+    """Length of the path up to the last place where the footprint touches something [m]."""
+    xyt = np.ascontiguousarray(poses.xyt)
+    first = int(free_from(costmap.clearance, costmap.resolution, footprint, xyt))
+    return 0.0 if first == 0 else max(path_length(poses.xy[: first + 1]), 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +191,7 @@ class _Way:
     length: float
     margin: float
     attempts: int
+    planner: str
 
 
 def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig) -> float:
@@ -151,20 +209,34 @@ def _plan_poses(
     """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
         raise NoPath("the robot stands in an obstacle or off the map")
-    search = _Search(costmap, model.inscribed_radius, config)
-    ends = search.entry(start.xy), search.entry(goal.xy)
-    if ends[0] is None or ends[1] is None or not search.connected(ends[0], ends[1]):
+    if not np.isfinite(inner_length(costmap, model.footprint, start, goal)):
         raise NoPath("no way leads there")
+    footprint = _grown(costmap, model.footprint, (start, goal))
+    if not Lattice(costmap, footprint, 0.0).joins(start, goal):
+        raise NoPath("no way leads there in any heading")
     name = f"{config.ompl.planner} in {config.ompl.space}"
     if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
         there = SE2(np.stack([start.xyt, goal.xyt]))
         return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name, 0)
-    samples = sample_footprint(model, costmap.resolution / 2.0)
     for attempt in range(config.ompl.restarts):
-        poses = solve_poses(costmap, samples, start, goal, config.ompl, config.spacing, seed + attempt)
+        poses = solve_poses(
+            costmap, model.footprint, start, goal, config.ompl, config.spacing, seed + attempt
+        )
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name, attempt + 1)
+    if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
+        oriented = _oriented_way(costmap, model, start, goal, config)
+        if oriented is not None:
+            return _oriented_plan(costmap, oriented)
     raise NoPath(f"{config.ompl.planner} found no path within its iterations")
+
+
+def _grown(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
+    """The footprint grown by half a cell, as far as lethal cells reach; as it is where an end needs that."""
+    grown = padded(footprint, 0.5 * costmap.resolution)
+    field, resolution = costmap.clearance, costmap.resolution
+    free = all(footprint_free(field, resolution, grown, *pose.xyt.tolist()) for pose in ends)
+    return grown if free else footprint
 
 
 def _without_repeats(points: Array) -> Array:
@@ -234,17 +306,21 @@ class _Search:
         points = np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
         return shortcut(self.field, self.resolution, self.radius, points)
 
-    def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int] | None:
-        """Corners (n, 2) of a tight path between joined cells and how many OMPL runs; None: not found."""
+    def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int, str]:
+        """Corners (n, 2) of a tight path between joined cells, how many OMPL runs, and what found it.
+
+        A way that OMPL does not find is the way over the cells, which joined cells always have.
+        """
         if start == goal:  # OMPL's informed planners have no ellipse about a single point
-            return np.array([self.center(start), self.center(goal)]), 0
+            return np.array([self.center(start), self.center(goal)]), 0, self.config.ompl.planner
         from_goal = self.to_goal(goal)
         limit = float(from_goal[start]) * self.config.ompl.informed_factor + 2.0
         from_start = wave(self.free, start[0], start[1], limit)
         # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
         inside = from_start + from_goal <= limit
         a, b = self.center(start), self.center(goal)
-        bound = path_length(self.grid_path(start, goal))
+        over_cells = self.grid_path(start, goal)
+        bound = path_length(over_cells)
         best: Array | None = None
         attempts = 0
         for attempt in range(self.config.ompl.restarts):
@@ -259,7 +335,9 @@ class _Search:
                 best = tight
             if path_length(best) <= self.config.ompl.good_enough * bound:
                 break
-        return None if best is None else (self.tightened(best), attempts)
+        if best is None:
+            return self.tightened(over_cells), attempts, OVER_CELLS
+        return self.tightened(best), attempts, self.config.ompl.planner
 
     def tightened(self, path: Array) -> Array:
         """Corners (n, 2) of the path drawn tight like a string."""

@@ -50,7 +50,7 @@ class OmplConfig(BaseModel):
     planner: PlannerName = "RRTConnect"
     space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
     """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""
-    turning_radius: float = Field(default=0.3, gt=0.0)
+    turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
     """Least radius of curves in reeds_shepp and dubins [m]."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
@@ -60,7 +60,7 @@ class OmplConfig(BaseModel):
     """Length over that of the tightened grid path at which no further run is made."""
     informed_factor: float = Field(default=1.1, ge=1.0)
     """Only floor on some way at most this much longer than the shortest is searched."""
-    range: float = Field(default=1.5, gt=0.0)
+    range: float = Field(default=1.5, gt=0.0, le=1000.0)
     """Longest motion of the tree planners [m]."""
 
     @model_validator(mode="after")

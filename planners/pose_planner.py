@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets.se2 import SE2
+from datasets.se2 import SE2, Array
 from planners.costmap import Costmap
-from planners.footprint import FootprintSamples, footprint_clearance
+from planners.footprint import footprint_free
 from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, make_planner, set_goal_length
 
 SIMPLIFY_CALLS = 400
@@ -16,7 +16,7 @@ SIMPLIFY_CALLS = 400
 
 def solve_poses(
     costmap: Costmap,
-    samples: FootprintSamples,
+    footprint: Array,
     T_grid_start: SE2,
     T_grid_goal: SE2,
     config: OmplConfig,
@@ -25,6 +25,7 @@ def solve_poses(
 ) -> SE2 | None:
     """Poses (n,) of an exact, shortened path in the grid frame, or None within the budget.
 
+    `footprint` (n, 2) is the robot's polygon in the base frame.
     In Reeds-Shepp and Dubins spaces curves have the radius `config.turning_radius` at least.
     """
     from ompl import base as ob
@@ -41,11 +42,10 @@ def solve_poses(
     space.setBounds(bounds)
     info = ob.SpaceInformation(space)
     field, resolution = costmap.clearance, costmap.resolution
-    points, inner, outer = samples.points, samples.inscribed, samples.circumscribed
 
     def fits(state: Any) -> bool:
         x, y, yaw = state.getX(), state.getY(), state.getYaw()
-        return bool(footprint_clearance(field, resolution, points, inner, outer, x, y, yaw) > 0.0)
+        return bool(footprint_free(field, resolution, footprint, x, y, yaw))
 
     info.setStateValidityChecker(fits)
     info.setStateValidityCheckingResolution(0.5 * resolution / space.getMaximumExtent())

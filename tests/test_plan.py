@@ -9,7 +9,7 @@ from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.se2 import SE2
 from planners.costmap import CostmapConfig, costmap_from_grid
 from planners.global_plan import NoPath, PlanConfig, fits, plan_path
-from planners.ompl_planner import OmplConfig
+from planners.ompl_planner import OmplConfig, solve
 from planners.smoothing import densify, path_length, relax, shortcut
 from planners.wavefront import descend, wave
 
@@ -169,11 +169,14 @@ def test_spaces_with_headings_keep_the_whole_footprint_free(space):
 
 
 @pytest.mark.parametrize("planner", ["PRM", "PRMstar"])
-def test_a_roadmap_that_does_not_join_start_and_goal_is_no_path(planner):
+def test_a_roadmap_that_does_not_join_start_and_goal_is_not_taken_for_a_path(planner):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=2, restarts=1))
-    with pytest.raises(NoPath, match="within its iterations"):
-        plan_path(costmap, BURGER, START, GOAL, config, seed=1)
+    config = OmplConfig(planner=planner, iterations=2, restarts=1)
+    ends = START.xy, GOAL.xy
+    everywhere = costmap.clearance > 0.15
+    assert solve(costmap.clearance, everywhere, 0.05, 0.15, *ends, config, seed=1) is None
+    plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(ompl=config), seed=1)
+    assert plan.planner == "grid"
 
 
 def test_a_roadmap_is_the_same_again():

@@ -8,11 +8,12 @@ import pytest
 from planning_room import BURGER
 
 from benchmarks.plan_database import write_database, write_log
-from benchmarks.plan_shortest import HEADINGS, Lattice
+from benchmarks.plan_shortest import Lattice
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import RobotModel
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from planners.lattice import HEADINGS
 
 
 def hall(*, wall_rows: int = 60, gap: slice | None = None) -> Costmap:
@@ -40,20 +41,18 @@ def test_a_straight_way_is_as_long_as_the_straight_line():
 
 
 def test_round_a_wall_the_way_is_that_of_a_string_round_its_end():
-    """Between the disc in the footprint and the disc round it, each pulled round the wall's end."""
+    """Between the disc in the footprint and the disc round it, each pulled round the wall's last cell."""
     a, b = SE2.from_xyt(1.525, 1.025, 0.0), SE2.from_xyt(2.525, 1.025, 0.0)
     found = Lattice(hall(), BURGER).shortest(a, b)
 
     def round_the_end(radius: float) -> float:
-        # Up to the end of the wall, half round, and down again: corners at (2.0 .. 2.05, 3.0).
-        side = math.hypot(0.5, 1.975)
-        return 2.0 * math.sqrt(side**2 - radius**2) + radius * (
-            math.pi - 2.0 * (math.atan2(1.975, 0.5) - math.pi / 2.0 + math.acos(radius / side))
-        )
+        # Tangents from (+-0.5, -1.95) to a circle, and the arc between them.
+        side = math.hypot(0.5, 1.95)
+        turn = 2.0 * (math.atan2(1.95, 0.5) + math.asin(radius / side))
+        return 2.0 * math.sqrt(side**2 - radius**2) + radius * turn
 
-    low = round_the_end(BURGER.inscribed_radius)
-    high = round_the_end(BURGER.circumscribed_radius + 0.05) + 0.1
-    assert low < found < high
+    low = round_the_end(BURGER.inscribed_radius + 0.025)
+    assert low < found < round_the_end(BURGER.circumscribed_radius + 0.025)
 
 
 def test_a_gap_that_only_the_turned_footprint_passes_is_passed():

@@ -1,0 +1,142 @@
+"""Ways that only the turned footprint can take: a lattice of every cell and 32 headings.
+
+Where the disc round the footprint has room, all headings are one state; elsewhere each heading is its
+own. A step leads along the heading, forwards or backwards; a turn on the spot to the next heading.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array
+from planners.control.monitor import padded
+from planners.costmap import Costmap
+from planners.footprint import Field32
+from planners.lattice_search import BLOCKED, OCTILE, Numbers, ends, flood, number_cells, shortest
+from planners.oriented import pull, turning
+from planners.smoothing import densify
+from planners.wavefront import wave
+
+_OCTANT = ((1, 0), (3, 1), (2, 1), (3, 2))
+HEADINGS = np.array(
+    sorted(
+        {
+            (sx * a, sy * b)
+            for x, y in (*_OCTANT, (1, 1))
+            for a, b in ((x, y), (y, x))
+            for sx in (1, -1)
+            for sy in (1, -1)
+        },
+        key=lambda v: math.atan2(v[1], v[0]),
+    )
+)
+"""Steps (32, 2) as columns and rows, counter-clockwise; the widest gap is 18.4 degrees."""
+YAWS = np.arctan2(HEADINGS[:, 1], HEADINGS[:, 0])
+N = len(HEADINGS)
+
+
+class Lattice:
+    """The lattice of one map for one footprint (n, 2) that keeps `room` [m] to lethal cells' centres."""
+
+    def __init__(self, costmap: Costmap, footprint: Array, room: float) -> None:
+        self._field, self._res = costmap.clearance, costmap.resolution
+        self._corners = padded(footprint, room) if room > 0.0 else footprint
+        outer = float(np.linalg.norm(self._corners, axis=1).max())
+        self._numbers, self._narrow = number_cells(self._field, _inscribed(self._corners), outer)
+        size = self._narrow * N
+        # 0: not looked at yet, 1: free, 2: not.
+        self._stands, self._turns = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
+
+    def joins(self, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
+        """Whether some way leads from one pose to the other."""
+        ends = [self._ends(pose)[0] for pose in (T_grid_start, T_grid_goal)]
+        if len(ends[0]) == 0 or len(ends[1]) == 0:
+            return False
+        return bool(flood(*self._floor(), *ends))
+
+    def way(self, T_grid_start: SE2, T_grid_goal: SE2, spacing: float) -> SE2 | None:
+        """Poses (n,) of a short way, `spacing` apart [m]; None when there is none."""
+        (starts, costs), (goals, _) = self._ends(T_grid_start), self._ends(T_grid_goal)
+        if len(starts) == 0 or len(goals) == 0:
+            return None
+        row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._res))
+        rest = wave(self._numbers != BLOCKED, row, col, np.inf)
+        cells = shortest(*self._floor(), starts, costs, goals, rest)
+        if len(cells) == 0:
+            return None
+        points = np.concatenate([T_grid_start.xy[None], (cells + 0.5) * self._res, T_grid_goal.xy[None]])
+        first, last = float(T_grid_start.yaw), float(T_grid_goal.yaw)
+        kept, yaws = pull(self._field, self._res, self._corners, densify(points, self._res), first, last)
+        headings = np.concatenate([[first], yaws, [last]])
+        at_corner = [
+            turning(self._field, self._res, self._corners, point, old, new)
+            for point, old, new in zip(kept, headings, headings[1:], strict=False)
+        ]
+        return _poses(kept, headings, np.array(at_corner), spacing)
+
+    def _ends(self, pose: SE2) -> tuple[NDArray[np.int64], Array]:
+        return ends(self._field, self._res, self._corners, self._numbers, YAWS, pose.xyt)
+
+    def _floor(
+        self,
+    ) -> tuple[Field32, float, Array, Numbers, NDArray[np.int8], NDArray[np.int8], NDArray[np.int64], Array]:
+        return (
+            self._field,
+            self._res,
+            self._corners,
+            self._numbers,
+            self._stands,
+            self._turns,
+            HEADINGS,
+            YAWS,
+        )
+
+
+def inner_length(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> float:
+    """A bound on the way of the largest disc inside the footprint, about its middle [m]; inf: there is none.
+
+    Where that disc cannot go nothing can. Its way is as long as the footprint's but for turns on the spot.
+    """
+    middle = 0.5 * (footprint.min(axis=0) + footprint.max(axis=0))
+    # Cells stand for all points within 0.71 of a cell of their centres.
+    floor = costmap.clearance > _inscribed(footprint - middle) - 0.71 * costmap.resolution
+    (r0, c0), (r1, c1) = (
+        [int(v) for v in np.floor((pose @ middle)[::-1] / costmap.resolution)]
+        for pose in (T_grid_start, T_grid_goal)
+    )
+    rows, cols = floor.shape
+    for r, c in ((r0, c0), (r1, c1)):
+        if not (0 <= r < rows and 0 <= c < cols and floor[r, c]):
+            return math.inf
+    cells = float(wave(floor, r1, c1, np.inf)[r0, c0])
+    # Up to a cell is lost at each end.
+    return max(OCTILE * cells - 2.0, 0.0) * costmap.resolution
+
+
+def _inscribed(corners: Array) -> float:
+    """Distance from the base origin to the nearest edge [m]."""
+    edge = np.roll(corners, -1, axis=0) - corners
+    across = edge[:, 0] * -corners[:, 1] - edge[:, 1] * -corners[:, 0]
+    return float(np.abs(across / np.linalg.norm(edge, axis=1)).min())
+
+
+def _poses(kept: Array, headings: Array, angles: Array, spacing: float) -> SE2:
+    """Poses along straight drives between corners (m, 2), each looking as it is driven.
+
+    `headings` (m + 1,) are those before and after each corner, `angles` (m,) how it is turned there.
+    """
+    xyt = [[*kept[0], headings[0]]]
+    for k, angle in enumerate(angles):
+        if abs(angle) > math.pi:  # the long way round, said step by step
+            xyt += [[*kept[k], headings[k] + angle * i / 3.0] for i in range(0 if k else 1, 3)]
+        if k == len(kept) - 1:
+            break
+        a, b = kept[k], kept[k + 1]
+        steps = max(1, math.ceil(float(np.linalg.norm(b - a)) / spacing))
+        # The first pose of a drive is the corner, already turned; at the start it is the robot's own.
+        xyt += [[*(a + (b - a) * i / steps), headings[k + 1]] for i in range(0 if k else 1, steps)]
+    xyt.append([*kept[-1], headings[-1]])
+    return SE2.from_array(np.array(xyt))

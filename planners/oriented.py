@@ -1,0 +1,159 @@
+"""Straight drives and turns on the spot of a footprint, checked cell by cell.
+
+`corners` (n, 2) is the footprint in the base frame, grown by the room it shall keep [m]; poses are in
+the grid frame of the clearance field.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from datasets.se2 import Array
+from planners.footprint import Field32, footprint_free
+
+TURN_STEP = 0.1
+"""Turns are checked this often [rad]."""
+
+
+@njit(cache=True)
+def moves(
+    field: Field32,
+    res: float,
+    corners: Array,
+    ax: float,
+    ay: float,
+    a_yaw: float,
+    bx: float,
+    by: float,
+    b_yaw: float,
+) -> bool:
+    """Whether the footprint goes straight from one pose to another while it turns the shorter way."""
+    angle = (b_yaw - a_yaw + math.pi) % (2.0 * math.pi) - math.pi
+    length = math.hypot(bx - ax, by - ay)
+    steps = max(1, math.ceil(length / (0.5 * res)), math.ceil(abs(angle) / TURN_STEP))
+    for i in range(steps + 1):
+        f = i / steps
+        if not footprint_free(field, res, corners, ax + f * (bx - ax), ay + f * (by - ay), a_yaw + f * angle):
+            return False
+    return True
+
+
+@njit(cache=True)
+def drives(field: Field32, res: float, corners: Array, a: Array, b: Array, yaw: float) -> bool:
+    """Whether the footprint moves straight from a to b (2,) in one heading."""
+    return moves(field, res, corners, a[0], a[1], yaw, b[0], b[1], yaw)
+
+
+@njit(cache=True)
+def turning(field: Field32, res: float, corners: Array, at: Array, old: float, new: float) -> float:
+    """The free angle from one heading to another on the spot, the shorter one first; NaN: neither is."""
+    if np.isnan(old) or np.isnan(new):
+        return 0.0
+    short = (new - old + math.pi) % (2.0 * math.pi) - math.pi
+    for angle in (short, short - math.copysign(2.0 * math.pi, short)):
+        steps = max(1, math.ceil(abs(angle) / TURN_STEP))
+        free = True
+        for i in range(steps + 1):
+            if not footprint_free(field, res, corners, at[0], at[1], old + angle * i / steps):
+                free = False
+                break
+        if free:
+            return angle
+    return np.nan
+
+
+@njit(cache=True)
+def turns(field: Field32, res: float, corners: Array, at: Array, old: float, new: float) -> bool:
+    """Whether the footprint turns on the spot from one heading to another, either way; NaN: any heading."""
+    return not np.isnan(turning(field, res, corners, at, old, new))
+
+
+@njit(cache=True)
+def pull(
+    field: Field32, res: float, corners: Array, path: Array, first_yaw: float, last_yaw: float
+) -> tuple[Array, Array]:
+    """The longest straight drives along a dense polyline (n, 2), forwards or else backwards.
+
+    Corners (m, 2) and the headings (m - 1,) between them. The robot turns at the corners, from `first_yaw`
+    and to `last_yaw` at the ends; NaN there is any heading.
+    """
+    kept, yaws = np.empty_like(path), np.empty(len(path))
+    kept[0] = path[0]
+    count, at, yaw = 1, 0, first_yaw
+    last = len(path) - 1
+    while at < last:
+        target, found = last, np.nan
+        while target > at:
+            found = _straight(field, res, corners, path, at, target, yaw, last_yaw)
+            if not np.isnan(found) or target == at + 1:
+                break
+            target -= 1
+        if np.isnan(found):
+            found = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
+        kept[count], yaws[count - 1] = path[target], found
+        count, at, yaw = count + 1, target, found
+    return kept[:count].copy(), yaws[: count - 1].copy()
+
+
+@njit(cache=True)
+def _straight(
+    field: Field32,
+    res: float,
+    corners: Array,
+    path: Array,
+    at: int,
+    target: int,
+    yaw: float,
+    last_yaw: float,
+) -> float:
+    """The heading in which the robot gets from one point to another and on from there; NaN: in none."""
+    ahead = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
+    for way in (ahead, ahead + math.pi):
+        if (
+            turns(field, res, corners, path[at], yaw, way)
+            and drives(field, res, corners, path[at], path[target], way)
+            and _goes_on(field, res, corners, path, target, way, last_yaw)
+        ):
+            return way
+    return np.nan
+
+
+@njit(cache=True)
+def _goes_on(
+    field: Field32, res: float, corners: Array, path: Array, at: int, yaw: float, last_yaw: float
+) -> bool:
+    """Whether the robot can turn from a heading into the next piece of the path."""
+    if at == len(path) - 1:
+        return turns(field, res, corners, path[at], yaw, last_yaw)
+    ahead = math.atan2(path[at + 1, 1] - path[at, 1], path[at + 1, 0] - path[at, 0])
+    return turns(field, res, corners, path[at], yaw, ahead) or turns(
+        field, res, corners, path[at], yaw, ahead + math.pi
+    )
+
+
+@njit(cache=True)
+def free_from(field: Field32, res: float, corners: Array, poses: Array) -> int:
+    """The first of the poses (n, 3) from which a path is free to its end; n when its goal is not.
+
+    Each piece is driven in the heading of its own line, the way round that is nearer to its pose's yaw;
+    the robot turns on the spot into it.
+    """
+    n = len(poses)
+    after = poses[n - 1, 2]
+    if not footprint_free(field, res, corners, poses[n - 1, 0], poses[n - 1, 1], after):
+        return n
+    for i in range(n - 1):
+        k = n - 2 - i
+        a, b = poses[k, :2], poses[k + 1, :2]
+        yaw = poses[k, 2]
+        if math.hypot(b[0] - a[0], b[1] - a[1]) > 1e-6:
+            yaw = math.atan2(b[1] - a[1], b[0] - a[0])
+            if k > 0 and math.cos(yaw - poses[k, 2]) < 0.0:
+                yaw += math.pi
+        if not (turns(field, res, corners, b, yaw, after) and drives(field, res, corners, a, b, yaw)):
+            return k + 1
+        after = yaw
+    return 0 if turns(field, res, corners, poses[0, :2], poses[0, 2], after) else 1
