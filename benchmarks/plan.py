@@ -6,8 +6,9 @@ Planned is for a disc that holds the footprint (`disc`, the default), and for th
 Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collision-free way of the footprint
 (plan_shortest). Time is CPU time of one query, costmap ready. Every path found is checked anew, pose by
 pose. The Intel map is made by `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out
-without it. Written: plan.md, every query (plan.csv), a picture (plan.png), and logs in OMPL's format
-with their database (plan.db) for Planner Arena.
+without it. `solved` is what the planner itself found, `answered` counts the last resorts of the product
+(the way over the cells), too. Written: plan.md, every query (plan.csv), a picture (plan.png), and logs in
+OMPL's format with their database (plan.db) for Planner Arena.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import csv
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -34,8 +35,8 @@ from datasets.se2 import SE2
 from datasets.seeds import stream
 from pipeline.build_map import build_map
 from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from planners.footprint import path_clearance, sample_footprint
-from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
+from planners.footprint import footprint_free, path_clearance, sample_footprint
+from planners.global_plan import ORIENTED, OVER_CELLS, NoPath, Plan, PlanConfig, plan_path
 from planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
 from planners.smoothing import densify
 from reports.figures.planners import planner_boxes
@@ -60,6 +61,7 @@ COLUMNS = (
     "space",
     "query",
     "planner",
+    "answered",
     "solved",
     "correct",
     "time_ms",
@@ -71,6 +73,8 @@ COLUMNS = (
 ONE_RUN = ("RRT", "RRTConnect", "KPIECE1", "BKPIECE1", "LBKPIECE1")
 """Planners that stop at their first solution: these are run anew until good enough."""
 LEAST_APART_M = 1.0
+REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
+"""Unsolvable queries, and the gap in footprints' widths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +146,7 @@ def ask(at: Place, a: SE2, b: SE2, config: PlanConfig, seed: int) -> tuple[Plan 
 def clearance(at: Place, found: Plan, space: str) -> float:
     """Least clearance of the footprint on the path [m], every 2 cm of it; <= 0 is a collision."""
     poses = at.costmap.T_grid_map @ found.poses
-    if space == "disc":
+    if space == "disc" and found.planner != ORIENTED:
         dense = densify(np.ascontiguousarray(poses.xy), 0.02)
         step = np.diff(dense, axis=0, append=dense[-1:] + (dense[-1:] - dense[-2:-1]))
         yaw = np.arctan2(step[:, 1], step[:, 0])
@@ -151,6 +155,9 @@ def clearance(at: Place, found: Plan, space: str) -> float:
     xyt = np.ascontiguousarray(poses.xyt)
     shape = samples.points, samples.inscribed, samples.circumscribed
     field = at.costmap.clearance, at.costmap.resolution
+    # Samples may straddle a thin wall; the polygon does not.
+    if not all(footprint_free(*field, at.robot.model.footprint, *pose) for pose in xyt):
+        return 0.0
     return float(path_clearance(*field, *shape, xyt, float(xyt[0, 0]), float(xyt[0, 1]), math.inf))
 
 
@@ -167,7 +174,8 @@ def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[dict[str
                 "space": space,
                 "query": query,
                 "planner": planner,
-                "solved": int(found is not None),
+                "answered": int(found is not None),
+                "solved": int(found is not None and found.planner not in (OVER_CELLS, ORIENTED)),
                 "correct": int(found is not None and least > 0.0),
                 "time_ms": ms,
                 "length_m": length,
@@ -177,8 +185,8 @@ def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[dict[str
             }
 
 
-def refusals(at: Place, count: int) -> list[float]:
-    """CPU milliseconds to refuse goals that are walled off."""
+def refusals(at: Place, count: int, gap: float = 0.0) -> list[float]:
+    """CPU milliseconds to refuse goals walled off by a ring with a gap of so many footprints' widths."""
     times, rng = [], stream(2, f"plan {at.name} {at.robot.name}")
     while len(times) < count:
         a, b = pose_on(at.grid, at.cells, rng), pose_on(at.grid, at.cells, rng)
@@ -186,8 +194,12 @@ def refusals(at: Place, count: int) -> list[float]:
             continue
         rows, cols = np.indices(at.costmap.lethal.shape)
         center = at.costmap.T_grid_map @ b.xy / at.costmap.resolution
-        ring = np.hypot(cols + 0.5 - center[0], rows + 0.5 - center[1]) * at.costmap.resolution
-        walled = at.costmap.with_lethal((ring > 0.6) & (ring < 0.75))
+        dx, dy = (v * at.costmap.resolution for v in (cols + 0.5 - center[0], rows + 0.5 - center[1]))
+        ring = np.hypot(dx, dy)
+        wall = (ring > 0.6) & (ring < 0.75)
+        across = float(np.ptp(at.robot.model.footprint, axis=0).min())
+        wall &= (dx < 0.0) | (np.abs(dy) > 0.5 * gap * across)
+        walled = at.costmap.with_lethal(wall)
         walled.clearance_at(a.xy)  # the field is made before the clock starts
         shut = Place(at.name, at.robot, walled, at.grid, at.cells, ())
         found, ms = ask(shut, a, b, PlanConfig(), len(times))
@@ -198,24 +210,24 @@ def refusals(at: Place, count: int) -> list[float]:
 
 
 HEAD = (
-    "| {} | queries | solved | correct | median ms | 95 % ms | mean length / shortest | worst "
-    "| least clearance m |\n" + "|---" * 9 + "|"
+    "| {} | queries | answered | by itself | correct | median ms | 95 % ms | mean length / shortest | worst "
+    "| least clearance m | mean |\n" + "|---" * 11 + "|"
 )
 
 
 def line(label: str, rows: Sequence[dict[str, Any]]) -> str:
     """One line of a table."""
     ms = np.array([row["time_ms"] for row in rows])
-    ratio = np.array([row["ratio"] for row in rows if row["solved"]])
-    least = [row["clearance_m"] for row in rows if row["solved"]]
-    tail = f"{ratio.mean():.3f} | {ratio.max():.3f} | {min(least):.3f}" if len(ratio) else "- | - | -"
-    return (
-        f"| {label} | {len(rows)} | {sum(r['solved'] for r in rows)} | {sum(r['correct'] for r in rows)} "
-        f"| {np.median(ms):.1f} | {np.percentile(ms, 95):.1f} | {tail} |"
-    )
+    ratio = np.array([row["ratio"] for row in rows if row["answered"]])
+    room = np.array([row["clearance_m"] for row in rows if row["answered"]])
+    tail = " | - | - | - | - |"
+    if len(ratio):
+        tail = f" | {ratio.mean():.3f} | {ratio.max():.3f} | {room.min():.3f} | {room.mean():.3f} |"
+    counts = " | ".join(str(sum(row[key] for row in rows)) for key in ("answered", "solved", "correct"))
+    return f"| {label} | {len(rows)} | {counts} | {np.median(ms):.1f} | {np.percentile(ms, 95):.1f}{tail}"
 
 
-def tables(rows: Sequence[dict[str, Any]], refused: Sequence[float]) -> str:
+def tables(rows: Sequence[dict[str, Any]], refused: Mapping[str, Sequence[float]]) -> str:
     """Markdown: planners over all maps, the default planner by map, the other spaces, refusals."""
     disc = [row for row in rows if row["space"] == "disc"]
     default = OmplConfig().planner
@@ -231,14 +243,12 @@ def tables(rows: Sequence[dict[str, Any]], refused: Sequence[float]) -> str:
         there = [row for row in rows if row["space"] == space]
         for planner in dict.fromkeys(row["planner"] for row in there):
             lines.append(line(planner, [row for row in there if row["planner"] == planner]))
-    if not refused:
-        return "\n".join(lines).strip() + "\n"
-    lines += [
-        "",
-        f"Walled-off goals: {len(refused)} refused, median {np.median(refused):.1f} ms, "
-        f"longest {max(refused):.1f} ms.",
-    ]
-    return "\n".join(lines) + "\n"
+    for kind, times in refused.items():
+        lines += [
+            "",
+            f"{kind}: {len(times)} refused, median {np.median(times):.1f} ms, longest {max(times):.1f} ms.",
+        ]
+    return "\n".join(lines).strip() + "\n"
 
 
 def logs(rows: Sequence[dict[str, Any]], folder: Path) -> list[Path]:
@@ -272,14 +282,15 @@ def main() -> None:
         print("intel: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         maps = tuple(m for m in maps if m[0] != "intel")
     rows: list[dict[str, Any]] = []
-    refused: list[float] = []
+    refused: dict[str, list[float]] = {}
     warm = place(*MAPS[0], 1, args.out)
     for space in args.spaces:  # compiled before anything is timed
         list(measure(warm, space, ["RRTConnect"]))
     for name, robot in maps if "disc" in args.spaces else ():
         at = place(name, robot, queries, args.out)
         rows += measure(at, "disc", ["RRTConnect", "BITstar", "PRM"] if args.quick else planners_of("disc"))
-        refused += refusals(at, queries)
+        for kind, gap in REFUSED.items():
+            refused.setdefault(kind, []).extend(refusals(at, queries, gap))
         print(f"{name} {robot}: {len(rows)} plans", flush=True)
     for name, robot in POSE_MAPS[:1] if args.quick else POSE_MAPS:
         at = place(name, robot, 2 if args.quick else 4, args.out)

@@ -119,6 +119,8 @@ def footprint_free(field: Field32, resolution: float, corners: Array, x: float, 
         px = x + c * corners[k, 0] - s * corners[k, 1]
         py = y + s * corners[k, 0] + c * corners[k, 1]
         low_x, high_x, low_y, high_y = min(low_x, px), max(high_x, px), min(low_y, py), max(high_y, py)
+    if low_x < 0.0 or low_y < 0.0 or high_x >= cols * resolution or high_y >= rows * resolution:
+        return False
     first_c, last_c = math.ceil(low_x / resolution - 0.5), math.floor(high_x / resolution - 0.5)
     first_r, last_r = math.ceil(low_y / resolution - 0.5), math.floor(high_y / resolution - 0.5)
     for r in range(first_r, last_r + 1):

@@ -2,7 +2,7 @@
 
 The floor is searched for the disc that holds the whole footprint, first with room to spare, then
 with less: a differential robot can turn on the spot anywhere along such a path. Where that disc has no
-way, or a long way round, the footprint itself is looked at in every heading (planners.lattice).
+way, the footprint itself is looked at in every heading (planners.lattice).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from datasets.types import RobotModel
 from planners.control.monitor import padded
 from planners.costmap import Costmap
 from planners.footprint import footprint_free
-from planners.lattice import Lattice, inner_length
+from planners.lattice import Lattice, inner_disc_joins
 from planners.ompl_planner import OmplConfig, solve
 from planners.oriented import free_from
 from planners.pose_planner import solve_poses
@@ -47,8 +47,6 @@ class PlanConfig(BaseModel):
     """Room kept round the robot's circumscribed circle, tried in this order; the last one only in need."""
     stretch: float = Field(default=1.05, ge=1.0)
     """Room is bought with length up to this times the shortest way with the last margin."""
-    detour: float = Field(default=1.15, ge=1.0)
-    """A gap that only the turned footprint passes is taken when the way round is this much longer."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Obstacles push the path away as far as this, beyond the disc itself."""
     cost_scaling_factor: float = Field(default=3.0, gt=0.0, le=1000.0)
@@ -111,10 +109,6 @@ def plan_path(
         smaller = padded(model.footprint, -0.3 * costmap.resolution)
         if _blocked_until(costmap, smaller, poses) > 2.0 * config.snap:
             raise NoPath("no way leads there")
-    elif way.length > config.detour * inner_length(costmap, model.footprint, start, goal):
-        oriented = _oriented_way(costmap, model, start, goal, config, in_need=False)
-        if oriented is not None and config.detour * path_length(oriented.xy) < way.length:
-            return _oriented_plan(costmap, oriented)
     return plan
 
 
@@ -156,20 +150,18 @@ def _oriented_way(
     start: SE2,
     goal: SE2,
     config: PlanConfig,
-    *,
-    in_need: bool = True,
 ) -> SE2 | None:
-    """A way of the footprint itself in the grid frame; `in_need` also with no more room than cells need."""
-    if not np.isfinite(inner_length(costmap, model.footprint, start, goal)):
+    """A way of the footprint itself in the grid frame; in need with no more room than cells need."""
+    if not inner_disc_joins(costmap, model.footprint, start, goal):
         return None
     # A lethal cell reaches half a cell beyond its centre.
-    half = 0.5 * costmap.resolution
-    lattice = Lattice(costmap, model.footprint, half)
+    least = max(0.5 * costmap.resolution, min(config.margins))
+    lattice = Lattice(costmap, model.footprint, least)
     if not lattice.joins(start, goal):
         return None
-    roomy = Lattice(costmap, model.footprint, max(ROOM, half))
-    way = roomy.way(start, goal, config.spacing)
-    return lattice.way(start, goal, config.spacing) if way is None and in_need else way
+    roomy = Lattice(costmap, model.footprint, max(ROOM, least))
+    way = roomy.way(start, goal, config.spacing) if roomy.joins(start, goal) else None
+    return lattice.way(start, goal, config.spacing) if way is None else way
 
 
 def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
@@ -209,7 +201,7 @@ def _plan_poses(
     """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
         raise NoPath("the robot stands in an obstacle or off the map")
-    if not np.isfinite(inner_length(costmap, model.footprint, start, goal)):
+    if not inner_disc_joins(costmap, model.footprint, start, goal):
         raise NoPath("no way leads there")
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
@@ -219,9 +211,7 @@ def _plan_poses(
         there = SE2(np.stack([start.xyt, goal.xyt]))
         return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name, 0)
     for attempt in range(config.ompl.restarts):
-        poses = solve_poses(
-            costmap, model.footprint, start, goal, config.ompl, config.spacing, seed + attempt
-        )
+        poses = solve_poses(costmap, footprint, start, goal, config.ompl, config.spacing, seed + attempt)
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name, attempt + 1)
     if config.ompl.space == "se2":  # the one space in which turns on the spot are ways

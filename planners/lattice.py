@@ -15,7 +15,7 @@ from datasets.se2 import SE2, Array
 from planners.control.monitor import padded
 from planners.costmap import Costmap
 from planners.footprint import Field32
-from planners.lattice_search import BLOCKED, OCTILE, Numbers, ends, flood, number_cells, shortest
+from planners.lattice_search import BLOCKED, Numbers, ends, flood, number_cells, shortest
 from planners.oriented import pull, turning
 from planners.smoothing import densify
 from planners.wavefront import wave
@@ -95,10 +95,10 @@ class Lattice:
         )
 
 
-def inner_length(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> float:
-    """A bound on the way of the largest disc inside the footprint, about its middle [m]; inf: there is none.
+def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
+    """Whether the largest disc inside the footprint, about its middle, gets from one pose to the other.
 
-    Where that disc cannot go nothing can. Its way is as long as the footprint's but for turns on the spot.
+    Where it does not nothing does; quick.
     """
     middle = 0.5 * (footprint.min(axis=0) + footprint.max(axis=0))
     # Cells stand for all points within 0.71 of a cell of their centres.
@@ -108,12 +108,9 @@ def inner_length(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_g
         for pose in (T_grid_start, T_grid_goal)
     )
     rows, cols = floor.shape
-    for r, c in ((r0, c0), (r1, c1)):
-        if not (0 <= r < rows and 0 <= c < cols and floor[r, c]):
-            return math.inf
-    cells = float(wave(floor, r1, c1, np.inf)[r0, c0])
-    # Up to a cell is lost at each end.
-    return max(OCTILE * cells - 2.0, 0.0) * costmap.resolution
+    if any(not (0 <= r < rows and 0 <= c < cols and floor[r, c]) for r, c in ((r0, c0), (r1, c1))):
+        return False
+    return bool(np.isfinite(wave(floor, r1, c1, np.inf)[r0, c0]))
 
 
 def _inscribed(corners: Array) -> float:

@@ -52,7 +52,14 @@ def plain_free(lethal: np.ndarray, corners: np.ndarray, poses: np.ndarray) -> np
     """Whether no lethal cell's centre lies in the polygon at poses (n, 3); off the grid all are lethal."""
     grown = np.pad(lethal, 12, constant_values=True)
     centres = (np.argwhere(grown)[:, ::-1] - 12 + 0.5) * RES
-    return np.array([not inside(corners, SE2(pose).inverse() @ centres).any() for pose in poses])
+    size = np.array(lethal.shape[::-1]) * RES
+
+    def free(pose: SE2) -> bool:
+        outline = pose @ corners
+        on_grid = np.all(outline >= 0.0) and np.all(outline < size)
+        return bool(on_grid and not inside(corners, pose.inverse() @ centres).any())
+
+    return np.array([free(SE2(pose)) for pose in poses])
 
 
 def plain_joined(lethal: np.ndarray, corners: np.ndarray, a: tuple, b: tuple) -> bool:
@@ -132,6 +139,15 @@ def test_what_the_cells_join_is_planned_though_the_planner_finds_nothing():
     )
     assert plan.planner == "grid"
     assert free_from(costmap.clearance, RES, BURGER.footprint, plan.poses.xyt) == 0
+
+
+def test_room_that_is_asked_for_is_kept_in_a_narrow_gap_too():
+    costmap = partitions(np.random.default_rng(2), (8, 9))
+    start, goal = SE2.from_xyt(0.6, 0.75, 1.0), SE2.from_xyt(2.5, 0.75, -1.0)
+    with pytest.raises(NoPath):
+        plan_path(costmap, WAFFLE, start, goal, PlanConfig(margins=(0.2, 0.08)), seed=1)
+    plan = plan_path(costmap, WAFFLE, start, goal, PlanConfig(margins=(0.2, 0.04)), seed=1)
+    assert free_from(costmap.clearance, RES, padded(WAFFLE.footprint, 0.04), plan.poses.xyt) == 0
 
 
 @pytest.mark.parametrize("space", ["disc", "se2"])
