@@ -57,7 +57,7 @@ def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
 def load_map(path: Path) -> OccupancyGrid:
     """Read a map yaml and its image as map_server would; InputError says what is wrong with them."""
     meta = _read_yaml(path)
-    image_path = Path(meta.image) if Path(meta.image).is_absolute() else path.parent / meta.image
+    image_path = _image_of(path, meta)
     if not image_path.is_file():
         raise InputError(f"{path}: its image {image_path} does not exist")
     try:
@@ -71,6 +71,15 @@ def load_map(path: Path) -> OccupancyGrid:
         return OccupancyGrid(cells, meta.resolution, SE2.from_xyt(*meta.origin))
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def map_files(path: Path) -> dict[str, Path]:
+    """The two files of a map by the names a manifest gives them as inputs: `map`, `map_image`."""
+    return {"map": path, "map_image": _image_of(path, _read_yaml(path))}
+
+
+def _image_of(path: Path, meta: MapYaml) -> Path:
+    return Path(meta.image) if Path(meta.image).is_absolute() else path.parent / meta.image
 
 
 def _read_yaml(path: Path) -> MapYaml:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
+from datasets.maps import load_map, map_files
 from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
 from datasets.recordings import load_recording
 from datasets.se2 import SE2
@@ -85,7 +85,7 @@ def localise(
             folder / "metrics.json", {"scans": len(recording), "log_s": recording.duration(), **metrics}
         )
         (folder / "config.yaml").write_text(config_text(config))
-        inputs = {"bag": bag, "map": map_yaml} | ({"truth": truth} if truth else {})
+        inputs = {"bag": bag, **map_files(map_yaml)} | ({"truth": truth} if truth else {})
         extra = {"update_ms": _milliseconds(result)} if result else {}
         write_manifest(
             folder,

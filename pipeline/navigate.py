@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.bags.writer import BagWriter
-from datasets.maps import save_map
+from datasets.maps import map_files, save_map
 from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_json, write_manifest
 from datasets.trajectories import save_tum
 from pipeline.config import config_text
@@ -133,9 +133,7 @@ def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
 
 
 def _inputs(request: Request) -> dict[str, Path]:
-    inputs = {}
-    if request.map_path is not None:
-        inputs["map"] = request.map_path
+    inputs = {} if request.map_path is None else map_files(request.map_path)
     if isinstance(request.takeover, Path):
         inputs["takeover"] = request.takeover
     if request.waypoints_path is not None:

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from datasets.maps import load_map
+from datasets.maps import load_map, map_files
 from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
 from datasets.se2 import SE2
 from datasets.seeds import stream
@@ -77,7 +77,7 @@ def plan(
             folder,
             stage="plan",
             command=command_line,
-            inputs={"map": map_path},
+            inputs=map_files(map_path),
             seed=seed,
             wall_s=watch.seconds(),
             extra={

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from reports.draw_localise import draw_localise, draw_plan
+from reports.draw_localise import draw_localise, draw_plan, given_map
 from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
 from reports.metrics.recording import recording_metrics
@@ -33,6 +33,8 @@ DRAW = {
     "navigate": draw_run,
 }
 GOOD, BAD, NEUTRAL = "good", "bad", "neutral"
+GOOD_WALLS = 0.99
+"""A map is good when this share of its wall cells lies within one cell of a true surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ def build_chapter(
             Part(
                 stage,
                 _title(stage),
-                verdict(stage, metrics),
+                verdict(stage, metrics, odometry_error(chapter, group.record_of(stage))),
                 metrics,
                 numbers_of(stage, metrics, group.name),
                 other_values(stage, metrics),
@@ -110,13 +112,17 @@ def build_chapter(
 
 
 def pointer_of(group: Group) -> PointerMap | None:
-    """The map of a group for the mouse: the built one, else the true one; with what was driven on it."""
+    """The map of a group for the mouse: what a run with goals was given, else the built one, else the true
+    one; with what was driven on it.
+    """
     built, record, runs = group.first("map"), group.first("record"), group.of_kind("navigate")
-    grids = [built.map if built else None, *(stage.true_map for stage in (record, *runs) if stage)]
+    with_goals = next((run for run in runs if run.metrics.get("goals")), None)
+    given = given_map(with_goals, group) if with_goals else None
+    grids = [given, built.map if built else None]
+    grids += [stage.true_map for stage in (record, *runs) if stage]
     grid = next((grid for grid in grids if grid is not None), None)
     if grid is None:
         return None
-    with_goals = next((run for run in runs if run.metrics.get("goals")), None)
     if with_goals is None:
         return pointer_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
     believed = "estimate" if with_goals.metrics.get("localisation_error_m") else "odometry"
@@ -150,12 +156,18 @@ def _title(stage: Stage) -> str:
     return f"{TITLES['navigate']}: {stage.label}"
 
 
-def verdict(stage: Stage, metrics: Mapping[str, Any]) -> tuple[str, str]:
-    """(good, bad or neutral; one sentence)."""
+def odometry_error(chapter: Chapter, record: Stage | None) -> float | None:
+    """RMSE [m] of the wheels alone in a recording of the chapter, where it is known."""
+    told = (lookup(part.metrics, "odometry_ate_m.rmse") for part in chapter.parts if part.stage is record)
+    return next(told, None)
+
+
+def verdict(stage: Stage, metrics: Mapping[str, Any], odometry_m: float | None = None) -> tuple[str, str]:
+    """(good, bad or neutral; one sentence); `odometry_m` is the error that a map had to put right."""
     if stage.kind == "navigate":
         return _run_verdict(stage.label, metrics)
     if stage.kind == "map":
-        return _map_verdict(metrics)
+        return _map_verdict(metrics, odometry_m)
     if stage.kind == "localise":
         return _localise_verdict(metrics)
     if stage.kind == "plan":
@@ -187,17 +199,18 @@ def _misses(goals: Sequence[Mapping[str, Any]]) -> str:
     return f" ({', '.join(f'{count} {end}' for end, count in ends.items())})" if ends else ""
 
 
-def _map_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
+def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[str, str]:
     scans = metrics.get("scans", "?")
     near = lookup(metrics, "map.occupied_error_m.within_one_cell")
     ate = lookup(metrics, "ate_m.rmse")
     relations = lookup(metrics, "relations.trans_m.mean")
     if near is not None and ate is not None:
+        alone = f", by odometry alone {shown(odometry_m, 'cm')}" if odometry_m is not None else ""
         sentence = (
             f"{shown(near, 'percent')} of the wall cells lie within one cell of a true surface; "
-            f"trajectory error {shown(ate, 'cm')} RMSE over {scans} scans."
+            f"trajectory error {shown(ate, 'cm')} RMSE over {scans} scans{alone}."
         )
-        return (GOOD if near >= 0.99 else BAD), sentence
+        return (GOOD if near >= GOOD_WALLS else BAD), sentence
     if relations is not None:
         return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
     sentence = f"{scans} scans; no truth was given, so no error is known"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
+from datasets.outputs import sha256_tree
 from datasets.se2 import SE2
 from datasets.types import Trajectory
 from reports.figures import maps, series
@@ -21,13 +24,28 @@ from reports.stages import Group, Stage
 
 
 def given_map(stage: Stage, group: Group) -> OccupancyGrid | None:
-    """The map a stage was given while its file is there, else the one built beside it."""
-    for path in stage.input_paths().values():
-        if path.suffix in (".yaml", ".yml") and path.is_file():
-            with suppress(InputError):
-                return load_map(path)
-    built = group.first("map")
-    return built.map if built is not None else None
+    """The very map a stage was given: its files while they have their hashes, else the same map among the
+    group's, for a report that was moved; None when it is nowhere to be found.
+    """
+    given = {name: stage.manifest.get("inputs", {}).get(name) for name in ("map", "map_image")}
+    told = [entry for entry in given.values() if entry is not None]
+    if given["map"] is None:
+        return None
+    if all(_unchanged(entry) for entry in told):
+        with suppress(InputError):
+            return load_map(Path(given["map"]["path"]))
+    wanted = {digest for entry in told for digest in entry["sha256"].values()}
+    for other in group.stages:
+        for folder, grid in (("", other.map), ("truth/", other.true_map)):
+            has = {other.outputs.get(f"{folder}map.yaml"), other.outputs.get(f"{folder}map.pgm")}
+            if wanted <= has:
+                return grid
+    return None
+
+
+def _unchanged(entry: Mapping[str, Any]) -> bool:
+    path = Path(entry["path"])
+    return path.is_file() and sha256_tree(path) == entry["sha256"]
 
 
 def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:

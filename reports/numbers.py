@@ -116,7 +116,7 @@ def numbers_of(stage: Stage, metrics: Mapping[str, Any], prefix: str) -> list[Nu
     found = []
     for spec in SPECS[stage.kind]:
         value = lookup(metrics, spec.path)
-        if value is not None and not isinstance(value, Mapping):
+        if value is not None and not isinstance(value, Mapping) and not (spec.seldom and not value):
             found.append(Number(f"{prefix}/{stage.label}:{spec.path}", spec, value, stage))
     return found
 
@@ -132,8 +132,8 @@ def sections_of(stage: Stage, numbers: Sequence[Number]) -> list[tuple[Section, 
 
 
 def other_values(stage: Stage, metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Leaves of the metrics no Spec names: (dotted path, text)."""
-    named = {spec.path for spec in SPECS[stage.kind]}
+    """Leaves of the metrics that are not among the numbers: (dotted path, text)."""
+    named = {spec.path for spec in SPECS[stage.kind] if not (spec.seldom and not lookup(metrics, spec.path))}
     return [
         (path, DASH if value is None else f"{value:.6g}" if isinstance(value, float) else str(value))
         for path, value in leaves(metrics)

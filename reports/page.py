@@ -10,7 +10,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports.compare import Comparison
-from reports.content import BAD, GOOD, NEUTRAL, Chapter, Part, collision_count
+from reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
 from reports.figures import style
 from reports.figures.album import Picture
 from reports.index import Line, used_columns
@@ -55,6 +55,7 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         packages=packages(groups),
         words=WORDS,
         goal_meanings=GOAL_MEANINGS,
+        good_walls=GOOD_WALLS,
     )
 
 
@@ -132,9 +133,9 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         meaning = "Episodes of contact with anything but the floor, of all runs, counted by the simulator."
         found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
     for path, label, unit, worst, kinds in (
-        ("ate_m.rmse", "map trajectory error", "cm", max, ("map",)),
+        ("ate_m.rmse", "map trajectory error, RMSE", "cm", max, ("map",)),
         ("relations.trans_m.mean", "relations error", "m4", max, ("map",)),
-        ("localisation_error_m.rmse", "localisation error", "cm", max, ("navigate", "localise")),
+        ("localisation_error_m.rmse", "localisation error, RMSE", "cm", max, ("navigate", "localise")),
         ("min_clearance_m", "least clearance", "cm", min, ("navigate",)),
         ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min, ("map",)),
         ("scans", "scans", "count", max, ("record", "map", "localise")),

@@ -10,7 +10,7 @@ class Spec:
     """A number by its dotted path in the metrics: its name, unit, meaning and what it is computed from.
 
     `sources` are files of the stage; `topics` the bag topics among them. `trusted`: the one of its
-    section to go by.
+    section to go by. `seldom`: left out while it is zero.
     """
 
     path: str
@@ -20,6 +20,7 @@ class Spec:
     sources: tuple[str, ...] = ()
     topics: tuple[str, ...] = ()
     trusted: bool = False
+    seldom: bool = False
 
 
 @dataclass(frozen=True)

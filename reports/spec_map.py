@@ -7,10 +7,8 @@ from reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
 WALLS = Section(
     "The walls",
     "Trust the two marked ones, together: nothing is drawn that is not there, and nothing is missing. "
-    "IoU without tolerance only ranks maps drawn on the same grid: walls are one cell thick, so a wall "
-    "that lies a hair beyond a cell's border counts twice against it, as missing and as invented (the "
-    "true map itself, drawn half a cell beside, gets less than 20 %). Distances are between cell "
-    "centres: 0, one cell, ...",
+    "The others serve to compare maps drawn on the same grid. Distances are between cell centres: 0, one "
+    "cell, ...",
     (
         Spec(
             "map.occupied_error_m.within_one_cell",
@@ -54,8 +52,10 @@ WALLS = Section(
             "map.iou",
             "map IoU, no tolerance",
             "percent",
-            "Occupied map cells against true visible surface cells, cell for cell. To compare maps "
-            "drawn on the same grid, not to judge one.",
+            "Occupied map cells against true visible surface cells, cell for cell. Walls are one cell thick: "
+            "one that lies a hair beyond a cell's border counts twice against the map, as missing and as "
+            "invented, and the true map itself, drawn half a cell beside, gets less than 20 %. To compare "
+            "maps drawn on the same grid, not to judge one.",
             MAP_FILES,
         ),
     ),

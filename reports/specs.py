@@ -115,6 +115,7 @@ RUN = (
                 "Times that someone took the commands over from navigation, by the run log's owner of each "
                 "tick.",
                 LOG,
+                seldom=True,
             ),
             Spec(
                 "takeovers.time_s",
@@ -122,6 +123,7 @@ RUN = (
                 "s",
                 "Simulated time that navigation did not drive.",
                 LOG,
+                seldom=True,
             ),
             Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
         ),

@@ -32,6 +32,14 @@ WORDS = (
         "SLAM",
         "Simultaneous localisation and mapping: from lidar scans and odometry, the path and the map at once.",
     ),
+    Word(
+        "key scan",
+        "One of the scans the map is built from, taken every so far and every so much of a turn; a node of "
+        "the pose graph.",
+        ("key scans",),
+    ),
+    Word("scan", "One turn of the lidar: the distance to what it hit in each direction.", ("scans",)),
+    Word("cell", "One square of the map, free, occupied or unknown; usually 5 cm wide.", ("cells",)),
     Word("truth", "Where the robot really was, known to the simulator. No algorithm ever reads it."),
     Word("yaw", "Heading, counted from the x axis, left positive."),
     Word("RMSE", "Root mean square error: like a mean, but large errors count more."),
@@ -46,12 +54,6 @@ WORDS = (
         "alignment",
         "Moving the whole path rigidly onto the truth before measuring. Simulated maps are measured without: "
         "map and world share their origin.",
-    ),
-    Word(
-        "key scan",
-        "One of the scans the map is built from, taken every so far and every so much of a turn; a node of "
-        "the pose graph.",
-        ("key scans",),
     ),
     Word(
         "loop",

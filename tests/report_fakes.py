@@ -7,7 +7,7 @@ import numpy as np
 
 from datasets.bags.writer import BagWriter
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.maps import save_map
+from datasets.maps import map_files, save_map
 from datasets.outputs import sha256_file, write_json, write_manifest
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
@@ -183,7 +183,7 @@ def fake_run(folder: Path, map_folder: Path, *, task: str = "patrol", missed: bo
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "navigate", "--world", "room", "--map", f"{map_folder}/map.yaml", "--task", task]
     command += ["--seed", "1", "--out", str(folder)]
-    inputs = {"map": map_folder / "map.yaml"}
+    inputs = map_files(map_folder / "map.yaml")
     write_manifest(folder, stage="navigate", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
 
@@ -196,7 +196,7 @@ def fake_localise(folder: Path, record: Path, map_folder: Path) -> Path:
     metrics = {"scans": 150, "success": True, "status": "localised", "localisation_error_m": error}
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "localise", str(record), "--map", f"{map_folder}/map.yaml", "--out", str(folder)]
-    inputs = {"bag": record, "map": map_folder / "map.yaml"}
+    inputs = {"bag": record, **map_files(map_folder / "map.yaml")}
     write_manifest(folder, stage="localise", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
 
@@ -206,7 +206,7 @@ def fake_plan(folder: Path, map_folder: Path) -> Path:
     (folder / "path.csv").write_text("x,y,yaw\n-2,-1.5,0\n0,-1.5,0\n2,-1.5,0\n")
     write_json(folder / "metrics.json", {"success": True, "length_m": 4.0})
     command = ["turtlebag", "plan", "--map", f"{map_folder}/map.yaml", "--out", str(folder)]
-    inputs = {"map": map_folder / "map.yaml"}
+    inputs = map_files(map_folder / "map.yaml")
     write_manifest(folder, stage="plan", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
 

@@ -237,7 +237,7 @@ def test_words_are_linked_once_to_their_meaning_and_the_text_stays_escaped():
 def test_every_word_that_is_linked_is_explained_at_the_end(page):
     text = page.read_text()
     linked = set(re.findall(r'href="#(word-[^"]*)"', text))
-    assert {"word-odometry", "word-slam", "word-iou", "word-footprint"} <= linked
+    assert {"word-odometry", "word-slam", "word-cell", "word-footprint"} <= linked
     assert linked <= set(re.findall(r'<div id="(word-[^"]*)"', text))
 
 

@@ -3,14 +3,19 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 from report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_run, rehash
 
 from datasets.errors import InputError
+from datasets.grid import OCCUPIED, OccupancyGrid
+from datasets.maps import load_map, save_map
+from datasets.outputs import sha256_file
 from pipeline.report import make_report
 from pipeline.verify import verify
-from reports.draw_localise import read_path, rival_paths
-from reports.stages import load_stage
+from reports.content import pointer_of
+from reports.draw_localise import given_map, read_path, rival_paths
+from reports.stages import Group, load_stage
 
 
 def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
@@ -83,3 +88,38 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     assert "Rejected: no initial pose." in page
     assert "<strong>Not localised.</strong>" in page
     assert "<strong>The map it made.</strong>" in page
+
+
+def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):
+    record = fake_record(tmp_path / "record")
+    first, given = fake_map(tmp_path / "first", record), fake_map(tmp_path / "given", record)
+    changed = load_map(given / "map.yaml").cells.copy()
+    changed[60:70, 60:70] = OCCUPIED
+    save_map(OccupancyGrid(changed, 0.05, load_map(given / "map.yaml").T_map_grid), given)
+    rehash(given, "map.pgm")
+    run = load_stage(fake_run(tmp_path / "run", given))
+    assert run.manifest["inputs"]["map_image"]["sha256"] == {"map.pgm": sha256_file(given / "map.pgm")}
+    group = Group("room", (load_stage(record), load_stage(first), load_stage(given), run))
+    np.testing.assert_array_equal(given_map(run, group).cells, changed)
+    # The file is another map by now: the same one is found by its hashes, where it was moved to.
+    given.rename(tmp_path / "moved")
+    shutil.copytree(first, given)
+    elsewhere = Group("room", (load_stage(first), load_stage(tmp_path / "moved"), run))
+    np.testing.assert_array_equal(given_map(run, elsewhere).cells, changed)
+    assert given_map(run, Group("room", (load_stage(first), run))) is None
+    on_truth = load_stage(fake_run(tmp_path / "cheat", record / "truth"))
+    record.rename(tmp_path / "far")
+    seen = given_map(on_truth, Group("room", (load_stage(tmp_path / "far"), on_truth)))
+    np.testing.assert_array_equal(seen.cells, load_map(tmp_path / "far/truth/map.yaml").cells)
+
+
+def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
+    record = fake_record(tmp_path / "record")
+    first, given = fake_map(tmp_path / "first", record), fake_map(tmp_path / "given", record)
+    grid = load_map(first / "map.yaml")
+    save_map(OccupancyGrid(grid.cells[:90], 0.05, grid.T_map_grid), first)
+    rehash(first, "map.pgm")
+    run = fake_run(tmp_path / "run", given)
+    group = Group("room", tuple(load_stage(folder) for folder in (record, first, given, run)))
+    assert pointer_of(group).rows == 108
+    assert pointer_of(Group("room", group.stages[:2])).rows == 90

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
@@ -24,12 +24,9 @@ from pipeline.navigation.navigator import NavigationDriver
 from pipeline.navigation.recorder import Bag, NoBag
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import Made, Mission, make_driver, prepare
-from pipeline.slam.chain import Chain
-from pipeline.slam.closing import Closed, Progress, close_graph
+from pipeline.slam.closing import Closed, close_graph
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.loops import LoopConfig
 from pipeline.slam.pose_graph import Constraint, optimise
-from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, Steps
 from pipeline.slam.tracking import Track, TrackingConfig, track_log
 from reports.stages import Stage
@@ -86,16 +83,9 @@ def _true_front_end(truth: SE2) -> Callable[..., Track]:
 
 
 def _true_loops(truth: SE2) -> Callable[..., Closed]:
-    def closed(
-        clouds: Clouds,
-        keys: NDArray[np.int64],
-        T_map_keys: SE2,
-        chain: Chain,
-        steps: list[Constraint],
-        configs: tuple[LoopConfig, RecallConfig],
-        progress: Progress,
-    ) -> Closed:
-        found = close_graph(clouds, keys, T_map_keys, chain, steps, configs, progress)
+    def closed(*open_graph: Any) -> Closed:
+        found = close_graph(*open_graph)
+        _, keys, T_map_keys, _, steps, *_ = open_graph
         T = truth[keys]
         loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in found.record]
         poses = optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys

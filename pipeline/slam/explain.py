@@ -9,7 +9,7 @@ import numpy as np
 
 from datasets.maps import save_map
 from datasets.outputs import write_json
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.loops import Loop
 from pipeline.slam.occupancy import make_grid
@@ -27,8 +27,8 @@ def loop_record(result: SlamResult) -> dict[str, Any]:
     session = result.session
     return {
         "keys": result.keys,
-        "loops": [_loop(loop, result.T_map_keys) for loop in result.loops],
-        "recognised": [_recognised(place, result.T_map_keys) for place in result.recognised],
+        "loops": [_candidate(loop, result.T_map_keys) for loop in result.loops],
+        "recognised": [_candidate(place, result.T_map_keys) for place in result.recognised],
         "breaks": [
             {"after_scan": before, "before_scan": after, "mended": _mended(session, after)}
             for before, after in session.chain.gaps.tolist()
@@ -41,37 +41,26 @@ def _mended(session: Session, scan: int) -> bool:
     return not bool(session.graph.unbridged[step])
 
 
-def _recognised(place: Recognised, T_map_keys: SE2) -> dict[str, Any]:
+def _candidate(found: Loop | Recognised, T_map_keys: SE2) -> dict[str, Any]:
+    """What is told of a candidate and what is left of it at the final poses."""
     return {
-        "i": place.i,
-        "j": place.j,
-        "T_j_i": place.T_j_i,
-        "score": place.score,
-        "overlap": place.overlap,
-        "denied": place.denied,
-        "rmse_m": place.rmse,
-        "verdict": place.verdict,
-        **_residual(place.i, place.j, place.T_j_i, T_map_keys),
+        "i": found.i,
+        "j": found.j,
+        "T_j_i": found.T_j_i,
+        **({"gate_m": found.gate_m} if isinstance(found, Loop) else {}),
+        "score": found.score,
+        "overlap": found.overlap,
+        **({"denied": found.denied} if isinstance(found, Recognised) else {}),
+        "rmse_m": found.rmse,
+        "verdict": found.verdict,
+        **_residual(found, T_map_keys),
     }
 
 
-def _residual(i: int, j: int, T_j_i: Array, T_map_keys: SE2) -> dict[str, float]:
-    left = (SE2(T_j_i).inverse() @ T_map_keys[j].inverse() @ T_map_keys[i]).xyt
+def _residual(found: Loop | Recognised, T_map_keys: SE2) -> dict[str, float]:
+    measured = SE2(found.T_j_i)
+    left = (measured.inverse() @ T_map_keys[found.j].inverse() @ T_map_keys[found.i]).xyt
     return {"residual_m": float(np.hypot(left[0], left[1])), "residual_rad": float(abs(left[2]))}
-
-
-def _loop(loop: Loop, T_map_keys: SE2) -> dict[str, Any]:
-    return {
-        "i": loop.i,
-        "j": loop.j,
-        "T_j_i": loop.T_j_i,
-        "gate_m": loop.gate_m,
-        "score": loop.score,
-        "overlap": loop.overlap,
-        "rmse_m": loop.rmse,
-        "verdict": loop.verdict,
-        **_residual(loop.i, loop.j, loop.T_j_i, T_map_keys),
-    }
 
 
 def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> None:
