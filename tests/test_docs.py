@@ -19,6 +19,7 @@ from datasets.yaml_files import load_model
 from pipeline.campaign.plan import Campaign
 from pipeline.cli import VERBS, build_parser, joined, main
 from pipeline.config import load_config
+from pipeline.navigation.takeover import load_script
 from pipeline.slam.slam import SlamConfig
 from planners.tasks.waypoints import load_waypoints
 from reports.draw_localise import read_path
@@ -124,6 +125,7 @@ READERS = {
     "path.csv": read_path,
     "map-config.yaml": lambda path: load_config(SlamConfig, path, []),
     "waypoints.yaml": load_waypoints,
+    "takeover.yaml": load_script,
     "intel.relations": load_relations,
     "robot.yaml": lambda path: load_robot(str(path)),
     "campaign.yaml": lambda path: load_model(Campaign, path),

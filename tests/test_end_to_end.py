@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from datasets.trajectories import load_tum
 from pipeline.cli import main
 from pipeline.verify import verify
 
+ROOT = Path(__file__).parents[1]
 LAP = """\
 name: short_lap
 v: 0.2
@@ -55,6 +57,15 @@ def test_a_viewer_finds_everything_of_its_layout_in_the_bags(stages):
     on_map, on_odometry = layouts["foxglove-layout.json"], layouts["foxglove-layout-odom.json"]
     assert unresolved(on_map, stages / "run/bag", without={"/points"}) == []
     assert unresolved(on_odometry, stages / "record/bag", without={"/points", "/amcl_pose"}) == []
+
+
+def test_the_pages_on_files_name_every_file_of_every_stage(stages):
+    page = (ROOT / "docs/files.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", page, re.M))
+    for folder in ("record", "map", "run", "report"):
+        manifest = json.loads((stages / folder / "manifest.json").read_text())
+        parts = {path.partition("/")[0] + "/" * ("/" in path) for path in manifest["outputs"]}
+        assert {part for part in parts if f"`{part}`" not in rows[manifest["stage"]]} == set()
 
 
 def test_the_map_trajectory_is_within_three_centimetres_of_the_truth(stages):
