@@ -30,6 +30,7 @@ from pipeline.navigation.setup import prepare
 from sim.simulator import Simulator
 
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
+EXPLORE_S = 1800.0
 
 
 def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
@@ -48,6 +49,7 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
         of("boxes and blind movers", 200, 3, functools.partial(clutter.obstacles, maps, False)),
         of("avoid guarded", 50, 2, functools.partial(cases.avoid, "guarded", duration)),
         of("avoid tutorial", 50, 2, functools.partial(cases.avoid, "tutorial", duration)),
+        of("explore", 24, 1, functools.partial(cases.explore, QUICK_AVOID_S if quick else EXPLORE_S)),
     ]
     for place in ("arena", "house"):
         found += [

@@ -34,7 +34,7 @@ NEW_WORLDS_FROM = 7000
 class Case:
     """One episode. `score` turns its metrics into a number where the scenario has one; `wanted` is the
     status that the goals should end with; `within` says how near [m, rad] one that counts as reached must
-    truly be.
+    truly be; `seen` is the share of the floor that must have been looked at in the end.
     """
 
     name: str
@@ -46,6 +46,7 @@ class Case:
     score: Callable[[dict], float] | None = None
     wanted: str = "reached"
     within: tuple[float, float] = (0.05, math.radians(5.0))
+    seen: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,6 +130,16 @@ def avoid(mode: str, duration: float, name: str, seed: int) -> Case:
     start = pose_on(grid, cells, stream(seed, "avoid"))
     request = Request(task="avoid", seed=seed, start=start, duration_s=duration)
     return Case(name, seed, world, robot, request, config)
+
+
+def explore(duration: float, name: str, seed: int) -> Case:
+    """A world that nothing is known of, mapped without a script, in `duration` [s] at most."""
+    number = NEW_WORLDS_FROM + 500 + seed
+    worlds = ("turtlebot3_world", f"office:{number}", f"maze:{number}", "turtlebot3_house")
+    world, robot, grid, cells = named_floor(worlds[seed % 4], ("burger", "waffle_pi")[seed // 4 % 2])
+    start = pose_on(grid, cells, stream(seed, name))
+    request = Request(task="explore", seed=seed, start=start, duration_s=duration)
+    return Case(name, seed, world, robot, request, seen=0.95)
 
 
 def barn_worlds() -> list[Path]:

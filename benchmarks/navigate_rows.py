@@ -57,15 +57,18 @@ def row_of(case: Case, episode: Episode, cpu_s: float) -> dict[str, Any]:
     own = own_contacts(episode.log)
     standing_still = case.world.movers and not own
     # Without a map nobody can know of what is too low for the lidar: counted, but apart.
-    counted = m["collisions"]["visible"] + (0 if case.request.task == "avoid" else m["collisions"]["low"])
+    unknown = case.request.task in ("avoid", "explore")
+    counted = m["collisions"]["visible"] + (0 if unknown else m["collisions"]["low"])
     touched = counted > 0 and not standing_still
     localisation = m["localisation_error_m"]
+    share = m.get("area", {}).get("share", math.nan)
+    unseen = share < case.seen
     return {
         **blank_row(case),
-        "success": int(not others and not touched),
+        "success": int(not others and not touched and not unseen),
         "reached": len(reached),
         "goals": len(m["goals"]),
-        "reasons": "; ".join(_why(g) for g in others),
+        "reasons": "; ".join([*(_why(g) for g in others), *["saw too little of the floor"] * unseen]),
         "visible": m["collisions"]["visible"],
         "low": m["collisions"]["low"],
         "own_speed": own,
@@ -75,7 +78,7 @@ def row_of(case: Case, episode: Episode, cpu_s: float) -> dict[str, Any]:
         "localisation_rmse_m": math.nan if localisation is None else localisation["rmse"],
         "distance_m": m["distance_m"],
         "seen_m2": m.get("area", {}).get("seen_m2", math.nan),
-        "seen_share": m.get("area", {}).get("share", math.nan),
+        "seen_share": share,
         "time_s": m["time_s"],
         "score": math.nan if case.score is None else case.score(m),
         "x_real_time": round(m["time_s"] / max(cpu_s, 1e-9), 1),

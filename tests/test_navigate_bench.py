@@ -120,6 +120,16 @@ def test_a_goal_reached_in_the_wrong_place_is_a_failure():
     assert row_of(patrol, episode(0.01, 0.0), 1.0)["success"] == 0
 
 
+def test_an_exploration_that_saw_too_little_failed_whatever_it_touched_below_the_lidar():
+    looked = cases.explore(60.0, "explore", 0)
+    run = episode(0.0, 0.005)
+    run.metrics.update(goals=[], collisions={"visible": 0, "low": 1}, area={"share": 0.96, "seen_m2": 9.0})
+    assert row_of(looked, run, 1.0)["success"] == 1
+    run.metrics["area"]["share"] = 0.94
+    row = row_of(looked, run, 1.0)
+    assert (row["success"], row["reasons"]) == (0, "saw too little of the floor")
+
+
 def test_seeds_are_named_as_runs():
     assert spans([3, 1, 2, 10, 11]) == "1..3, 10..11"
     assert spans([7]) == "7..7"
