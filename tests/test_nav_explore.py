@@ -1,5 +1,7 @@
 """The start of an exploration of the arena: it drives, its map grows, it touches nothing."""
 
+import dataclasses
+
 import numpy as np
 
 from datasets.grid import FREE
@@ -60,3 +62,36 @@ def test_exploring_ends_in_time_when_no_scan_ever_comes():
             observation = simulator.step(driver.step(observation))
     assert driver.finished
     assert driver.grid is None
+
+
+class Holding:
+    """A collision monitor that lets nothing pass but standing still."""
+
+    def limit(self, wanted, points_base):
+        return float(wanted.v == 0.0 and wanted.w == 0.0)
+
+    def limit_on_map(self, wanted, clearance, resolution, x, y, yaw):
+        return 1.0
+
+
+def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():
+    robot, explore = load_robot("burger"), ExploreConfig()
+    config = NavigateConfig(goal_checker=explore.checker)
+    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
+
+    def tools(costmap):
+        return dataclasses.replace(
+            make_tools(robot, config, LiveLayer(costmap, config.live)), monitor=Holding()
+        )
+
+    driver = ExploreDriver(explore, robot.model, sensing, online, tools, NoBag(), duration_s=60.0, seed=1)
+    places = []
+    with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
+        observation = simulator.reset()
+        while observation.stamp_ns < 35e9:
+            observation = simulator.step(driver.step(observation))
+            if driver.state.startswith("recover"):
+                places.append((driver.goal_index, driver.state))
+    # wait 2 s, clear 0.3 s, back up (not possible: wait 2 s), wait 4 s: all for one place
+    assert len({index for index, _ in places}) == 1
+    assert len([state for _, state in places if state == "recover_wait"]) > 7.5 * 30

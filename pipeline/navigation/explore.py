@@ -98,14 +98,17 @@ class ExploreDriver:
         away = self._back_off(observation, sight)
         if away is not None:
             return away
-        late = self._now - self._mapped_ns > self._config.look_after * 1e9
-        if self._runner is None or (late and observation.scan is not None):
+        if self._runner is None or (observation.scan is not None and self._late(self._runner)):
             self._choose(observation)
             if self._runner is None:
                 return self._finish(observation)
         if sight is not None:
             self._see(sight)
         return self._pursue(self._runner, observation, sight is not None)
+
+    def _late(self, runner: GoalRunner) -> bool:
+        """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
+        return self._now - self._mapped_ns > self._config.look_after * 1e9 and not runner.recovering
 
     def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""

@@ -108,6 +108,11 @@ class GoalRunner:
         command = self._guarded(wanted, last, pose)
         return command, self._held_up(now_ns, pose, wanted, command)
 
+    @property
+    def recovering(self) -> bool:
+        """Whether it is in trouble, and has not got on since."""
+        return self._ladder.climbed
+
     def rest(self) -> None:
         """Time passes without the robot being meant to move."""
         self._watch.reset()

@@ -105,6 +105,11 @@ class Ladder:
         """Things go well again: start from the foot at the next trouble."""
         self._rung = 0
 
+    @property
+    def climbed(self) -> bool:
+        """Whether things have not gone well since a rung was used."""
+        return self._rung > 0
+
     def climb(
         self, now_ns: int, pose: SE2, room: Callable[[Twist, float], float] = lambda twist, amount: 0.0
     ) -> Manoeuvre | None:
