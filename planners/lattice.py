@@ -16,7 +16,7 @@ from planners.control.monitor import padded
 from planners.costmap import Costmap
 from planners.footprint import Field32
 from planners.lattice_search import BLOCKED, Numbers, ends, flood, number_cells, shortest
-from planners.oriented import pull, turning
+from planners.oriented import free_from, pull, turning
 from planners.smoothing import densify
 from planners.wavefront import wave
 
@@ -36,6 +36,8 @@ HEADINGS = np.array(
 """Steps (32, 2) as columns and rows, counter-clockwise; the widest gap is 18.4 degrees."""
 YAWS = np.arctan2(HEADINGS[:, 1], HEADINGS[:, 0])
 N = len(HEADINGS)
+SIDEWAYS = 0.98
+"""A step whose direction has a smaller cosine with the heading is no drive."""
 
 
 class Lattice:
@@ -64,18 +66,30 @@ class Lattice:
             return None
         row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._res))
         rest = wave(self._numbers != BLOCKED, row, col, np.inf)
-        cells = shortest(*self._floor(), starts, costs, goals, rest)
-        if len(cells) == 0:
+        states = shortest(*self._floor(), starts, costs, goals, rest)
+        if len(states) == 0:
             return None
-        points = np.concatenate([T_grid_start.xy[None], (cells + 0.5) * self._res, T_grid_goal.xy[None]])
+        points = np.concatenate(
+            [T_grid_start.xy[None], (states[:, :2] + 0.5) * self._res, T_grid_goal.xy[None]]
+        )
         first, last = float(T_grid_start.yaw), float(T_grid_goal.yaw)
-        kept, yaws = pull(self._field, self._res, self._corners, densify(points, self._res), first, last)
+        tight = pull(self._field, self._res, self._corners, densify(points, self._res), first, last)
+        # Pulled into a corner from which it does not turn on, the lattice's own steps; last, with slips.
+        ways = (tight, *((points, _yaws(points, states[:, 2], first, last, slip)) for slip in (False, True)))
+        for kept, yaws in ways:
+            poses = self._poses(kept, yaws, first, last, spacing)
+            if free_from(self._field, self._res, self._corners, poses.xyt) == 0:
+                break
+        return poses
+
+    def _poses(self, kept: Array, yaws: Array, first: float, last: float, spacing: float) -> SE2:
+        """Poses along straight drives between corners (m, 2) in headings (m - 1,)."""
         headings = np.concatenate([[first], yaws, [last]])
-        at_corner = [
+        angles = [
             turning(self._field, self._res, self._corners, point, old, new)
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
-        return _poses(kept, headings, np.array(at_corner), spacing)
+        return _poses(kept, headings, np.array(angles), spacing)
 
     def _ends(self, pose: SE2) -> tuple[NDArray[np.int64], Array]:
         return ends(self._field, self._res, self._corners, self._numbers, YAWS, pose.xyt)
@@ -118,6 +132,25 @@ def _inscribed(corners: Array) -> float:
     edge = np.roll(corners, -1, axis=0) - corners
     across = edge[:, 0] * -corners[:, 1] - edge[:, 1] * -corners[:, 0]
     return float(np.abs(across / np.linalg.norm(edge, axis=1)).min())
+
+
+def _yaws(points: Array, headings: NDArray[np.int64], first: float, last: float, slip: bool) -> Array:
+    """The heading of each step between points (n + 2, 2): forwards, unless a narrow state says backwards.
+
+    With `slip` the first and the last step may go to the side, in the heading the robot has there.
+    """
+    known = np.concatenate([[first], np.where(headings >= 0, YAWS[headings], np.nan), [last]])
+    ahead = np.diff(points, axis=0)
+    yaws = np.arctan2(ahead[:, 1], ahead[:, 0])
+    told = np.where(np.isnan(known[1:]), known[:-1], known[1:])
+    told[-1] = known[-2] if np.isfinite(known[-2]) else last
+    told = np.where(np.isnan(told), yaws, told)
+    along = np.cos(yaws - told)
+    out = np.where(along < 0.0, yaws + math.pi, yaws)
+    moved = np.linalg.norm(ahead, axis=1) > 1e-9
+    for k in (0, -1) if slip else ():
+        moved[k] &= abs(along[k]) > SIDEWAYS
+    return np.where(moved, out, told)
 
 
 def _poses(kept: Array, headings: Array, angles: Array, spacing: float) -> SE2:

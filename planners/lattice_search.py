@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from datasets.se2 import Array
 from planners.footprint import Field32, footprint_free
-from planners.oriented import moves
+from planners.oriented import drives, moves, turns
 from planners.wavefront import Wave
 
 BLOCKED, WIDE = -1, -2
 BACKWARDS, TURN = 2.0, 0.2
 """What driving backwards costs a cell, and turning by one heading, beside a cell forwards."""
+SLIP = 4.0
+"""What it costs to leave or reach a pose with a slip of a cell to the side; only where no drive does."""
 OCTILE = 0.92
 """A straight way over eight neighbours' length is no less than this."""
 NEAR_CELLS, NEAR_HEADINGS = 2, 2
@@ -74,11 +76,31 @@ def ends(
                 away = abs((there - yaw + math.pi) % (2.0 * math.pi) - math.pi)
                 if away > (NEAR_HEADINGS + 0.5) * 2.0 * math.pi / n:
                     continue
-                if moves(field, res, corners, x, y, yaw, cx, cy, there):
+                slips = moves(field, res, corners, x, y, yaw, cx, cy, there)
+                if slips or _reaches(field, res, corners, pose, cx, cy, there):
                     out[count, 0], out[count, 1], out[count, 2] = r, c, k
                     gaps[count] = 1.5 * math.hypot(cx - x, cy - y) / res
+                    if not _reaches(field, res, corners, pose, cx, cy, there):
+                        gaps[count] += SLIP
                     count += 1
     return out[:count].copy(), gaps[:count].copy()
+
+
+@njit(cache=True)
+def _reaches(field: Field32, res: float, corners: Array, pose: Array, x: float, y: float, yaw: float) -> bool:
+    """Whether the robot turns, drives and turns from a pose (3,) to another."""
+    a, b = pose[:2], np.array([x, y])
+    if math.hypot(x - a[0], y - a[1]) < 1e-6:
+        return turns(field, res, corners, a, pose[2], yaw)
+    ahead = math.atan2(y - a[1], x - a[0])
+    for way in (ahead, ahead + math.pi):
+        if (
+            turns(field, res, corners, a, pose[2], way)
+            and drives(field, res, corners, a, b, way)
+            and turns(field, res, corners, b, way, yaw)
+        ):
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -245,8 +267,8 @@ def shortest(
     costs: Array,
     goals: NDArray[np.int64],
     rest: Wave,
-) -> Array:
-    """Cells (n, 2) as column, row of the cheapest way (A*, Hart et al. 1968); empty: none.
+) -> NDArray[np.int64]:
+    """States (n, 3) as column, row, heading (-1: any) of the cheapest way (A*, Hart 1968); empty: none.
 
     `rest` is the distance to the goal over eight neighbours, in cells.
     """
@@ -315,7 +337,7 @@ def shortest(
             cost[there] = d + TURN
             before[there] = at
             heapq.heappush(queue, (float(d + TURN + OCTILE * rest[r, c]), d + TURN, there))
-    return np.empty((0, 2))
+    return np.empty((0, 3), dtype=np.int64)
 
 
 @njit(cache=True)
@@ -329,16 +351,16 @@ def _id(numbers: Numbers, size: int, cols: int, n: int, r: int, c: int, k: int) 
 @njit(cache=True)
 def _trace(
     at: int, before: NDArray[np.int64], cell_of: NDArray[np.int64], size: int, cols: int, n: int
-) -> Array:
-    """Cells (n, 2) as column, row from the first state to this one, turns left out."""
-    cells = [0 for _ in range(0)]
+) -> NDArray[np.int64]:
+    """States (n, 3) as column, row, heading (-1: any) from the first one to this."""
+    count, state = 0, at
+    while state >= 0:
+        count, state = count + 1, int(before[state])
+    out = np.empty((count, 3), dtype=np.int64)
     while at >= 0:
-        cell = at if at < size else cell_of[(at - size) // n]
-        if len(cells) == 0 or cells[-1] != cell:
-            cells.append(cell)
-        at = before[at]
-    out = np.empty((len(cells), 2))
-    for i in range(len(cells)):
-        cell = cells[len(cells) - 1 - i]
-        out[i, 0], out[i, 1] = cell % cols, cell // cols
+        count -= 1
+        cell = at if at < size else int(cell_of[(at - size) // n])
+        out[count, 0], out[count, 1] = cell % cols, cell // cols
+        out[count, 2] = -1 if at < size else (at - size) % n
+        at = int(before[at])
     return out

@@ -109,6 +109,14 @@ def pose_of(state: tuple) -> SE2:
     return SE2.from_xyt((state[1] + 0.5) * RES, (state[0] + 0.5) * RES, YAWS[state[2]])
 
 
+def near(pose: SE2, costmap: Costmap, corners: np.ndarray, rng: np.random.Generator) -> SE2:
+    """A free pose in the same cell, up to 5 degrees turned."""
+    while True:
+        moved = pose @ SE2.from_xyt(*rng.uniform(-0.024, 0.024, 2), rng.uniform(-0.09, 0.09))
+        if plain_free(costmap.lethal, corners, moved.xyt[None])[0]:
+            return moved
+
+
 def test_a_polygon_is_free_when_no_lethal_centre_lies_in_it():
     rng = np.random.default_rng(4)
     lethal = rng.random((40, 40)) < 0.02
@@ -166,6 +174,7 @@ def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight(sp
 
 @pytest.mark.parametrize("seed", range(24))
 def test_a_query_is_solved_when_and_only_when_start_and_goal_are_joined(seed):
+    """Joined by a search of its own; start and goal lie anywhere in their cells."""
     rng = np.random.default_rng(seed)
     model, gaps = (WAFFLE, (5, 12)) if seed % 3 else (BURGER, (3, 7))
     costmap = partitions(rng, gaps)
@@ -180,10 +189,12 @@ def test_a_query_is_solved_when_and_only_when_start_and_goal_are_joined(seed):
     joined = disc_joined(costmap, model.circumscribed_radius, *ends) or plain_joined(
         costmap.lethal, grown, *ends
     )
+    start, goal = (near(pose_of(state), costmap, grown, rng) for state in ends)
     try:
-        plan = plan_path(costmap, model, pose_of(ends[0]), pose_of(ends[1]), PlanConfig(), seed)
+        plan = plan_path(costmap, model, start, goal, PlanConfig(), seed)
     except NoPath:
         assert not joined
         return
     assert joined
-    assert free_from(costmap.clearance, RES, model.footprint, plan.poses.xyt) == 0
+    assert plain_free(costmap.lethal, model.footprint, plan.poses.xyt).all()
+    np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-9)
