@@ -208,7 +208,7 @@ def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[
         alone = f", by odometry alone {shown(odometry_m, 'cm')}" if odometry_m is not None else ""
         sentence = (
             f"{shown(near, 'percent')} of the wall cells lie within one cell of a true surface; "
-            f"trajectory error {shown(ate, 'cm')} RMSE over {scans} scans{alone}."
+            f"trajectory error {shown(ate, 'cm')} RMSE{alone}."
         )
         return (GOOD if near >= GOOD_WALLS else BAD), sentence
     if relations is not None:

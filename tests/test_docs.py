@@ -185,6 +185,24 @@ def test_every_page_can_be_reached_from_the_index():
     assert "docs/README.md" in (ROOT / "README.md").read_text()
 
 
+def test_the_numbers_of_the_readme_are_those_of_the_results():
+    def rows(page):
+        found = re.findall(r"^\| (Intel|Freiburg 079|MIT CSAIL) \| (.+) \|$", page.read_text(), re.M)
+        return {log: [cell.strip("* ") for cell in cells.split("|")] for log, cells in reversed(found)}
+
+    results = (ROOT / "docs/results.md").read_text()
+    here, there = rows(ROOT / "README.md"), rows(ROOT / "docs/results.md")
+    assert len(here) == 3
+    for log, cells in here.items():
+        assert cells == [there[log][0], there[log][1], there[log][3]], log
+    told = re.search(
+        r"([\d.]+) mm RMSE in the arena, ([\d.]+) mm in the house", (ROOT / "README.md").read_text()
+    )
+    drives = re.findall(r"^\| (turtlebot3_\w+ \| \w+) \| tour \| \d+ \| ([\d.]+) ", results, re.M)
+    worlds = ("turtlebot3_world | burger", "turtlebot3_house | waffle_pi")
+    assert [float(told[1]), float(told[2])] == [1000.0 * float(dict(drives)[name]) for name in worlds]
+
+
 def test_the_pictures_of_the_readme_move_and_are_small():
     named = re.findall(r'src="(docs/images/[^"]+)"', (ROOT / "README.md").read_text())
     images = [ROOT / name for name in named]
