@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 from scipy.stats import beta
+
+from reports.metrics.statistics import share_interval
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval (1927): its coverage is right on average."""
-    if n == 0:
-        return 0.0, 1.0
-    z, p = 1.959964, successes / n
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    """Wilson's 95 % interval: its coverage is right on average; all of 0..1 when there is nothing."""
+    found = share_interval(successes, n)
+    return found.low or 0.0, 1.0 if found.high is None else found.high
 
 
 def clopper_pearson(successes: int, n: int) -> tuple[float, float]:

@@ -153,7 +153,7 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> list[tu
     return rows
 
 
-def hindered(chain: Path, stage: str, words: list[str], before: Callable[[], object], parent: Path) -> str:
+def hindered(chain: Path, words: list[str], before: Callable[[], object], parent: Path) -> str:
     """Outcome of a stage that cannot write below `parent`."""
     errors = chain / "stderr"
     present = set(parent.iterdir())
@@ -191,21 +191,21 @@ def hindrances(chain: Path) -> list[tuple[str, str, str]]:
         for what in ("disk full", "file size limit", "read-only", "no permission"):
             with tempfile.TemporaryDirectory() as name:
                 parent = Path(name)
-                rows.append((stage, what, one_hindrance(chain, stage, words, what, parent)))
+                rows.append((stage, what, one_hindrance(chain, words, what, parent)))
     return rows
 
 
-def one_hindrance(chain: Path, stage: str, words: list[str], what: str, parent: Path) -> str:
+def one_hindrance(chain: Path, words: list[str], what: str, parent: Path) -> str:
     """Outcome of one stage with one hindrance, or why it could not be tried."""
     if what == "file size limit":
-        return hindered(chain, stage, words, lambda: no_files_beyond(8192), parent)
+        return hindered(chain, words, lambda: no_files_beyond(8192), parent)
     if what == "no permission":
         parent.chmod(0o555)
-        return hindered(chain, stage, words, without_privileges, parent)
+        return hindered(chain, words, without_privileges, parent)
     if not mounted(parent, "size=8k" if what == "disk full" else "ro"):
         return "not tried: no tmpfs can be mounted here"
     try:
-        return hindered(chain, stage, words, lambda: None, parent)
+        return hindered(chain, words, lambda: None, parent)
     finally:
         subprocess.run(["umount", str(parent)], check=True)
 

@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.intervals import wilson
 from benchmarks.localise_drives import Sweep, Wanderer, kidnapped
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map
@@ -245,13 +246,6 @@ def episodes(kinds: list[str], place: Wanderer, count: int, out: Path) -> Iterat
                 kind, str(count), str(ok), f"{100 * ok / count:.0f}", f"{100 * low:.1f}..{100 * high:.1f}",
                 f"{np.median(settled):.1f}", f"{np.percentile(settled, 95):.1f}", " ".join(map(str, failed)),
             ]  # fmt: skip
-
-
-def wilson(good: int, total: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a share."""
-    p, n = good / total, total
-    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, (middle - half) / (1 + z * z / n)), min(1.0, (middle + half) / (1 + z * z / n))
 
 
 def show(name: str, table: Iterator[list[str]], out: Path) -> None:

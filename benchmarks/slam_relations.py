@@ -28,8 +28,9 @@ from datasets.recordings import load_recording
 from datasets.relations import Relations, load_relations
 from datasets.se2 import SE2, Array, wrap
 from pipeline.slam.clouds import Clouds, make_clouds
+from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.refine import linearise_pairs
 
 GATES_M = (0.3, 0.15, 0.1, 0.1, 0.1)

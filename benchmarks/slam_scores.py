@@ -11,7 +11,9 @@ from scipy.spatial import cKDTree
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
 from datasets.types import Trajectory
+from reports.metrics.trajectory import fit_rigid
 
+PAIRS = 2000
 NEAR_M = 2.5
 RETURN_M = 10.0
 FOLD_M = 3.0
@@ -27,11 +29,10 @@ class Score:
     relation_m: float
     relation_deg: float
     return_m: float
-    return_deg: float
     folded: float
 
 
-def score(estimate: SE2, truth: Trajectory, pairs: int = 2000) -> Score:
+def score(estimate: SE2, truth: Trajectory) -> Score:
     """Compare poses (n,) of the scans with the truth.
 
     Relations are sampled as Kuemmerle et al. (2009) chose theirs by hand: between poses near each
@@ -39,9 +40,9 @@ def score(estimate: SE2, truth: Trajectory, pairs: int = 2000) -> Score:
     """
     true = truth.poses
     moved = true[0] @ estimate[0].inverse() @ estimate
-    fitted = _fit(estimate.xy, true.xy)
+    fitted = fit_rigid(estimate.xy, true.xy)
     aligned = np.linalg.norm(fitted @ estimate.xy - true.xy, axis=1)
-    near, back = _pairs(true, pairs)
+    near, back = _pairs(true, PAIRS)
     e_near, e_back = _relation_error(estimate, true, near), _relation_error(estimate, true, back)
     both = np.concatenate([e_near, e_back])
     return Score(
@@ -51,22 +52,12 @@ def score(estimate: SE2, truth: Trajectory, pairs: int = 2000) -> Score:
         relation_m=float(both[:, 0].mean()),
         relation_deg=float(np.degrees(both[:, 1].mean())),
         return_m=float(e_back[:, 0].mean()) if len(e_back) else 0.0,
-        return_deg=float(np.degrees(e_back[:, 1].mean())) if len(e_back) else 0.0,
         folded=_folded(estimate, true),
     )
 
 
 def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
-
-
-def _fit(source: Array, target: Array) -> SE2:
-    """Rigid transform that lays `source` (n, 2) on `target` (n, 2) best (Umeyama 1991, without scale)."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    yaw = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    turn = SE2.from_xyt(0.0, 0.0, yaw)
-    xy = target.mean(axis=0) - turn @ source.mean(axis=0)
-    return SE2.from_xyt(xy[0], xy[1], yaw)
 
 
 def _pairs(true: SE2, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

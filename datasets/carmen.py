@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.files import read_unpacked
 from datasets.se2 import SE2, Array
 from datasets.trajectories import stamp_from_text
 from datasets.types import LidarSpec, Recording, Stamps
@@ -47,15 +46,6 @@ def is_carmen(content: bytes) -> bool:
     head = content[:65536].split(b"\n")
     known = (b"FLASER ", b"ROBOTLASER1 ", b"RLASER ", b"ODOM ", b"PARAM ", b"RAWLASER", b"SYNC ")
     return any(line.startswith(known) for line in head) or head[0].startswith(b"# CARMEN")
-
-
-def load_carmen(path: Path, *, T_base_lidar: SE2 | None = None) -> Recording:
-    """Read a log, plain or packed; file order and the ipc timestamps are kept.
-
-    Damaged lines are skipped and counted in the notes. InputError when there is no scan in it.
-    """
-    content, problem = read_unpacked(path)
-    return parse_carmen(content, path, T_base_lidar=T_base_lidar, notes=[problem] if problem else [])
 
 
 def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes: list[str]) -> Recording:

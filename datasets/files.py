@@ -1,8 +1,9 @@
-"""Input files as bytes, .gz and .bz2 unpacked on the way, as far as they are intact."""
+"""Input files as bytes: mapped whole, or .gz and .bz2 unpacked on the way, as far as they are intact."""
 
 from __future__ import annotations
 
 import bz2
+import mmap
 import zlib
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,17 @@ def read_unpacked(path: Path) -> tuple[bytes, str | None]:
     if packed[:3] == b"BZh":
         return _unpack(path, packed, "bzip2")
     return packed, None
+
+
+def mapped(path: Path) -> mmap.mmap:
+    """The bytes of a file without reading it whole; InputError when there are none."""
+    try:
+        with path.open("rb") as file:
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except ValueError:
+        raise InputError(f"{path}: the file is empty") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:

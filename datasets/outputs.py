@@ -11,7 +11,7 @@ import shutil
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -64,10 +64,29 @@ def staged_output(out: Path, *, force: bool = False, suffix: str = ".partial") -
         _growing.discard(partial)
 
 
+@contextmanager
+def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
+    """File `OUT.partial` to write; renamed to `out` on success, removed on any error, as `staged_output`."""
+    check_free(out, force=force)
+    partial = out.with_name(out.name + ".partial")
+    _growing.add(partial)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)
+        yield partial
+        partial.replace(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
+    finally:
+        partial.unlink(missing_ok=True)
+        _growing.discard(partial)
+
+
 def discard_unfinished() -> None:
     """Remove every output that is still growing: for a process that is about to end."""
     for partial in list(_growing):
-        shutil.rmtree(partial, ignore_errors=True)
+        with suppress(OSError):
+            partial.unlink() if partial.is_file() else shutil.rmtree(partial, ignore_errors=True)
 
 
 def _put_in_place(partial: Path, out: Path) -> None:

@@ -1,4 +1,4 @@
-"""Point clouds from binary PLY files: the little-endian kind that Open3D writes."""
+"""Point clouds in binary PLY files: the little-endian kind that every viewer reads."""
 
 from __future__ import annotations
 
@@ -12,6 +12,20 @@ from datasets.se2 import Array
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "char": "i1", "ushort": "<u2", "short": "<i2",
           "uint": "<u4", "int": "<i4"}  # fmt: skip
 _LONGEST_HEADER = 4096
+_VERTEX = np.dtype([(axis, "<f8") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
+
+
+def write_ply(path: Path, points: Array, colours: Array) -> None:
+    """Write points (n, 3) [m] with colours (n, 3), 0..1."""
+    vertices = np.empty(len(points), _VERTEX)
+    for k, axis in enumerate("xyz"):
+        vertices[axis] = points[:, k]
+    for k, name in enumerate(("red", "green", "blue")):
+        vertices[name] = np.floor(colours[:, k] * 255.0 + 0.5)
+    properties = [f"property double {axis}" for axis in "xyz"]
+    properties += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties]
+    path.write_bytes("\n".join([*header, "end_header", ""]).encode() + vertices.tobytes())
 
 
 def read_ply(path: Path) -> Array:

@@ -121,6 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     verb = next((word for word in argv if not word.startswith("-")), None)
+    args = argparse.Namespace()
     try:
         with _stopping_cleanly():
             args = build_parser(verb).parse_args(joined(argv))
@@ -137,7 +138,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return EXIT_OK
     except OSError as error:  # a full disk, no permission: the system's own words, in one line
-        print(f"turtlebag: {error.filename or verb}: {error.strerror or error}", file=sys.stderr)
+        where = error.filename or getattr(args, "out", None) or verb
+        print(f"turtlebag: {where}: {error.strerror or error}", file=sys.stderr)
         return EXIT_INPUT
     except MemoryError:
         print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)

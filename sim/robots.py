@@ -13,7 +13,6 @@ from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, RobotModel
 from datasets.yaml_files import find_named, known_names, load_model
-from sim.worlds import load_world
 
 FOLDER = Path(__file__).parent / "robots"
 
@@ -193,8 +192,3 @@ def check_rate(rate_hz: float, where: str) -> None:
 def robot_names() -> list[str]:
     """Names of the built-in robots."""
     return known_names(FOLDER)
-
-
-def default_robot(world_name: str) -> str:
-    """The robot a world is meant for."""
-    return load_world(world_name).robot

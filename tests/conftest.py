@@ -2,9 +2,31 @@
 
 import os
 
+import pytest
 from hypothesis import settings
 
 settings.register_profile("turtlebag", derandomize=True, deadline=None)
 settings.load_profile("turtlebag")
 
 os.environ["TURTLEBAG_STAGE_CACHE"] = "off"
+
+
+@pytest.fixture(scope="session")
+def chain(tmp_path_factory):
+    """A small chain of good inputs and outputs, to break or to run again; nobody writes to it."""
+    from fuzz_cases import make_chain
+
+    return make_chain(tmp_path_factory.mktemp("chain"))
+
+
+@pytest.fixture
+def no_workers(monkeypatch):
+    """Campaigns whose cases all end at once with the same numbers."""
+    import pipeline.sweep
+
+    def rows(campaign, todo, folder, **options):
+        for case in todo:
+            values = dict.fromkeys(campaign.results, 0.5)
+            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}
+
+    monkeypatch.setattr(pipeline.sweep, "run_cases", rows)

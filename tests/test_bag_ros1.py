@@ -8,7 +8,9 @@ from rosbags.rosbag1 import Reader, Writer
 
 from datasets.bags.convert import to_ros1_bag
 from datasets.bags.doctor import examine
+from datasets.bags.mcap_scan import McapScan
 from datasets.bags.recover import recover
+from datasets.bags.ros1_scan import Ros1Scan
 from datasets.bags.source import open_bag
 from datasets.errors import InputError
 from datasets.recordings import load_recording
@@ -102,3 +104,10 @@ def test_an_old_version_is_one_clear_line(tmp_path):
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     with pytest.raises(InputError, match=r"old\.bag: .*first bytes"):
         load_recording(path)
+
+
+@pytest.mark.parametrize("scan", [Ros1Scan, McapScan])
+def test_an_empty_file_is_said_to_be_empty(tmp_path, scan):
+    (tmp_path / "none").touch()
+    with pytest.raises(InputError, match=r"none: the file is empty"):
+        scan(tmp_path / "none")

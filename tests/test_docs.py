@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.carmen import load_carmen
 from datasets.maps import MapYaml
+from datasets.recordings import load_recording
 from datasets.relations import load_relations
 from datasets.runlog import RunLog
 from datasets.trajectories import load_tum
@@ -129,7 +129,7 @@ READERS = {
     "intel.relations": load_relations,
     "robot.yaml": lambda path: load_robot(str(path)),
     "campaign.yaml": lambda path: load_model(Campaign, path),
-    "drive.clf": load_carmen,
+    "drive.clf": load_recording,
 }
 EXAMPLES = [
     pytest.param(kind.split()[1], block, id=f"{name_of(page)}: {kind.split()[1]}")

@@ -5,12 +5,11 @@ import random
 import shutil
 
 import pytest
-from fuzz_cases import CASES, ROOM, SDF, make_chain
+from fuzz_cases import CASES, ROOM, SDF
 from fuzz_inputs import attempt, outcome, with_output
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pipeline.sweep
 from datasets.errors import InputError
 from datasets.relations import load_relations
 from datasets.trajectories import load_tum
@@ -20,23 +19,6 @@ from sim.worlds import load_world
 
 TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "blame": 6}
 """Variants of a case; the slower ones are fewer."""
-
-
-@pytest.fixture(scope="module")
-def chain(tmp_path_factory):
-    return make_chain(tmp_path_factory.mktemp("chain"))
-
-
-@pytest.fixture
-def no_workers(monkeypatch):
-    """Campaigns whose cases all end at once with the same numbers."""
-
-    def rows(campaign, todo, folder, **options):
-        for case in todo:
-            values = dict.fromkeys(campaign.results, 0.5)
-            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}
-
-    monkeypatch.setattr(pipeline.sweep, "run_cases", rows)
 
 
 @pytest.mark.parametrize("case", CASES)

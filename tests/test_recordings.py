@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from datasets.bags.copying import into_mcap
 from datasets.bags.doctor import examine
 from datasets.bags.folder import BagFolder
-from datasets.bags.reader import bag_info, read_commands, read_particles, read_plans, read_poses
+from datasets.bags.reader import bag_info, read_commands, read_particles, read_poses
 from datasets.bags.source import open_bag
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
@@ -135,7 +135,7 @@ def test_single_streams(drive):
     estimate = read_poses(drive, "/amcl_pose")
     assert estimate.stamps_ns.tolist() == [stamp(step) for step in range(30, 181, 30)]
     batch = [[0.0, 0.0, 0.0], [1.0, 0.5, 1.0], [2.0, 1.0, -3.0]]
-    for stream in (read_particles(drive), read_plans(drive)):
+    for stream in (read_particles(drive), read_particles(drive, "/plan")):
         assert [time for time, _ in stream] == [stamp(step) for step in range(30, 181, 30)]
         np.testing.assert_allclose(stream[0][1].xyt, batch, atol=1e-12)
     with pytest.raises(InputError, match="no /nothing"):

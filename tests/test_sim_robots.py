@@ -6,7 +6,7 @@ import yaml
 
 from datasets.errors import InputError
 from datasets.types import Twist
-from sim.robots import FOLDER, default_robot, load_robot, robot_names
+from sim.robots import FOLDER, load_robot, robot_names
 from sim.simulator import SimConfig, Simulator
 from sim.urdf import composite
 from sim.worlds import load_world
@@ -34,8 +34,8 @@ def test_built_in_robots_have_their_published_numbers(
 
 
 def test_each_world_has_its_robot():
-    assert default_robot("turtlebot3_world") == default_robot("empty") == "burger"
-    assert default_robot("turtlebot3_house") == "waffle_pi"
+    assert load_world("turtlebot3_world").robot == load_world("empty").robot == "burger"
+    assert load_world("turtlebot3_house").robot == "waffle_pi"
 
 
 def test_the_fast_robots_lidar_looks_ahead_over_270_degrees():

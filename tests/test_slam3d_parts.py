@@ -3,14 +3,17 @@
 import gtsam
 import numpy as np
 import pytest
+from fuzz_inputs import files_below
 from scipy.linalg import expm
 
 from datasets import se3
+from datasets.ply import read_ply
 from datasets.se2 import SE2
+from pipeline.slam.factors import Constraint
 from pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished, save_ply
 from pipeline.slam3d.context import Contexts, descriptor, dissimilarity
 from pipeline.slam3d.floor import find_floor, levelled
-from pipeline.slam3d.graph import Constraint3d, optimise, residuals, write_g2o
+from pipeline.slam3d.graph import optimise, residuals, write_g2o
 from pipeline.slam3d.open3d_match import MatchConfig, Matcher
 from pipeline.slam3d.refine import observable
 from pipeline.slam3d.slices import SliceConfig, SliceGrid
@@ -204,15 +207,15 @@ def ring(n=12):
     for _ in range(n - 1):
         poses.append(poses[-1] @ step)
     T = np.array(poses)
-    edges = [Constraint3d(k, k + 1, step, np.diag([1e4] * 3 + [1e3] * 3), "step") for k in range(n - 1)]
-    loop = Constraint3d(0, n - 1, se3.inverse(T[0]) @ T[-1], 1e4 * np.eye(6), "loop", soft=2.0)
+    edges = [Constraint(k, k + 1, step, np.diag([1e4] * 3 + [1e3] * 3), "step") for k in range(n - 1)]
+    loop = Constraint(0, n - 1, se3.inverse(T[0]) @ T[-1], 1e4 * np.eye(6), "loop", soft=2.0)
     return T, [*edges, loop]
 
 
 def test_the_graph_undoes_drift_and_shrugs_off_a_false_loop():
     T, edges = ring()
     drifted = T @ se3.exp(0.03 * RNG.normal(size=(len(T), 6)) * (np.arange(len(T)) > 0)[:, None])
-    false = Constraint3d(2, 8, np.eye(4), 1e4 * np.eye(6), "loop", soft=2.0)
+    false = Constraint(2, 8, np.eye(4), 1e4 * np.eye(6), "loop", soft=2.0)
     found = optimise(drifted, [*edges, false])
     assert np.linalg.norm((found - T)[:, :3, 3], axis=1).max() < 0.05
     assert np.abs(residuals(T, edges)).max() < 1e-9
@@ -249,8 +252,6 @@ def test_the_cloud_map_holds_the_means_of_its_voxels_however_they_come():
 
 
 def test_the_file_of_a_cloud_has_the_same_bytes_again_and_no_lone_points(tmp_path):
-    from datasets.ply import read_ply
-
     cloud = CloudMap(0.1, 10**6)
     cloud.add(np.vstack([room_points(3000), np.tile([30.0, 0.0, 5.0], (4, 1))]))
     points = finished(cloud, CloudMapConfig())
@@ -259,6 +260,17 @@ def test_the_file_of_a_cloud_has_the_same_bytes_again_and_no_lone_points(tmp_pat
     save_ply(tmp_path / "b.ply", finished(cloud, CloudMapConfig()))
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     np.testing.assert_allclose(read_ply(tmp_path / "a.ply"), points, atol=1e-4)
+
+
+def test_a_cloud_that_cannot_be_written_is_an_error_and_prints_nothing(tmp_path, capfd):
+    with files_below(1000), pytest.raises(OSError, match="too large"):
+        save_ply(tmp_path / "cut.ply", room_points(100))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_cloud_without_points_is_a_file_too(tmp_path):
+    save_ply(tmp_path / "none.ply", np.zeros((0, 3)))
+    assert read_ply(tmp_path / "none.ply").shape == (0, 3)
 
 
 def test_a_beam_frees_only_the_part_of_its_way_that_lies_in_the_band():

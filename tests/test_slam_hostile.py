@@ -23,7 +23,8 @@ from benchmarks.slam_logs import hall, office_plan
 from benchmarks.slam_scores import score
 from datasets.se2 import SE2
 from pipeline.slam.clouds import make_clouds
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.factors import Constraint
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.refine import refine
 from pipeline.slam.selfcheck import contradicted_keys
 from pipeline.slam.slam import SlamConfig, SlamResult, run_slam, step_constraints

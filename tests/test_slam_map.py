@@ -13,9 +13,10 @@ from datasets.se2 import SE2
 from datasets.types import Trajectory
 from pipeline.cli import main
 from pipeline.slam.explain import loop_record, worst_edges
+from pipeline.slam.factors import Constraint
 from pipeline.slam.occupancy import OccupancyConfig, beam_lengths, certainty, classify, make_grid, trace
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.pose_graph import Constraint, mahalanobis, optimise, write_g2o
+from pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
 from pipeline.slam.slam import SlamConfig, run_slam
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import ate

@@ -63,9 +63,9 @@ class Template:
         half = 0.5 * yaw
         _POSE.pack_into(self.data, self.places[name], x, y, sin(half), cos(half))
 
-    def patch_twist(self, v: float, w: float, name: str = "twist") -> None:
-        """Set a planar twist."""
-        _TWIST.pack_into(self.data, self.places[name], v, w)
+    def patch_twist(self, v: float, w: float) -> None:
+        """Set the planar twist at the place `twist`."""
+        _TWIST.pack_into(self.data, self.places["twist"], v, w)
 
     def patch_doubles(self, name: str, values: Sequence[float]) -> None:
         """Set consecutive doubles."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 
 from rosbags.rosbag1 import Writer as Writer1
@@ -39,29 +41,32 @@ def to_mcap(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple
 def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:
     """Copy a bag into a new rosbag2 folder with sqlite3 storage; returns the message count and notes."""
     bag = open_bag(path)
-    with Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for key, value in bag.custom_data().items():
-            writer.set_custom_data(key, value)
+    try:
+        with Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            for key, value in bag.custom_data().items():
+                writer.set_custom_data(key, value)
+            return _copied(bag, Copier(partial(_register, writer)), exclude)
+    except sqlite3.Error as error:  # SQLite's words for a full disk
+        raise InputError(f"{folder}: cannot be written ({error})") from None
 
-        def register(topic: Topic) -> Write:
-            translate = None
-            if topic.encoding == "ros1":
-                topic, translate = to_ros2(topic)
-            topic = completed(topic)
-            if not topic.definition or topic.encoding != "cdr":
-                raise Untranslatable(f"{topic.name}: {topic.msgtype} has no definition, or is not CDR")
-            connection = writer.add_connection(
-                topic.name,
-                topic.msgtype,
-                msgdef=topic.definition,
-                rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
-                offered_qos_profiles=parse_qos(topic.qos),
-            )
-            if translate is None:
-                return lambda message: writer.write(connection, message.log_time_ns, message.data)
-            return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
-        return _copied(bag, Copier(register), exclude)
+def _register(writer: Writer2, topic: Topic) -> Write:
+    translate = None
+    if topic.encoding == "ros1":
+        topic, translate = to_ros2(topic)
+    topic = completed(topic)
+    if not topic.definition or topic.encoding != "cdr":
+        raise Untranslatable(f"{topic.name}: {topic.msgtype} has no definition, or is not CDR")
+    connection = writer.add_connection(
+        topic.name,
+        topic.msgtype,
+        msgdef=topic.definition,
+        rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
+        offered_qos_profiles=parse_qos(topic.qos),
+    )
+    if translate is None:
+        return lambda message: writer.write(connection, message.log_time_ns, message.data)
+    return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
 
 def to_ros1_bag(path: Path, file: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:

@@ -6,7 +6,6 @@ checksums are verified before a single message of the chunk is given out.
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -30,6 +29,7 @@ from datasets.bags.mcap import (
     STATISTICS,
 )
 from datasets.errors import InputError
+from datasets.files import mapped
 
 MAX_CHUNK_BYTES = 1 << 30
 """A chunk that claims to be larger is taken for damaged."""
@@ -118,13 +118,7 @@ class McapScan:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.state = McapState()
-        try:
-            with path.open("rb") as file:
-                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError:
-            raise InputError(f"{path}: the file is empty") from None
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        self._data = mapped(path)
         if self._data[: len(MAGIC)] != MAGIC:
             raise InputError(f"{path}: not an MCAP file (its first bytes are damaged or of another format)")
 

@@ -90,21 +90,16 @@ def read_poses(path: Path, topic: str) -> Trajectory:
     return Trajectory(stamps, SE2.from_array(np.array([pose[3:6] for pose in found])))
 
 
-def read_commands(path: Path, topic: str = "/cmd_vel") -> tuple[Stamps, Array, Array]:
+def read_commands(path: Path) -> tuple[Stamps, Array, Array]:
     """Log times [ns], forward [m/s] and yaw speeds [rad/s] of /cmd_vel (Twist or TwistStamped)."""
-    found = _decoded(path, topic, _TWISTS, "commands")
+    found = _decoded(path, "/cmd_vel", _TWISTS, "commands")
     v, w = np.array([speeds for _, speeds in found]).T
     return np.array([time for time, _ in found], dtype=np.int64), v, w
 
 
 def read_particles(path: Path, topic: str = "/particlecloud") -> list[tuple[int, SE2]]:
-    """(stamp [ns], poses (n,)) of each PoseArray message; empty when there is none."""
+    """(stamp [ns], poses (n,)) of each PoseArray or Path message; empty when there is none."""
     return [(stamp, SE2.from_array(rows)) for _, (stamp, rows) in _decoded(path, topic, _ARRAYS)]
-
-
-def read_plans(path: Path, topic: str = "/plan") -> list[tuple[int, SE2]]:
-    """(stamp [ns], poses (n,)) of each Path message; empty when there is none."""
-    return read_particles(path, topic)
 
 
 def _decoded(

@@ -16,6 +16,7 @@ from pathlib import Path
 import lz4.frame
 
 from datasets.errors import InputError
+from datasets.files import mapped
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
@@ -59,11 +60,7 @@ class Ros1Scan:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.state = Ros1State()
-        try:
-            with path.open("rb") as file:
-                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: cannot be read ({error})") from None
+        self._data = mapped(path)
         if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
             raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
 

@@ -93,7 +93,7 @@ def definition(msgtype: str) -> tuple[str, str]:
 
 
 def bag_metadata(
-    topics: Sequence[TopicSummary], span_ns: tuple[int, int], custom: Mapping[str, str], file: str = DATA_FILE
+    topics: Sequence[TopicSummary], span_ns: tuple[int, int], custom: Mapping[str, str]
 ) -> dict[str, Any]:
     """rosbag2's description of a one-file bag, the content of metadata.yaml."""
     start, duration = span_ns[0], span_ns[1] - span_ns[0]
@@ -119,10 +119,10 @@ def bag_metadata(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file],
+        "relative_file_paths": [DATA_FILE],
         "files": [
             {
-                "path": file,
+                "path": DATA_FILE,
                 "starting_time": {"nanoseconds_since_epoch": start},
                 "duration": {"nanoseconds": duration},
                 "message_count": count,

@@ -26,7 +26,8 @@ from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from pipeline.slam.closing import Closed, close_graph
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.factors import Constraint
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.slam import SlamConfig, Steps
 from pipeline.slam.tracking import Track, TrackingConfig, track_log
 from reports.stages import Stage

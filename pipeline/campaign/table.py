@@ -25,11 +25,14 @@ def write_parquet(rows: Sequence[dict[str, Any]], path: Path) -> None:
     with lines.open("w") as file:
         for row in rows:
             file.write(json.dumps({key: row.get(key) for key in columns}) + "\n")
-    connection = _duckdb().connect()
+    duckdb = _duckdb()
+    connection = duckdb.connect()
     try:
         connection.execute("SET threads = 1")
         source = f"read_json('{_quoted(lines)}', format = 'newline_delimited', sample_size = -1)"
         connection.execute(f"COPY (SELECT * FROM {source}) TO '{_quoted(path)}' (FORMAT parquet)")
+    except duckdb.Error as error:
+        raise InputError(f"{path}: cannot be written ({str(error).splitlines()[0]})") from None
     finally:
         connection.close()
         lines.unlink()

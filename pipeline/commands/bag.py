@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -20,7 +19,7 @@ from datasets.bags.reader import BagInfo, bag_info
 from datasets.bags.recover import recover
 from datasets.bags.source import is_bag
 from datasets.errors import InputError
-from datasets.outputs import Stopwatch, check_free, staged_output, write_manifest
+from datasets.outputs import Stopwatch, staged_file, staged_output, write_manifest
 from datasets.recordings import load_recording
 from datasets.types import Recording
 from pipeline.commands.arguments import add_output
@@ -174,7 +173,7 @@ def _convert(args: argparse.Namespace) -> int:
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
     if args.out.suffix == ".bag":
-        with _staged_file(args.out, force=args.force) as file:
+        with staged_file(args.out, force=args.force) as file:
             count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
             convert.require_messages(args.bag, count, notes)
     else:
@@ -204,22 +203,6 @@ def _a_bag(path: Path) -> Path:
     if _is_log(path):
         raise InputError(f"{path}: a CARMEN log is converted to rosbag2 with mcap storage only")
     return path
-
-
-@contextmanager
-def _staged_file(out: Path, *, force: bool) -> Iterator[Path]:
-    """A file that grows beside `out` and is renamed when it is whole."""
-    check_free(out, force=force)
-    partial = out.with_name(out.name + ".partial")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)
-        yield partial
-        partial.replace(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:

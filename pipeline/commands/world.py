@@ -43,14 +43,14 @@ def _list() -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    from datasets.outputs import check_free
+    from datasets.outputs import check_free, staged_file
     from reports.figures.world import draw_world
     from sim.robots import load_robot
     from sim.worlds import load_world
 
     check_free(args.out, force=args.force)
-    if not args.out.parent.is_dir():
-        raise InputError(f"{args.out.parent}: no such folder; create it first")
+    if args.out.suffix.lower() != ".png":
+        raise InputError(f"--out {args.out}: the picture is a PNG; give it a name that ends in .png")
     world = load_world(args.world)
     robot = load_robot(args.robot or world.robot)
     z = robot.lidar_height
@@ -60,6 +60,7 @@ def _show(args: argparse.Namespace) -> int:
         if not solid.crosses(z)
     ]
     title = f"{world.name} at {z:g} m (lidar of {robot.name})"
-    draw_world(args.out, title, world.rasterize(z), world.spawn, hidden, world.keepout)
+    with staged_file(args.out, force=args.force) as file:
+        draw_world(file, title, world.rasterize(z), world.spawn, hidden, world.keepout)
     print(args.out)
     return 0

@@ -17,8 +17,8 @@ SILENT_S = 0.5
 class OdometryBuffer:
     """The last odometry poses, to ask for one at a scan's stamp."""
 
-    def __init__(self, length: int = 32) -> None:
-        self._samples: deque[tuple[int, SE2]] = deque(maxlen=length)
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, SE2]] = deque(maxlen=32)
 
     def add(self, stamp_ns: int, T_odom_base: SE2) -> None:
         """Append the newest pose."""

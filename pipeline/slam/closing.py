@@ -12,8 +12,8 @@ from datasets.se2 import SE2
 from pipeline.slam.chain import Chain, Gates
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopFinder, close_loops
-from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.recall import RecallConfig, recall, relaxed
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]

@@ -85,10 +85,10 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
     )
 
 
-def worst_edges(result: SlamResult, count: int = WORST) -> list[dict[str, Any]]:
+def worst_edges(result: SlamResult) -> list[dict[str, Any]]:
     """The constraints that fit the final poses least, worst first."""
     squared = mahalanobis(result.T_map_keys, result.constraints)
-    order = np.argsort(-squared, kind="stable")[:count]
+    order = np.argsort(-squared, kind="stable")[:WORST]
     return [
         {
             "i": result.constraints[k].i,

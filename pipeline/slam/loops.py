@@ -22,8 +22,9 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.align import Alignment, align, observable, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
+from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.tracking import between, sees_everything
 
 

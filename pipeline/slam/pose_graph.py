@@ -1,48 +1,25 @@
-"""The pose graph: constraints between key scans, optimised by GTSAM.
-
-Wraps GTSAM so that nothing else sees its keys, its noise models or its failure modes.
-"""
+"""The pose graph: constraints between key scans, optimised by GTSAM."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from datasets.se2 import SE2, Array
+from pipeline.slam.factors import Constraint, noise, solved
 
-Kind = Literal["step", "odometry", "steady", "loop", "pair"]
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 FLOOR = np.diag([1e-4, 1e-4, 1e-4])
-
-
-@dataclass(frozen=True, eq=False)
-class Constraint:
-    """`T_i_j`, the pose of key j seen from key i, with information (3, 3) in the frame of j.
-
-    `soft` is the width of the Cauchy kernel in standard deviations, 0 for none.
-    """
-
-    i: int
-    j: int
-    T_i_j: Array
-    information: Array
-    kind: Kind
-    soft: float = 0.0
 
 
 def optimise(T_map_keys: SE2, constraints: Sequence[Constraint], iterations: int = 30) -> SE2:
     """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
     graph, values = _graph(T_map_keys, constraints), _values(T_map_keys)
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(iterations)
-    parameters.setRelativeErrorTol(1e-5)
-    result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    return _poses(result, len(T_map_keys))
+    return _poses(solved(graph, values, iterations, 1e-5), len(T_map_keys))
 
 
 def mahalanobis(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Array:
@@ -74,10 +51,7 @@ def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Any:
     fixed = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-6, 1e-6, 1e-6]))
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T_map_keys.xyt[0]), fixed))
     for c in constraints:
-        noise: Any = gtsam.noiseModel.Gaussian.Information(c.information + FLOOR)
-        if c.soft > 0.0:
-            noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(c.soft), noise)
-        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise))
+        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise(c, FLOOR)))
     return graph
 
 

@@ -23,8 +23,9 @@ from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from pipeline.slam.correlative import points_in_map
+from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.selfcheck import denied_shares
 from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
 from pipeline.slam.tracking import between, sees_everything

@@ -19,8 +19,9 @@ from scipy.spatial import cKDTree
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.pose_graph import Constraint, optimise
+from pipeline.slam.pose_graph import optimise
 from pipeline.slam.threads import in_parts
 
 

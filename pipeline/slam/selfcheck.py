@@ -22,6 +22,7 @@ from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
 from pipeline.slam.tracking import HYPOTHESES, Track
+from pipeline.slam.verdict import Verdict
 
 
 class SelfCheckConfig(BaseModel):
@@ -48,28 +49,21 @@ class SelfCheckConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class SelfCheck:
+class SelfCheck(Verdict):
     """Numbers of the check and what is wrong, in words; `denied` is (n, 3): key i, key j, share."""
 
     revisits: int
     denied_mean: float
     bad_places: float
     lost_scans: int
-    unconfirmed_span: tuple[int, int] | None
     denied: Array
     certainty: Certainty
     reasons: tuple[str, ...]
 
     @property
-    def good(self) -> bool:
-        """Nothing was found wrong."""
-        return not self.reasons
-
-    def as_metrics(self) -> dict[str, Any]:
-        """What metrics.json says of it."""
+    def numbers(self) -> dict[str, Any]:
+        """Of the places seen twice, the scans and the cells."""
         return {
-            "verdict": "good" if self.good else "doubtful",
-            "reasons": list(self.reasons),
             "revisits": self.revisits,
             "denied_mean": self.denied_mean,
             "bad_places": self.bad_places,
@@ -131,7 +125,7 @@ def check_map(
     if longest is not None and track.odometry_steps is None:
         reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
     denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
-    return SelfCheck(len(share), mean, bad, len(lost), longest, denied, certainty, tuple(reasons))
+    return SelfCheck(len(share), mean, bad, len(lost), denied, certainty, tuple(reasons))
 
 
 def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:

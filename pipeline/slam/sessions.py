@@ -14,8 +14,8 @@ from datasets.types import Recording
 from pipeline.slam.chain import Chain
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
-from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.posing import carried_poses
 from pipeline.slam.relocate import agreed_place, find_place
 from pipeline.slam.tracking import Track

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache as once
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,10 @@ from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro
 from pipeline.slam.loops import Loop, LoopConfig
 from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
-from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.refine import RefineConfig, refine
@@ -45,13 +45,17 @@ STEP_INFLATION = 5.0
 LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
 
 
+Sensors = Annotated[
+    Literal["both", "lidar", "odometry"],
+    Field(description="which witnesses to use; odometry alone draws the map along the wheels"),
+]
+
+
 class SlamConfig(BaseModel):
     """Everything that shapes a map."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    sensors: Literal["both", "lidar", "odometry"] = Field(
-        default="both", description="which witnesses to use; odometry alone draws the map along the wheels"
-    )
+    sensors: Sensors = "both"
     usable_range_m: float = Field(
         default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
     )

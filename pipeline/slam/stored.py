@@ -27,8 +27,8 @@ from pipeline.slam.calibration import Calibration
 from pipeline.slam.chain import Chain
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
-from pipeline.slam.pose_graph import Constraint
 from pipeline.slam.sessions import Graph, Session
 from pipeline.slam.slam import LATER, SlamConfig
 from pipeline.slam.tracking import Track

@@ -25,6 +25,8 @@ CELLS = 128
 MOST_SHIFT = 24
 HEADINGS = 120
 HEADING_PEAKS = 4
+CANDIDATES = 2
+"""Poses worth a closer look that two submaps are given."""
 PAIR_SAMPLE, PAIR_BINS, PAIR_BIN_M, ANGLE_BINS = 160, 24, 0.5, 6
 
 
@@ -86,7 +88,7 @@ def likeness(query: Submap, others: list[Submap]) -> Array:
     return np.array([float(np.minimum(query.signature, other.signature).sum()) for other in others])
 
 
-def laid_on(query: Submap, other: Submap, count: int = 2) -> list[tuple[float, Array]]:
+def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
     """The best distinct poses (3,) of the query's middle seen from the other's, with their scores 0..1."""
     candidates: list[tuple[float, Array]] = []
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
@@ -98,7 +100,7 @@ def laid_on(query: Submap, other: Submap, count: int = 2) -> list[tuple[float, A
         image = np.zeros((CELLS, CELLS), dtype=np.float32)
         image[cells[:, 1] % CELLS, cells[:, 0] % CELLS] = 1.0
         score = fft.irfft2(other.spectrum * np.conj(fft.rfft2(image)), (CELLS, CELLS)) / image.sum()
-        for value, dx, dy in _best_shifts(score, count):
+        for value, dx, dy in _best_shifts(score, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
     chosen: list[tuple[float, Array]] = []
@@ -107,7 +109,7 @@ def laid_on(query: Submap, other: Submap, count: int = 2) -> list[tuple[float, A
         turned = [abs((pose[2] - old[2] + np.pi) % (2.0 * np.pi) - np.pi) for _, old in chosen]
         if all(d > 0.8 or a > 0.3 for d, a in zip(apart, turned, strict=True)):
             chosen.append((value, pose))
-            if len(chosen) == count:
+            if len(chosen) == CANDIDATES:
                 break
     return chosen
 

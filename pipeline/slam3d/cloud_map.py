@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.ply import write_ply
 from datasets.se2 import Array
 from pipeline.slam.open3d_loader import open3d
 
@@ -119,25 +119,15 @@ def finished(cloud: CloudMap, config: CloudMapConfig) -> Array:
     points = cloud.surface(config.min_points)
     if len(points) <= config.outlier_neighbours:
         return points
-    _, kept = _open3d_cloud(points).remove_statistical_outlier(
-        config.outlier_neighbours, config.outlier_ratio
-    )
+    o3d = open3d()
+    pointcloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    _, kept = pointcloud.remove_statistical_outlier(config.outlier_neighbours, config.outlier_ratio)
     return points[np.asarray(kept, dtype=np.int64)]
 
 
-def _open3d_cloud(points: Array) -> Any:
-    o3d = open3d()
-    cloud = o3d.geometry.PointCloud()
-    cloud.points = o3d.utility.Vector3dVector(points)
-    return cloud
-
-
 def save_ply(path: Path, points: Array) -> None:
-    """Write points (n, 3) with colours by height, as binary PLY through Open3D."""
-    o3d = open3d()
-    cloud = _open3d_cloud(np.round(points, 4))
-    cloud.colors = o3d.utility.Vector3dVector(height_colours(points[:, 2]))
-    o3d.io.write_point_cloud(str(path), cloud)
+    """Write points (n, 3) with colours by height."""
+    write_ply(path, np.round(points, 4), height_colours(points[:, 2]))
 
 
 def height_colours(z: Array) -> Array:

@@ -17,8 +17,9 @@ from scipy.sparse.csgraph import dijkstra
 
 from datasets import se3
 from datasets.se2 import Array
+from pipeline.slam.factors import Constraint
 from pipeline.slam3d.context import Contexts, descriptor
-from pipeline.slam3d.graph import Constraint3d, optimise
+from pipeline.slam3d.graph import optimise
 from pipeline.slam3d.open3d_match import MatchConfig, Matcher
 from pipeline.slam3d.places import Keys, around, gathered
 from pipeline.slam3d.refine import observable
@@ -78,10 +79,10 @@ class Loop3d:
 def close_loops(
     keys: Keys,
     T_map_keys: Array,
-    steps: Sequence[Constraint3d],
+    steps: Sequence[Constraint],
     voxel: float,
     config: Loop3dConfig,
-) -> tuple[Array, list[Constraint3d], list[Loop3d]]:
+) -> tuple[Array, list[Constraint], list[Loop3d]]:
     """Key poses with loops closed, the loop constraints, and the record of all candidates."""
     finder = LoopFinder(keys, T_map_keys, steps, voxel, config)
     for start in range(0, len(keys), BATCH):
@@ -96,7 +97,7 @@ class LoopFinder:
         self,
         keys: Keys,
         T_map_keys: Array,
-        steps: Sequence[Constraint3d],
+        steps: Sequence[Constraint],
         voxel: float,
         config: Loop3dConfig,
     ) -> None:
@@ -113,10 +114,10 @@ class LoopFinder:
             gathering = (gathered(keys, T_map_keys, k, around(k, 1, n))[0] for k in range(n))
             self._contexts = Contexts([descriptor(points, config.context_reach_m) for points in gathering])
 
-    def constraints(self) -> list[Constraint3d]:
+    def constraints(self) -> list[Constraint]:
         """The accepted loops."""
         return [
-            Constraint3d(loop.j, loop.i, loop.T_j_i, loop.information, "loop", self.config.soft)
+            Constraint(loop.j, loop.i, loop.T_j_i, loop.information, "loop", self.config.soft)
             for loop in self.record
             if loop.accepted
         ]

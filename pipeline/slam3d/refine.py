@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 
 from datasets import se3
 from datasets.se2 import Array
-from pipeline.slam3d.graph import Constraint3d, optimise
+from pipeline.slam.factors import Constraint
+from pipeline.slam3d.graph import optimise
 from pipeline.slam3d.places import Keys, Places
 from pipeline.slam3d.surfels import fit
 from pipeline.slam3d.tracking import thinned
@@ -49,10 +50,10 @@ class Refine3dConfig(BaseModel):
 def refine(
     keys: Keys,
     T_map_keys: Array,
-    steps: Sequence[Constraint3d],
+    steps: Sequence[Constraint],
     voxel: float,
     config: Refine3dConfig,
-) -> tuple[Array, list[Constraint3d]]:
+) -> tuple[Array, list[Constraint]]:
     """Refined key poses (n, 4, 4) and the constraints of the last round; `steps` hold throughout."""
     poses, constraints = T_map_keys, list(steps)
     for round_ in range(config.rounds):
@@ -94,7 +95,7 @@ def _pair_constraints(
     voxel: float,
     round_: int,
     config: Refine3dConfig,
-) -> list[Constraint3d]:
+) -> list[Constraint]:
     places = Places(keys, poses, voxel, config.reach)
     found, last = [], -1
     gate = max(config.gate_voxels * voxel * SHRINK**round_, 3.0 * config.kernel_m)
@@ -115,7 +116,7 @@ def _pair_constraints(
         )
         if result.overlap >= config.min_overlap:
             information = observable(result.information) / config.inflation
-            found.append(Constraint3d(j, i, result.T, information, "pair", config.soft))
+            found.append(Constraint(j, i, result.T, information, "pair", config.soft))
     return found
 
 

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import Array
-from pipeline.slam3d.graph import Constraint3d, residuals
+from pipeline.slam.factors import Constraint
+from pipeline.slam.verdict import Verdict
+from pipeline.slam3d.graph import residuals
 from pipeline.slam3d.tracking import Track3d
 
 
@@ -28,7 +30,7 @@ class SelfCheck3dConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class SelfCheck3d:
+class SelfCheck3d(Verdict):
     """Numbers of the check, and what is wrong in words."""
 
     revisits: int
@@ -38,15 +40,9 @@ class SelfCheck3d:
     reasons: tuple[str, ...]
 
     @property
-    def good(self) -> bool:
-        """Nothing was found wrong."""
-        return not self.reasons
-
-    def as_metrics(self) -> dict[str, Any]:
-        """What metrics.json says of it."""
+    def numbers(self) -> dict[str, Any]:
+        """Of the places seen twice and the clouds."""
         return {
-            "verdict": "good" if self.good else "doubtful",
-            "reasons": list(self.reasons),
             "revisits": self.revisits,
             "disagreeing": self.disagreeing,
             "lost_scans": self.lost_scans,
@@ -57,7 +53,7 @@ class SelfCheck3d:
 def check_map(
     track: Track3d,
     T_map_keys: Array,
-    constraints: Sequence[Constraint3d],
+    constraints: Sequence[Constraint],
     voxel: float,
     config: SelfCheck3dConfig,
 ) -> SelfCheck3d:
@@ -80,7 +76,7 @@ def check_map(
     return SelfCheck3d(len(seen), disagreeing, len(lost), empty, tuple(reasons))
 
 
-def _broken(track: Track3d, lost: NDArray[np.int64], constraints: Sequence[Constraint3d]) -> list[str]:
+def _broken(track: Track3d, lost: NDArray[np.int64], constraints: Sequence[Constraint]) -> list[str]:
     """A lost cloud that nothing bridges: neither odometry nor any constraint from before to after it."""
     if track.T_odom is not None or len(lost) == 0:
         return []

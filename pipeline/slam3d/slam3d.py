@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from datasets import se3
 from datasets.errors import InputError
@@ -16,9 +15,9 @@ from datasets.grid import OccupancyGrid
 from datasets.se2 import Array
 from datasets.types import Recording3D, Trajectory
 from pipeline.slam.closing import Progress
-from pipeline.slam.slam import no_progress
+from pipeline.slam.factors import Constraint
+from pipeline.slam.slam import Sensors, no_progress
 from pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished
-from pipeline.slam3d.graph import Constraint3d
 from pipeline.slam3d.loops import Loop3d, Loop3dConfig, close_loops
 from pipeline.slam3d.posing import Poser, Posing3dConfig, carried_poses
 from pipeline.slam3d.refine import Refine3dConfig, observable, refine
@@ -38,9 +37,7 @@ class Slam3dConfig(BaseModel):
     """Everything that shapes a 3D map."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    sensors: Literal["both", "lidar", "odometry"] = Field(
-        default="both", description="which witnesses to use; odometry alone draws the map along the wheels"
-    )
+    sensors: Sensors = "both"
     sweeps: SweepConfig = SweepConfig()
     setting: SettingConfig = SettingConfig()
     tracking: Tracking3dConfig = Tracking3dConfig()
@@ -63,7 +60,7 @@ class Slam3dResult:
     setting: Setting
     track: Track3d
     T_map_keys: Array
-    constraints: list[Constraint3d]
+    constraints: list[Constraint]
     loops: list[Loop3d]
     check: SelfCheck3d
 
@@ -126,7 +123,7 @@ def _shown(sweeps: Sweeps, progress: Progress, text: str, total: int) -> Iterato
         yield item
 
 
-def step_constraints(track: Track3d) -> list[Constraint3d]:
+def step_constraints(track: Track3d) -> list[Constraint]:
     """Between successive keys: what the clouds saw, and what the odometry says.
 
     In a direction the clouds are blind in only the odometry holds; where both see, the clouds do.
@@ -135,21 +132,21 @@ def step_constraints(track: Track3d) -> list[Constraint3d]:
     for k in range(len(track.keys) - 1):
         step = se3.inverse(T[k]) @ T[k + 1]
         seen = observable(track.information[k + 1]) / STEP_INFLATION
-        constraints.append(Constraint3d(k, k + 1, step, seen + np.diag(HOLD**-2), "step"))
+        constraints.append(Constraint(k, k + 1, step, seen + np.diag(HOLD**-2), "step"))
         if track.T_odom is not None:
             a, b = track.T_odom[track.keys[k]], track.T_odom[track.keys[k + 1]]
             constraints.append(_odometry(k, se3.inverse(a) @ b))
         else:
-            constraints.append(Constraint3d(k, k + 1, step, np.diag(HOLD**-2), "odometry"))
+            constraints.append(Constraint(k, k + 1, step, np.diag(HOLD**-2), "odometry"))
     return constraints
 
 
-def _odometry(k: int, T: Array) -> Constraint3d:
+def _odometry(k: int, T: Array) -> Constraint:
     """Wheels: five per cent of way and turn, and a floor that is flat from key to key."""
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
     along, yaw = 0.01 + 0.05 * way, 0.01 + 0.05 * turn
     sigmas = np.array([0.05, 0.05, yaw, along, along, 0.05])
-    return Constraint3d(k, k + 1, T, np.diag(sigmas**-2), "odometry", soft=2.0)
+    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", soft=2.0)
 
 
 def _drawn(

@@ -55,4 +55,4 @@ def draw_world(
     )
     axes.set(title=title, xlabel="x [m]", ylabel="y [m]")
     # Without metadata the PNG's bytes depend on the picture alone.
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+    figure.savefig(path, format="png", dpi=100, metadata={"Software": None})

@@ -28,11 +28,6 @@ def median_interval(values: Array, rng: np.random.Generator) -> Interval:
     return _interval(np.asarray(values, dtype=np.float64), np.median, rng)
 
 
-def mean_interval(values: Array, rng: np.random.Generator) -> Interval:
-    """Mean of values (n,) and its bootstrap interval: for shares of successes use `share_interval`."""
-    return _interval(np.asarray(values, dtype=np.float64), np.mean, rng)
-
-
 def _interval(values: Array, statistic: object, rng: np.random.Generator) -> Interval:
     values = values[np.isfinite(values)]
     if len(values) == 0:

@@ -1,0 +1,29 @@
+"""What a self-check comes to: good, or doubtful for reasons given in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Verdict:
+    """Base of the self-checks; metrics.json shows the verdict before `numbers`."""
+
+    reasons: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Nothing was found wrong."""
+        return not self.reasons
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What was measured, by its name in metrics.json."""
+        raise NotImplementedError
+
+    def as_metrics(self) -> dict[str, Any]:
+        """What metrics.json says of it."""
+        return {
+            "verdict": "good" if self.good else "doubtful",
+            "reasons": list(self.reasons),
+            **self.numbers,
+        }
