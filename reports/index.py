@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
-from reports.content import collision_count, verdict
+from reports.content import collision_count, stage_metrics, verdict
 from reports.numbers import lookup, shown
 from reports.specs import SPECS
 from reports.stages import KINDS, Stage, load_stage, read_json
@@ -93,9 +93,7 @@ def _name(folder: Path, root: Path) -> str:
 
 
 def _line(stage: Stage, name: str, recording: Stage | None) -> Line:
-    metrics = dict(stage.metrics)
-    if stage.kind == "record" and stage.truth is not None:
-        metrics |= {"scans": len(stage.truth), "distance_m": stage.truth.length()}
+    metrics = stage_metrics(stage)
     source = recording if recording is not None else stage
     seed = stage.seed if stage.seed is not None else source.seed
     mood, _ = verdict(stage, metrics) if stage.metrics else ("neutral", "")

@@ -29,6 +29,9 @@ THEMED = {
 }
 
 
+NOUNS = {"record": "recording", "map": "map", "localise": "localisation", "plan": "plan"}
+
+
 @dataclass(frozen=True)
 class Tile:
     """One of the figures that matter."""
@@ -68,7 +71,7 @@ def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Seq
         name_b=name_b,
         found=found,
         pictures=pictures,
-        better=moods.count(GOOD),
+        better=counted(moods.count(GOOD), "number"),
         worse=moods.count(BAD),
     )
 
@@ -105,15 +108,22 @@ def themed(svg: str) -> Markup:
 
 
 def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
-    """Mood and headline of the whole report."""
+    """Mood and headline of the whole report: its tasks, and where there are none what else there is."""
     parts = [part for chapter in chapters for part in chapter.parts]
     runs = [part for part in parts if part.stage.kind == "navigate"]
-    if not runs:
-        maps = sum(part.stage.kind == "map" for part in parts)
-        return NEUTRAL, f"{maps} map{'s' if maps != 1 else ''}, no navigation" if maps else "Recordings only"
-    good = sum(part.verdict[0] == GOOD for part in runs)
-    word = "task" if len(runs) == 1 else "tasks"
-    return (GOOD if good == len(runs) else BAD), f"{good} of {len(runs)} {word} succeeded"
+    if runs:
+        good = sum(part.verdict[0] == GOOD for part in runs)
+        return (GOOD if good == len(runs) else BAD), f"{good} of {counted(len(runs), 'task')} succeeded"
+    moods = {part.verdict[0] for part in parts}
+    mood = next((mood for mood in (BAD, GOOD) if mood in moods), NEUTRAL)
+    counts = {kind: sum(part.stage.kind == kind for part in parts) for kind in NOUNS}
+    found = [counted(count, NOUNS[kind]) for kind, count in counts.items() if count]
+    return mood, ", ".join(found) + ", no navigation"
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 map`, `2 maps`."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
@@ -136,7 +146,8 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         ("ate_m.rmse", "map trajectory error, RMSE", "cm", max, ("map",)),
         ("relations.trans_m.mean", "relations error", "m4", max, ("map",)),
         ("localisation_error_m.rmse", "localisation error, RMSE", "cm", max, ("navigate", "localise")),
-        ("min_clearance_m", "least clearance", "cm", min, ("navigate",)),
+        ("length_m", "length of the plan", "m", max, ("plan",)),
+        ("min_clearance_m", "least clearance", "cm", min, ("navigate", "plan")),
         ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min, ("map",)),
         ("scans", "scans", "count", max, ("record", "map", "localise")),
     ):

@@ -1,6 +1,7 @@
 """Offline localisation and plans in a report."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -10,7 +11,7 @@ from report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_r
 from datasets.errors import InputError
 from datasets.grid import OCCUPIED, OccupancyGrid
 from datasets.maps import load_map, save_map
-from datasets.outputs import sha256_file
+from datasets.outputs import sha256_file, write_json
 from pipeline.report import make_report
 from pipeline.verify import verify
 from reports.content import pointer_of
@@ -123,3 +124,25 @@ def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
     group = Group("room", tuple(load_stage(folder) for folder in (record, first, given, run)))
     assert pointer_of(group).rows == 108
     assert pointer_of(Group("room", group.stages[:2])).rows == 90
+
+
+def test_without_a_run_the_headline_says_what_there_is_and_whether_it_was_found(tmp_path):
+    record = fake_record(tmp_path / "record")
+    built = fake_map(tmp_path / "map", record)
+    plan, located = fake_plan(tmp_path / "plan", built), fake_localise(tmp_path / "localise", record, built)
+
+    def head(name, *folders):
+        page = make_report(list(folders), tmp_path / name, animate=False).read_text()
+        return re.search(r'<h1 class="(\w+)">(.*?)</h1>', page).groups(), page
+
+    assert head("one", record)[0] == ("neutral", "1 recording, no navigation")
+    assert head("two", record, located, plan)[0] == (
+        "good",
+        "1 recording, 1 localisation, 1 plan, no navigation",
+    )
+    (mood, text), page = head("three", plan)
+    assert (mood, text) == ("good", "1 plan, no navigation")
+    assert re.search(r"<dt>length of the plan</dt><dd[^>]*>4.00", page)
+    write_json(plan / "metrics.json", {"success": False, "reason": "no way"})
+    rehash(plan, "metrics.json")
+    assert head("four", plan)[0] == ("bad", "1 plan, no navigation")

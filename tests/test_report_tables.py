@@ -11,9 +11,11 @@ from report_fakes import fake_map, fake_record, fake_run
 
 from pipeline.cli import main
 from pipeline.report import make_index, make_report
-from reports.index import index_lines, used_columns
+from reports.content import stage_metrics
+from reports.index import COLUMNS, index_lines, used_columns
 from reports.numbers import DISPLAY, SI, shown
 from reports.specs import SPECS
+from reports.stages import load_stage
 from reports.tables import latex, latex_table
 
 
@@ -155,7 +157,14 @@ def test_the_index_gives_a_map_the_world_and_robot_of_its_recording_and_hides_em
     heads = [head for _, head, _ in used_columns(lines)]
     assert "relations error" not in heads
     assert heads[:2] == ["trajectory error (ATE)", "wall cells within one cell"]
-    assert [line.result for line in lines if line.stage == "record"] == ["150 scans"]
+    (recorded,) = (line for line in lines if line.stage == "record")
+    assert recorded.result == "150 scans"
+    # The same number as in the recording's report: the bag's path, not the one from scan to scan.
+    distance = stage_metrics(load_stage(base / "record"))["distance_m"]
+    assert recorded.values[[head for head, *_ in COLUMNS].index("distance")] == (
+        shown(distance, "m"),
+        repr(distance),
+    )
 
 
 def test_the_same_output_below_two_roots_has_one_line(base):
