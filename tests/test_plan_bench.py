@@ -70,7 +70,31 @@ def test_a_gap_that_only_the_turned_footprint_passes_is_passed():
     assert Lattice(hall(wall_rows=80, gap=slice(39, 41)), long).shortest(a, b) == math.inf
 
 
-def test_the_database_holds_what_was_measured(tmp_path):
+SCHEMA = {
+    "experiments": "id name totaltime timelimit memorylimit runcount version "
+    "hostname cpuinfo date seed setup",
+    "plannerConfigs": "id name settings",
+    "enums": "name value description",
+    "runs": "id experimentid plannerid",
+    "progress": "runid time",
+}
+"""Tables of a benchmark database and their first columns, as OMPL's page on benchmarking lists them."""
+STANDARD = {
+    "solved",
+    "correct_solution",
+    "approximate_solution",
+    "status",
+    "time",
+    "simplification_time",
+    "solution_length",
+    "solution_clearance",
+}
+"""Run properties of the names that page gives; all others are shown under their own names."""
+
+
+def small_database(folder):
+    """Two spaces, two planners, two runs each, one of them without a solution."""
+
     def run(solved: int, ms: float) -> dict[str, float]:
         return {
             "solved": solved,
@@ -84,9 +108,13 @@ def test_the_database_holds_what_was_measured(tmp_path):
     runs = {"RRT": [run(1, 10.0), run(0, 20.0)], "PRM": [run(1, 5.0), run(1, 7.0)]}
     for space in ("disc", "se2"):
         setup = "map arena, robot burger"
-        write_log(tmp_path / f"{space}.log", "arena", {"space": space}, setup, runs, version="2.0.1", seed=7)
-    write_database(tmp_path / "plan.db", [tmp_path / "disc.log", tmp_path / "se2.log"])
-    with sqlite3.connect(tmp_path / "plan.db") as db:
+        write_log(folder / f"{space}.log", "arena", {"space": space}, setup, runs, version="2.0.1", seed=7)
+    write_database(folder / "plan.db", [folder / "disc.log", folder / "se2.log"])
+    return folder / "plan.db"
+
+
+def test_the_database_holds_what_was_measured(tmp_path):
+    with sqlite3.connect(small_database(tmp_path)) as db:
         experiments = db.execute("SELECT name, space, runcount, version, setup FROM experiments").fetchall()
         assert experiments == [
             ("arena", s, 2, "OMPL 2.0.1", "map arena, robot burger\n") for s in ("disc", "se2")
@@ -104,3 +132,40 @@ def test_the_database_holds_what_was_measured(tmp_path):
         assert db.execute("SELECT description FROM enums WHERE value = 6").fetchall() == [("Exact solution",)]
         best = db.execute("SELECT plannerid, avg_solved FROM bestPlannerConfigs").fetchall()
         assert best[0] == (2, 1.0)
+
+
+def test_the_database_has_the_tables_and_columns_that_planner_arena_reads(tmp_path):
+    with sqlite3.connect(small_database(tmp_path)) as db:
+        tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        assert tables - {"sqlite_sequence"} == set(SCHEMA)
+        columns = {t: [row[1] for row in db.execute(f"PRAGMA table_info({t})")] for t in SCHEMA}
+        for table, names in SCHEMA.items():
+            assert columns[table][: len(names.split())] == names.split()
+        # Whatever follows an experiment's own columns is a parameter of it, and a run's is an attribute.
+        assert columns["experiments"][12:] == ["space"]
+        assert set(columns["runs"][3:]) >= STANDARD
+        keys = {(row[3], row[2]) for row in db.execute("PRAGMA foreign_key_list(runs)")}
+        assert keys == {("experimentid", "experiments"), ("plannerid", "plannerConfigs")}
+
+
+def test_planner_arena_s_questions_have_answers(tmp_path):
+    """Attributes of each planner, shares of an enumeration, a parameter, missing values, progress."""
+    with sqlite3.connect(small_database(tmp_path)) as db:
+        join = (
+            "FROM runs JOIN plannerConfigs p ON p.id = runs.plannerid "
+            "JOIN experiments e ON e.id = runs.experimentid WHERE e.name = 'arena' AND e.space = 'disc'"
+        )
+        name = "REPLACE(p.name, 'geometric_', '')"
+        assert db.execute(f"SELECT {name}, AVG(time) {join} GROUP BY p.id ORDER BY p.id").fetchall() == [
+            ("RRT", pytest.approx(0.015)),
+            ("PRM", pytest.approx(0.006)),
+        ]
+        shares = db.execute(
+            f"SELECT {name}, (SELECT description FROM enums WHERE name = 'status' AND value = status), "
+            f"COUNT(*) {join} GROUP BY 1, 2 ORDER BY 1, 2"
+        ).fetchall()
+        assert shares == [("PRM", "Exact solution", 2), ("RRT", "Exact solution", 1), ("RRT", "Timeout", 1)]
+        missing = f"SELECT {name}, SUM(solution_length IS NULL) {join} GROUP BY 1 ORDER BY 1"
+        assert db.execute(missing).fetchall() == [("PRM", 0), ("RRT", 1)]
+        assert db.execute("SELECT COUNT(*) FROM progress JOIN runs ON runs.id = runid").fetchone() == (0,)
+        assert db.execute("PRAGMA foreign_key_check").fetchall() == []
