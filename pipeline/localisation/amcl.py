@@ -21,6 +21,7 @@ from pipeline.localisation.free_space import FreeSpace
 from pipeline.localisation.parameters import AmclConfig
 from pipeline.localisation.search import GlobalSearch
 from pipeline.localisation.sensor import make_sensor_model
+from pipeline.localisation.standing import StandingWatch
 
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
@@ -34,6 +35,9 @@ NEARER_BY = 0.05
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 # Agreement below this part of the best so far is worth a second look, so many updates apart.
 FADED, SECOND_LOOK_PAUSE = 0.9, 24
+
+# A single scan of which the map explains less than this part of the usual share speaks against the estimate.
+CONTRADICTED = 0.7
 
 
 class Amcl:
@@ -61,6 +65,11 @@ class Amcl:
         )
         self._field = distance_field(grid, config.likelihood_max_dist)
         self._sensor = make_sensor_model(config, self._field, self._limits[1])
+        self.searches = 0
+        """How often poses from a search over the whole map were taken in."""
+        self.pushes = 0
+        """How often a scan was taken in because someone had pushed the standing robot."""
+        self._beams: Beams | None = None
         self._search = GlobalSearch(self._field, FreeSpace(grid), config, self._limits[1])
         self._fine = FinePose(grid, config) if config.refine else None
         self._poses = np.zeros((0, 3))
@@ -70,6 +79,7 @@ class Amcl:
         self._estimate: Estimate | None = None
         self._slow = self._fast = NOMINAL_AGREEMENT
         self._best = 0.0
+        self._standing = StandingWatch()
         self._updates = self._next_search = 0
         self._pause = FIRST_PAUSE
 
@@ -105,6 +115,16 @@ class Amcl:
         if self._estimate is None:
             raise ValueError("the filter has no pose yet: initialise it and update it with a scan")
         return self._estimate.covariance
+
+    @property
+    def beams(self) -> Beams | None:
+        """The scan of the last update; None before the first."""
+        return self._beams
+
+    @property
+    def search(self) -> GlobalSearch:
+        """How well the map explains a scan from any pose."""
+        return self._search
 
     @property
     def particles(self) -> SE2:
@@ -148,20 +168,31 @@ class Amcl:
     def update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None = None) -> bool:
         """Take in a scan; True when the filter used it, False when the robot had hardly moved.
 
+        A scan of a standing robot is used when it shows that someone has pushed it.
+
         `T_odom_base` is odometry at the scan's stamp, `T_odom_base_end` at the end of the sweep (stamp
         + n_beams * time_increment), with which a turning lidar's motion is undone. ValueError when
         the filter is not initialised or odometry is not finite.
         """
         self._check(T_odom_base)
         T_last_base = None if self._T_odom_base is None else self._T_odom_base.inverse() @ T_odom_base
-        if not self._moved_enough(T_last_base):
-            return False
+        spread = None
+        if self._moved_enough(T_last_base):
+            self._standing.moved()
+        else:
+            spread = self._pushed(scan, T_odom_base)
+            if spread is None:
+                return False
         T_base_odom = T_odom_base.inverse()
         sweep = None if T_odom_base_end is None else T_base_odom @ T_odom_base_end
         beams = prepare(scan, self._T_base_lidar, sweep, self._limits)
         if T_last_base is not None:
             self._predict(T_last_base)
-        self._T_odom_base = T_odom_base
+        if spread is not None:
+            self.pushes += 1
+            self._poses += self._rng.standard_normal(self._poses.shape) * spread
+            self._poses[:, 2] = wrap(self._poses[:, 2])
+        self._T_odom_base, self._beams = T_odom_base, beams
         if len(beams) > 0:
             self._weigh(beams)
             self._resample(beams)
@@ -169,12 +200,21 @@ class Amcl:
         self._updates += 1
         return True
 
+    def contradicted(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2) -> bool:
+        """Whether a scan, used or not, speaks against the estimate: it explains far less than usual of it."""
+        if self._T_map_odom is None:
+            return False
+        beams = prepare(scan, self._T_base_lidar, T_odom_base.inverse() @ T_odom_base_end, self._limits)
+        agreement = self._search.agreement((self._T_map_odom @ T_odom_base).xyt, beams)
+        return agreement < CONTRADICTED * self._slow
+
     def _restart(self, poses: Array) -> None:
         self._poses = poses
         self._weights = np.full(len(poses), 1.0 / len(poses))
         self._T_odom_base = self._T_map_odom = self._estimate = None
         self._slow = self._fast = NOMINAL_AGREEMENT
         self._best = 0.0
+        self._standing.moved()
         self._updates = self._next_search = 0
         self._pause = FIRST_PAUSE
         if self._fine is not None:
@@ -191,6 +231,19 @@ class Amcl:
             return True
         x, y, yaw = T_last_base.xyt.tolist()
         return math.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a
+
+    def _pushed(self, scan: Scan, T_odom_base: SE2) -> Array | None:
+        """Spread of the cloud (3,) where someone has pushed the standing robot; None where nobody has."""
+        if not self.converged:
+            return None
+        beams: list[Beams] = []
+
+        def agreement(poses: Array) -> Array:
+            if not beams:
+                beams.append(prepare(scan, self._T_base_lidar, None, self._limits))
+            return self._search.agreements(poses, beams[0])
+
+        return self._standing.pushed(scan, T_odom_base, self.T_map_base(T_odom_base).xyt, agreement)
 
     def _predict(self, T_last_base: SE2) -> None:
         """Move cloud and fine pose by odometry since the last update."""
@@ -284,13 +337,17 @@ class Amcl:
         c = self.config
         count = int(share * c.max_particles) + 1
         if self._T_map_odom is None or self._T_odom_base is None or self._fast == 0.0:
+            self.searches += 1
             return self._search.draw(count, beams, self._rng)
         here = self._T_map_odom @ self._T_odom_base
         near = self._search.draw(count, beams, self._rng, here.xyt)
         far = self._search.draw(count, beams, self._rng)
         gain_near, gain_far = (self._agreement_of(found, beams) for found in (near, far))
         found, gain = (near, gain_near) if gain_near > gain_far - NEARER_BY else (far, gain_far)
-        return found if gain > self._search.agreement(here.xyt, beams) + BETTER_BY else None
+        if gain <= self._search.agreement(here.xyt, beams) + BETTER_BY:
+            return None
+        self.searches += found is far
+        return found
 
     def _agreement_of(self, poses: Array, beams: Beams) -> float:
         """Agreement of scan and map at the main cluster of equally likely poses (n, 3)."""

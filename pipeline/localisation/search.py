@@ -41,9 +41,9 @@ class GlobalSearch:
     """Likelihood of poses with the paths of the beams, and draws from it over the free space."""
 
     def __init__(self, field: DistanceField, free: FreeSpace, config: AmclConfig, range_max: float) -> None:
-        self._field, self._free = field, free
+        self.field, self._free = field, free
         self._candidates = config.global_particles
-        self._range_max = range_max
+        self.range_max = range_max
         self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
         x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
         self._frame = (x, y, yaw, 1.0 / field.resolution)
@@ -58,9 +58,16 @@ class GlobalSearch:
 
     def agreement(self, pose: Array, beams: Beams) -> float:
         """Share of the beams, 0..1, that the map explains from a pose (3,): near 1 at the right place."""
-        p = path_probabilities(*self._arguments(pose[None], beams, MOST_AGREEING))[0]
-        best = np.where(np.arange(len(p)) < min(len(beams), MOST_AGREEING), sum(self._noise[1:]), P_SILENT)
-        return float(np.mean(p / best)) if len(p) else 0.0
+        return float(self.agreements(pose[None], beams)[0])
+
+    def agreements(self, poses: Array, beams: Beams) -> Array:
+        """`agreement` (n,) of each of the poses (n, 3)."""
+        p = path_probabilities(*self._arguments(poses, beams, MOST_AGREEING))
+        if p.shape[1] == 0:
+            return np.zeros(len(poses))
+        hits = min(len(beams), MOST_AGREEING)
+        best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), P_SILENT)
+        return np.asarray(np.mean(p / best, axis=1))
 
     def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
         """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
@@ -86,9 +93,9 @@ class GlobalSearch:
         silent = spread(len(beams.silent_origins), most * MOST_SILENT // MOST_HITS)
         starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
         ways = np.concatenate(
-            [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self._range_max]
+            [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
         )
-        return self._field.distance, self._frame, poses, starts, ways, len(hits), self._noise
+        return self.field.distance, self._frame, poses, starts, ways, len(hits), self._noise
 
 
 def tempered(log_likelihood: Array) -> Array:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Protocol
 
 import numpy as np
 
 from datasets.se2 import SE2, Array
-from datasets.types import Observation
+from datasets.types import Observation, Scan
 from pipeline.localisation.amcl import Amcl
+from pipeline.localisation.rivals import Glimpse
 from pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
 
@@ -41,6 +43,7 @@ class Localiser:
 
     PARTICLES_EVERY_NS = 10**9
     PARTICLES_SHOWN = 500
+    GLIMPSES = 5
 
     def __init__(self, amcl: Amcl, odometry: OdometryBuffer, publisher: Publisher) -> None:
         self.amcl = amcl
@@ -50,6 +53,8 @@ class Localiser:
         """Odometry's frame on the map; None while it is not known."""
         self.updates = 0
         """Scans that the filter used: those between which the robot moved."""
+        self._glimpses: deque[Glimpse] = deque(maxlen=self.GLIMPSES)
+        self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
         self.scan_poses: list[tuple[int, SE2]] = []
         """(stamp [ns], T_map_base) at each sweep taken in: the run's trajectory."""
@@ -63,13 +68,36 @@ class Localiser:
         """Anywhere on the free floor."""
         self.amcl.initialise_globally()
 
+    @property
+    def searches(self) -> int:
+        """How often the estimate may have come from a search over the whole map."""
+        return self.amcl.searches
+
+    @property
+    def glimpses(self) -> list[Glimpse]:
+        """Some of the last scans that the filter used, the newest last."""
+        return list(self._glimpses)[::-2][::-1]
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the newest scan speaks against the estimate."""
+        return self._seen is not None and self.amcl.contradicted(*self._seen)
+
+    def move(self, T_map_map: SE2, covariance: Array) -> None:
+        """The robot is elsewhere: where this motion of the map takes the estimate, so uncertain (3, 3)."""
+        if self._glimpses and self.T_map_odom is not None:
+            T_odom_base = self._glimpses[-1].T_odom_base
+            self.amcl.initialise(T_map_map @ self.T_map_odom @ T_odom_base, covariance, T_odom_base)
+            self.T_map_odom = self.amcl.T_map_odom
+
     def observe(self, observation: Observation) -> None:
         """Take in one observation, which the odometry buffer has seen already."""
         scan = observation.scan
         if scan is None or not self.amcl.initialised:
             return
         T_odom_base = self._odometry.at(scan.stamp_ns)
-        updated = self.amcl.update(scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
+        self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
+        updated = self.amcl.update(*self._seen)
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base
         self.scan_poses.append((scan.stamp_ns, T_map_base))
@@ -77,6 +105,8 @@ class Localiser:
         self._publisher.map_to_odom(now, self.T_map_odom)
         if updated:
             self.updates += 1
+            if self.amcl.beams is not None:
+                self._glimpses.append(Glimpse(self.amcl.beams, T_odom_base))
             self._publisher.amcl_pose(scan.stamp_ns, T_map_base, self.amcl.covariance)
         if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
             self._shown_ns = now

@@ -5,6 +5,8 @@ Without a localiser (mapless goals) it trusts odometry: goals and costmap are in
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from datasets.se2 import SE2
 from datasets.types import Observation, Twist
 from pipeline.navigation.goal_runner import GoalRunner, Tools
@@ -12,7 +14,9 @@ from pipeline.navigation.localiser import Localiser, Publisher
 from pipeline.navigation.moving import MovingWatch
 from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing, Sight
+from pipeline.navigation.telling import ALIKE, Telling
 from planners.global_plan import fits
+from planners.live import LiveLayer
 from planners.tasks.sequence import GoalSequence
 from planners.tasks.wiggle import Wiggle
 
@@ -20,6 +24,8 @@ PATIENCE_S = 30.0
 """Without a scan for so long the goals are given up."""
 LOST = "the robot no longer knows where it is"
 DOUBTS_PER_GOAL = 2
+PUSHED_NS = 2_000_000_000
+"""For so long after it was pushed the robot stands still: whoever pushes may not have done yet."""
 
 
 class NavigationDriver:
@@ -35,6 +41,7 @@ class NavigationDriver:
         plan_seed: int,
         wiggle: Wiggle | None = None,
         seeker: Seeker | None = None,
+        telling: Callable[[Callable[[SE2], None]], Telling] | None = None,
     ) -> None:
         self.tools = tools
         self.sensing = sensing
@@ -50,14 +57,18 @@ class NavigationDriver:
         self._last = Twist()
         self._now = 0
         self._wiggle, self._seeker = wiggle, seeker
+        self._telling = None if telling is None else telling(self._publish_plan)
         self._seen_ns = -(10**9)
         self._moving = MovingWatch()
         self._doubted, self._seeking = 0, False
+        self._pushes = 0
+        self._pushed_ns: int | None = None
         self._goal: SE2 | None = None
 
     def step(self, observation: Observation) -> Twist:
         """Localise, ask the task for the goal, pursue it."""
-        now = self._now = observation.stamp_ns
+        before, self._now = self._now, observation.stamp_ns
+        now = self._now
         sight = self.sensing.observe(observation)
         T_frame_odom = self._localise(observation)
         if self.localiser is not None and not self.localiser.amcl.initialised:
@@ -69,10 +80,10 @@ class NavigationDriver:
             return self._wait_for_sight(now)
         if self._wiggle is not None and self.localiser is not None:
             return self._look_about(self._wiggle, self.localiser, observation)
-        if self._seek(observation):
+        if self._seek(observation) or self._tell_apart(observation, sight, now - before):
             return self._last
         if sight is not None and T_frame_odom is not None:
-            self._see(sight, T_frame_odom)
+            self._see(sight, T_frame_odom, self.tools.live)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
@@ -80,6 +91,8 @@ class NavigationDriver:
         if goal is None or T_frame_odom is None:
             self._runner = None
             return self._stop("wait")
+        if self._pushed(now):
+            return self._stop("pushed")
         if goal is not self._goal:
             self._goal, self._doubted = goal, 0
         if self._runner is None or goal is not self._runner.goal:
@@ -95,13 +108,15 @@ class NavigationDriver:
         if self.localiser is None or self.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
             if sight is not None and T_frame_odom is not None:
-                self._see(sight, T_frame_odom)
+                self._see(sight, T_frame_odom, self.tools.live)
         self.sequence.postpone(observation.stamp_ns - self._now)
         self._now = observation.stamp_ns
 
     def resume(self, last: Twist) -> None:
         """Pursue the goal anew from where the robot has been brought."""
         self._last, self._runner = last, None
+        if self._telling is not None:
+            self._telling.rest()
 
     def _look_about(self, wiggle: Wiggle, localiser: Localiser, observation: Observation) -> Twist:
         """Turn to and fro until the filter knows where it is; goals are given up when it never does."""
@@ -136,6 +151,8 @@ class NavigationDriver:
         action = seeker.check(now, localiser)
         if jumped or (action != "go" and not self._seeking):
             self._forget()
+        if action != "go" and self._telling is not None:
+            self._telling.doubt()
         self._seeking = action != "go"
         if not self._seeking:
             return False
@@ -151,6 +168,44 @@ class NavigationDriver:
             self._last = seeker.command(observation, self._last)
         return True
 
+    def _tell_apart(self, observation: Observation, sight: Sight | None, span_ns: int) -> bool:
+        """Whether the robot drives to find out which of two places it is at; its goal's clock stands.
+
+        A goal is given up when there is nothing that tells them apart, or not in time.
+        """
+        telling, localiser, now = self._telling, self.localiser, observation.stamp_ns
+        if telling is None or localiser is None or self.sequence.finished:
+            return False
+        T_map_odom = localiser.T_map_odom
+        if not telling.examine(now, localiser):
+            self._follow(T_map_odom, localiser)
+            return False
+        if self.sequence.goal is not None:
+            self.sequence.postpone(span_ns)
+        goal = self.sequence.update(now)
+        if sight is not None and T_map_odom is not None:
+            self._see(sight, T_map_odom, telling.live)
+        T_odom_base = observation.odometry.T_odom_base
+        points, moving = self.sensing.points_base(T_odom_base), self._moving.points_base(T_odom_base)
+        command = telling.step(observation, localiser, self._last, points, sight is not None, moving)
+        self.state, self.goal_index = "tell_apart", -1 if goal is None else self.sequence.index
+        self._last = self.tools.controller.brake(self._last) if command is None else command
+        if command is None:
+            if goal is not None:
+                self.sequence.close("unreachable", ALIKE, now)
+            telling.begin_again(now)
+        elif telling.contest is None:
+            self._forget()
+            self._follow(T_map_odom, localiser)
+        return True
+
+    def _follow(self, before: SE2 | None, localiser: Localiser) -> None:
+        """Where the estimate has been moved to the right one of two places, that is no reason for doubt."""
+        if localiser.T_map_odom is not before:
+            self._forget()
+            if self._seeker is not None:
+                self._seeker.accept(localiser)
+
     def _forget(self) -> None:
         """Drop what was planned and seen by a pose that was wrong."""
         self.tools.live.clear()
@@ -164,11 +219,11 @@ class NavigationDriver:
         self.estimate = self.localiser.T_map_base(observation.odometry.T_odom_base)
         return self.localiser.T_map_odom
 
-    def _see(self, sight: Sight, T_frame_odom: SE2) -> None:
-        if sight.stamp_ns - self._seen_ns < self.tools.live.config.period * 1e9:
+    def _see(self, sight: Sight, T_frame_odom: SE2, live: LiveLayer) -> None:
+        if sight.stamp_ns - self._seen_ns < live.config.period * 1e9:
             return
         self._seen_ns = sight.stamp_ns
-        self.tools.live.update(
+        live.update(
             sight.stamp_ns * 1e-9,
             T_frame_odom @ sight.T_odom_lidar,
             T_frame_odom @ sight.hits_odom,
@@ -194,7 +249,7 @@ class NavigationDriver:
         moving = self._moving.points_base(odometry.T_odom_base)
         self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep, moving)
         self.state = runner.state
-        if verdict is not None and verdict.status == "unreachable" and self._suspect(now):
+        if verdict is not None and self._suspect(now, verdict.status == "reached"):
             self._forget()
         elif verdict is not None:
             self.sequence.close(verdict.status, verdict.reason, now)
@@ -202,12 +257,24 @@ class NavigationDriver:
             self.state = verdict.status
         return self._last
 
-    def _suspect(self, now: int) -> bool:
-        """Whether a goal seems unreachable only because the robot may be elsewhere; asked twice a goal."""
+    def _pushed(self, now: int) -> bool:
+        """Whether someone is pushing the robot: it stands still until that is over."""
+        pushes = 0 if self.localiser is None else self.localiser.amcl.pushes
+        if pushes != self._pushes:
+            self._pushes, self._pushed_ns = pushes, now
+        if self._pushed_ns is None or now - self._pushed_ns > PUSHED_NS:
+            return False
+        if self._runner is not None:
+            self._runner.rest()
+        return True
+
+    def _suspect(self, now: int, arrived: bool) -> bool:
+        """Whether a goal only seems `arrived` at, or unreachable, as the robot is elsewhere."""
         if self._seeker is None or self.localiser is None or self._doubted >= DOUBTS_PER_GOAL:
             return False
-        self._doubted += 1
-        return self._seeker.suspect(now, self.localiser)
+        suspected = self._seeker.suspect(now, self.localiser, arrived)
+        self._doubted += suspected or not arrived
+        return suspected
 
     def _stop(self, state: str, *, finished: bool = False) -> Twist:
         """Brake to a standstill."""

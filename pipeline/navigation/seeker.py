@@ -50,9 +50,12 @@ class Seeker:
             self._wiggle, self._wanted = None, Twist()
         return action
 
-    def suspect(self, now_ns: int, localiser: Localiser) -> bool:
-        """Whether the filter is in doubt; if so the robot looks about before it believes anything else."""
-        doubtful = localiser.amcl.lost
+    def suspect(self, now_ns: int, localiser: Localiser, arrived: bool = False) -> bool:
+        """Whether the filter is in doubt; if so the robot looks about before it believes anything else.
+
+        Where it takes itself to have arrived, the newest scan must not speak against that.
+        """
+        doubtful = localiser.contradicted if arrived else localiser.amcl.lost
         if doubtful:
             self._task.suspect(now_ns, localiser.updates)
         return doubtful
@@ -72,6 +75,10 @@ class Seeker:
             self._task.suspect(observation.stamp_ns, localiser.updates)
             self._wiggle = None
         return far
+
+    def accept(self, localiser: Localiser) -> None:
+        """The estimate has been moved for a reason that needs no looking about."""
+        self._T_map_odom = localiser.T_map_odom
 
     def command(self, observation: Observation, last: Twist) -> Twist:
         """The command of a tick in which the robot is lost: no map is used, nothing seen is touched."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from datasets.se2 import SE2, Array
 from datasets.seeds import stream
 from datasets.types import Observation
 from pipeline.localisation.amcl import Amcl
+from pipeline.localisation.rivals import Rivals
 from pipeline.navigation.avoid import AvoidDriver
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.driver import Driver
@@ -27,6 +29,7 @@ from pipeline.navigation.recorder import Bag
 from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.takeover import load_script
+from pipeline.navigation.telling import Telling
 from pipeline.pose_check import require_free
 from planners.control.dwa import Dwa
 from planners.control.interface import Controller
@@ -164,7 +167,11 @@ def make_driver(mission: Mission, first: Observation, publisher: Bag, say: Calla
     wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
     guard = Guard(robot.model, config.avoid, config.guard)
     seeker = Seeker(config.relocalise, config.wiggle, guard, sensing, tools.monitor, tools.controller)
-    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle, seeker)
+    telling = None
+    if localiser is not None:
+        rivals = Rivals(localiser.amcl.search, stream(request.seed, "rivals"))
+        telling = functools.partial(Telling, rivals, tools, config.relocalise.tell_apart, seed)
+    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle, seeker, telling)
     return driver, localiser, sequence
 
 

@@ -28,6 +28,8 @@ class RelocaliseConfig(BaseModel):
     """It drives about for so long, touching nothing, until the cloud settles."""
     restarts: int = Field(default=2, ge=0)
     """Then it forgets every pose and begins again, so often; then the goal is given up."""
+    tell_apart: float = Field(default=120.0, ge=0.0)
+    """Two places look alike: it drives for so long to where they would not; then the goal is given up."""
 
 
 class Relocaliser:
