@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from benchmarks.no_bag import NoBag
 from localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
 
-from benchmarks.no_bag import NoBag
 from datasets.maps import save_map
 from datasets.se2 import SE2, wrap
 from datasets.types import Scan
