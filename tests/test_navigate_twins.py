@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.no_bag import NoBag
 from localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
 
 from datasets.maps import save_map
@@ -21,6 +20,7 @@ from pipeline.localisation.search import GlobalSearch
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import drive
 from pipeline.navigation.navigator import LOST
+from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.setup import Request
 from pipeline.navigation.setup import prepare as prepare_mission
 from pipeline.navigation.telling import ALIKE as REASON
