@@ -105,9 +105,10 @@ def solve(
     info.setMotionValidator(motions)
     info.setup()
     problem = ob.ProblemDefinition(info)
-    problem.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    ends = _state(space, start), _state(space, goal)
+    problem.setStartAndGoalStates(*ends)
     set_goal_length(info, problem, float(np.hypot(*(goal - start))))
-    path = exact_path(make_planner(info, config), problem, config)
+    path = exact_path(info, problem, ends[0], config)
     return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
 
 
@@ -123,15 +124,30 @@ def set_goal_length(info: Any, problem: Any, least: float) -> None:
     problem.setOptimizationObjective(objective)
 
 
-def exact_path(planner: Any, problem: Any, config: OmplConfig) -> Any | None:
+def exact_path(info: Any, problem: Any, start: Any, config: OmplConfig) -> Any | None:
     """OMPL's path that joins start and goal, or None within the budget."""
+    planner = make_planner(info, config)
     planner.setProblemDefinition(problem)
     planner.setup()
     if config.planner in ROADMAPS:
         return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
-    return problem.getSolutionPath() if problem.hasExactSolution() else None
+    return _with_start(info, problem, start) if problem.hasExactSolution() else None
+
+
+def _with_start(info: Any, problem: Any, start: Any) -> Any | None:
+    """The solution, its start put in front where the planner left it out; None when it is not joined.
+
+    AORRTC says the goal twice when it is in sight.
+    """
+    path = problem.getSolutionPath()
+    first = path.getStates()[0]
+    if info.distance(start, first) > 0.0:
+        if not info.checkMotion(start, first):
+            return None
+        path.prepend(start)
+    return path
 
 
 def _path_on_roadmap(planner: Any, problem: Any, iterations: int) -> Any | None:

@@ -9,7 +9,7 @@ import numpy as np
 from datasets.se2 import SE2, Array
 from planners.costmap import Costmap
 from planners.footprint import footprint_free
-from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, make_planner, set_goal_length
+from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, set_goal_length
 
 SIMPLIFY_CALLS = 400
 
@@ -54,7 +54,7 @@ def solve_poses(
     ends = _state(space, T_grid_start), _state(space, T_grid_goal)
     problem.setStartAndGoalStates(*ends)
     set_goal_length(info, problem, float(space.distance(*ends)))
-    path = exact_path(make_planner(info, config), problem, config)
+    path = exact_path(info, problem, ends[0], config)
     if path is None:
         return None
     og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))

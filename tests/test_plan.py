@@ -242,3 +242,15 @@ def test_room_beyond_all_bounds_is_refused_in_a_line():
     for wrong in ({"margins": (1e300,)}, {"inflation_radius": 1e300}, {"cost_scaling_factor": 1e300}):
         with pytest.raises(ValueError, match="less than or equal"):
             PlanConfig(**wrong)
+
+
+@pytest.mark.parametrize("space", ["disc", "se2", "reeds_shepp"])
+def test_a_path_begins_where_the_robot_stands_though_the_goal_is_in_sight(space):
+    """AORRTC's path was the goal alone then."""
+    costmap = costmap_from_grid(walled_room(), CostmapConfig())
+    start, goal = SE2.from_xyt(1.025, 1.025, 0.0), SE2.from_xyt(1.625, 1.025, 0.0)
+    config = PlanConfig(ompl=OmplConfig(planner="AORRTC", space=space, iterations=300, restarts=1))
+    plan = plan_path(costmap, BURGER, start, goal, config, seed=1)
+    np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
+    assert plan.length == pytest.approx(0.6, rel=0.02)
+    assert plan.planner.startswith("AORRTC")
