@@ -1,13 +1,17 @@
-"""Importing Open3D on a machine without libusb.
+"""Importing Open3D: on a machine without libusb, and for results that are the same every time.
 
 The open3d-cpu wheel links `libusb-1.0.so.0`, which a fresh machine lacks; the package `libusb-package`
 carries it. Loading that copy first, with its symbols made global, satisfies the wheel.
+
+Its point-to-plane ICP adds up in whatever order its threads finish: the last bits vary, and where a match is
+poor they grow to another pose. On one thread there is one order.
 """
 
 from __future__ import annotations
 
 import ctypes
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 
 from datasets.errors import InputError
@@ -15,7 +19,7 @@ from datasets.errors import InputError
 
 @cache
 def open3d() -> ModuleType:
-    """The imported `open3d` module; InputError says what is missing."""
+    """The imported `open3d` module, which works on one thread; InputError says what is missing."""
     import libusb_package
 
     library = libusb_package.get_library_path()
@@ -23,7 +27,25 @@ def open3d() -> ModuleType:
         if library is not None:
             ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
         import open3d as module
-    except (ImportError, OSError) as error:
+
+        _keep_to_one_thread(module)
+    except (ImportError, OSError, AttributeError) as error:
         raise InputError(f"open3d cannot be imported ({' '.join(str(error).split())})") from None
     module.utility.set_verbosity_level(module.utility.VerbosityLevel.Error)
     return module
+
+
+class _GlobalControl(ctypes.Structure):
+    """tbb::global_control: a parameter of the scheduler and the value it has while this exists."""
+
+    _fields_ = (("value", ctypes.c_size_t), ("reserved", ctypes.c_ssize_t), ("parameter", ctypes.c_int))
+
+
+_MAX_ALLOWED_PARALLELISM = 0
+_ONE_THREAD = _GlobalControl(1, 0, _MAX_ALLOWED_PARALLELISM)
+
+
+def _keep_to_one_thread(module: ModuleType) -> None:
+    """Ask the scheduler that comes with Open3D for no threads but the caller's."""
+    tbb = ctypes.CDLL(str(Path(str(module.__file__)).with_name("libtbb.so.12")))
+    tbb["_ZN3tbb6detail2r16createERNS0_2d114global_controlE"](ctypes.byref(_ONE_THREAD))

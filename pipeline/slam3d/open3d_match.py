@@ -1,7 +1,6 @@
 """Open3D's opinion on a loop: FPFH and RANSAC where nothing tells the pose, then ICP, then tests.
 
-Its ICP adds in whatever order its threads finish, so the last bits of a result vary: what leaves here is
-rounded far above that.
+What leaves here is rounded to what an opinion is worth.
 """
 
 from __future__ import annotations
