@@ -78,23 +78,6 @@ def test_going_on_from_a_file_is_the_same_as_mapping_both(tmp_path, first, resul
     assert len(continued.trajectory) == 170
 
 
-def test_command_goes_on_with_an_earlier_map(tmp_path, first):
-    for name, log in (("first", first), ("second", second())):
-        (tmp_path / f"{name}.clf").write_text(carmen_text(log))
-
-    def mapped(out, *arguments):
-        assert main(["map", *map(str, arguments), "--out", str(tmp_path / out), "-q", "--no-cache"]) == 0
-        return tmp_path / out
-
-    a = mapped("a", tmp_path / "first.clf")
-    both = mapped("both", tmp_path / "first.clf", "--also", tmp_path / "second.clf")
-    on = mapped("on", tmp_path / "second.clf", "--continue", a)
-    for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o", "graph.json", "metrics.json", FILE):
-        assert (on / name).read_bytes() == (both / name).read_bytes(), name
-    assert json.loads((on / "metrics.json").read_text())["scans"] == 170
-    assert "continued" in json.loads((on / "manifest.json").read_text())["inputs"]
-
-
 FRONT_END = [
     "usable_range_m=3.0",
     "sensors=lidar",
@@ -113,6 +96,20 @@ def saved(tmp_path_factory, first):
         (folder / f"{name}.clf").write_text(carmen_text(log))
     assert main(["map", str(folder / "first.clf"), "--out", str(folder / "map"), "-q"]) == 0
     return folder
+
+
+def mapped(out, *words):
+    assert main(["map", *map(str, words), "--out", str(out), "-q"]) == 0
+    return out
+
+
+def test_command_goes_on_with_an_earlier_map(saved, tmp_path):
+    both = mapped(tmp_path / "both", saved / "first.clf", "--also", saved / "second.clf")
+    on = mapped(tmp_path / "on", saved / "second.clf", "--continue", saved / "map")
+    for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o", "graph.json", "metrics.json", FILE):
+        assert (on / name).read_bytes() == (both / name).read_bytes(), name
+    assert json.loads((on / "metrics.json").read_text())["scans"] == 170
+    assert "continued" in json.loads((on / "manifest.json").read_text())["inputs"]
 
 
 @pytest.mark.parametrize("setting", FRONT_END)
@@ -154,18 +151,15 @@ def test_settings_of_all_that_comes_after_the_front_end_may_change_and_that_is_s
 
 
 def test_a_map_goes_on_with_the_settings_it_was_made_with(saved, tmp_path):
-    def mapped(out, log, *more):
-        words = ["map", str(saved / log), "--set", "usable_range_m=3.0", "--out", str(tmp_path / out), "-q"]
-        assert main([*words, *more]) == 0
-
-    mapped("first", "first.clf")
-    mapped("both", "first.clf", "--also", str(saved / "second.clf"))
-    mapped("on", "second.clf", "--continue", str(tmp_path / "first"))
+    near = ("--set", "usable_range_m=3.0")
+    first = mapped(tmp_path / "first", saved / "first.clf", *near)
+    both = mapped(tmp_path / "both", saved / "first.clf", *near, "--also", saved / "second.clf")
+    on = mapped(tmp_path / "on", saved / "second.clf", *near, "--continue", first)
     for name in ("map.pgm", "trajectory.tum", FILE):
-        assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "both" / name).read_bytes(), name
+        assert (on / name).read_bytes() == (both / name).read_bytes(), name
 
 
-@pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "other shapes", "changed", "wrong settings"])
+@pytest.mark.parametrize("damage", ["absent", "cut", "no zip", "changed"])
 def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
     path = tmp_path / FILE
     if damage != "absent":
@@ -175,21 +169,11 @@ def test_graph_that_cannot_be_read_is_refused(tmp_path, result, damage):
             path.write_bytes(whole[: len(whole) // 2])
         elif damage == "no zip":
             path.write_text("nothing")
-        elif damage == "wrong settings":
-            with np.load(path) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            about = bytes(arrays["about"]).replace(b'"usable_range_m": 30.0', b'"usable_range_m": -3.0')
-            np.savez(path, **{**arrays, "about": np.frombuffer(about, np.uint8)})
-        elif damage == "changed":
+        else:
             middle = len(whole) // 2
             path.write_bytes(whole[:middle] + bytes(64) + whole[middle + 64 :])
-        else:
-            with np.load(path) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            np.savez(path, **{**arrays, "ranges": arrays["ranges"][:-1]})
-    with pytest.raises(InputError, match=r"graph\.npz") as refusal:
+    with pytest.raises(InputError, match=r"graph\.npz"):
         load_session(tmp_path)
-    assert "\n" not in str(refusal.value)
 
 
 WRONG = {
@@ -202,6 +186,11 @@ WRONG = {
     "words": ("noise", lambda a: np.array(["x"] * 3)),
     "one step too few": ("chain_broken", lambda a: a[1:]),
     "no mounting": ("T_base_lidar", lambda a: a[:2]),
+    "a scan too few": ("ranges", lambda a: a[:-1]),
+    "settings that are none": (
+        "about",
+        lambda a: np.frombuffer(bytes(a).replace(b": 30.0", b": -3.0"), np.uint8),
+    ),
     "a lidar of words": ("about", lambda a: np.frombuffer(bytes(a).replace(b"25", b'"x"'), np.uint8)),
 }
 
@@ -215,8 +204,9 @@ def test_graph_whose_arrays_compiled_code_would_trip_over_is_refused(tmp_path, r
     changed = change(arrays[name])
     assert changed.shape != arrays[name].shape or (changed != arrays[name]).any()
     np.savez(path, **{**arrays, name: changed})
-    with pytest.raises(InputError, match=r"graph\.npz"):
+    with pytest.raises(InputError, match=r"graph\.npz") as refusal:
         load_session(tmp_path)
+    assert "\n" not in str(refusal.value)
 
 
 def test_g2o_and_tum_are_read_back_as_they_are(tmp_path, result):
