@@ -293,7 +293,7 @@ def main() -> None:
             refused.setdefault(kind, []).extend(refusals(at, queries, gap))
         print(f"{name} {robot}: {len(rows)} plans", flush=True)
     for name, robot in POSE_MAPS[:1] if args.quick else POSE_MAPS:
-        at = place(name, robot, 2 if args.quick else 4, args.out)
+        at = place(name, robot, 2 if args.quick else max(4, queries // 2), args.out)
         for space in [s for s in args.spaces if s != "disc"]:
             rows += measure(at, space, ["RRTConnect"] if args.quick else planners_of(space))
             print(f"{name} {robot} {space}: {len(rows)} plans", flush=True)

@@ -34,6 +34,10 @@ def planner_boxes(rows: Sequence[Mapping[str, Any]]) -> Figure:
         if target is not None:
             axis.axvline(target, color=ACCENT, linestyle=(0, (4, 2)), linewidth=1.2)
     axes[0].set_xscale("log")
+    axes[0].set_xticks([1, 3, 10, 30, 100, 300, 1000], minor=False)
+    axes[0].xaxis.set_major_formatter("{x:g}")
+    axes[0].minorticks_off()
+    axes[0].set_title("solved / queries, by planner", loc="left", fontsize="small")
     share = {n: [r["solved"] for r in rows if r["planner"] == n] for n in names}
     axes[0].set_yticks(range(len(names)), [f"{n}  {sum(share[n])}/{len(share[n])}" for n in names])
     for axis in axes[1:]:
