@@ -15,7 +15,7 @@ from pipeline.localisation.differences import clearly_other, differences
 from pipeline.localisation.field import distance_field
 from pipeline.localisation.free_space import FreeSpace
 from pipeline.localisation.parameters import AmclConfig
-from pipeline.localisation.rivals import ALIKE, SCANS, Contest, Glimpse, Rivals
+from pipeline.localisation.rivals import ALIKE, SCANS, Contest, Glimpse, Rivals, apart
 from pipeline.localisation.search import GlobalSearch
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import drive
@@ -108,6 +108,29 @@ def test_a_world_without_a_twin_has_one_hypothesis(x, y):
     )
     assert len(found) == 1
     np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
+
+
+def test_in_a_crowd_nothing_is_said_about_other_places():
+    glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
+    rivals = rivals_of(room().grid())
+    crowded = []
+    for glimpse in glimpses:
+        beams = glimpse.beams
+        near = beams.points.copy()
+        away = near - beams.origins
+        hidden = np.arange(len(near)) < 0.7 * len(near)
+        near[hidden] = (beams.origins + 0.4 * away / np.linalg.norm(away, axis=1)[:, None])[hidden]
+        crowded.append(dataclasses.replace(glimpse, beams=dataclasses.replace(beams, points=near)))
+    assert len(rivals.find(glimpses, TWIN)) == 1
+    (same,) = rivals.find(crowded, TWIN)
+    np.testing.assert_array_equal(same.xyt, np.zeros(3))
+
+
+def test_a_heading_a_little_off_is_no_other_place():
+    here = SE2.from_xyt(-5.25, 2.42, 2.41)
+    assert not apart(here, SE2.from_xyt(-5.17, 2.46, 3.14))
+    assert apart(here, SE2.from_xyt(-5.17, 2.46, 2.41 + math.pi))
+    assert apart(here, SE2.from_xyt(-5.25, 1.2, 2.41))
 
 
 def test_the_same_seed_finds_the_same_rivals():

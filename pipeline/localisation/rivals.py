@@ -8,6 +8,7 @@ Kristensen 2001). Which one is right is decided by the scans on the way, each hy
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ from pipeline.localisation.search import GlobalSearch
 DRAWN, LEAST_SHARE = 2000, 0.01
 # A place that explains the scans by less than this worse than the best one is its rival ...
 ALIKE = 0.05
+# ... if it is so far off [m] or turned so much [rad] - nearer ones the filter itself sorts out - and so much
+# of the scans is explained at all: with people all round, nothing can be said ...
+APART_M, APART_RAD, LEAST_FIT = 1.0, 1.0, 0.7
 # ... and one that explains them so much worse, over as many scans, is out of the race.
 WORSE, SCANS = 0.05, 6
 
@@ -48,7 +52,7 @@ class Rivals:
         """Motions of the map onto itself, T_map_map, to the places that explain the scans about best.
 
         The first is the identity - the estimate `T_map_odom` itself - unless another place explains the
-        scans clearly better.
+        scans clearly better. Only the identity is left where the map explains too little of them anyhow.
         """
         here = [T_map_odom @ glimpse.T_odom_base for glimpse in glimpses]
         found = [SE2.identity()]
@@ -59,6 +63,8 @@ class Rivals:
                     found.append(T_rival)
         fits = [self._polished(T_rival, glimpses, here) for T_rival in found]
         best = max(fit for fit, _ in fits)
+        if best < LEAST_FIT:
+            return found[:1]
         kept: list[SE2] = []
         for k, (fit, T_rival) in enumerate(fits):
             if fit > best - ALIKE and all(apart(T_rival @ here[-1], other @ here[-1]) for other in kept):
@@ -142,8 +148,9 @@ class Contest:
 
 
 def apart(one: SE2, other: SE2) -> bool:
-    """Whether two poses are different places, not two ends of one cloud."""
-    return not bool(within(one.xyt[None], other.xyt)[0])
+    """Whether two poses are different places."""
+    x, y, yaw = (one.inverse() @ other).xyt.tolist()
+    return math.hypot(x, y) > APART_M or abs(yaw) > APART_RAD
 
 
 def within(poses: Array, centre: Array) -> NDArray[np.bool_]:
