@@ -67,9 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "example: turtlebag bag convert intel.clf.bz2 --out data/intel; --out x.bag writes ROS 1",
     )
     add_output(sub)
-    sub.add_argument(
-        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the rosbag2 folder (default: mcap)"
-    )
+    sub.add_argument("--storage", choices=("mcap", "sqlite3"), help="of the rosbag2 folder (default: mcap)")
     sub.add_argument(
         "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out, may be repeated"
     )
@@ -172,7 +170,11 @@ def _convert(args: argparse.Namespace) -> int:
     watch = Stopwatch()
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
+    if args.exclude and _is_log(args.bag):
+        raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to leave out")
     if args.out.suffix == ".bag":
+        if args.storage is not None:
+            raise InputError(f"--storage {args.storage}: a ROS 1 bag has none; leave it out")
         with staged_file(args.out, force=args.force) as file:
             count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
             convert.require_messages(args.bag, count, notes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from datasets.errors import InputError
 from pipeline.commands.arguments import add_output
 from pipeline.report import make_index, make_report
 
@@ -31,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
     if args.index:
+        for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
+            if given:
+                raise InputError(f"{option}: --index draws no pictures; leave it out")
         print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
         return 0
     page = make_report(

@@ -27,6 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and print its page's path, or answer a query."""
     if args.query is not None:
+        for name in ("out", "force", "scheduler", "workers"):
+            if getattr(args, name):
+                raise InputError(f"--{name}: --query runs nothing; leave it out")
         return _answer(Path(args.campaign), args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
