@@ -47,7 +47,7 @@ def read_loops(path: Path) -> LoopRecord:
         loops = json.loads(path.read_text())["loops"]
         rows = [(loop["i"], loop["j"], loop["residual_m"], loop["verdict"] == "accepted") for loop in loops]
         table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         raise InputError(f"{path}: not a record of loops") from None
     i, j = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
     return LoopRecord(i, j, table[:, 2], table[:, 3] > 0.5)

@@ -190,14 +190,19 @@ class Group:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON file that holds an object; InputError says what else it is."""
+    """A JSON file that holds an object; InputError says what else it is. Whole numbers larger than any float
+    are infinite, as larger fractions are."""
     try:
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        data = json.loads(path.read_text(), parse_int=_whole)
+    except (OSError, ValueError, RecursionError):
         raise InputError(f"{path}: not readable JSON") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a JSON object")
     return data
+
+
+def _whole(digits: str) -> float:
+    return int(digits) if len(digits) < 300 else float(digits)
 
 
 def load_stage(folder: Path) -> Stage:

@@ -2,6 +2,7 @@
 
 import json
 import random
+import re
 import shutil
 
 import pytest
@@ -15,6 +16,7 @@ from datasets.relations import load_relations
 from datasets.trajectories import load_tum
 from datasets.yaml_files import parsed
 from planners.tasks.waypoints import parse_waypoints
+from reports.g2o import read_loops
 from sim.worlds import load_world
 
 TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "blame": 6}
@@ -147,6 +149,29 @@ def test_report_refuses_goals_that_are_none(chain, tmp_path):
     code, said = outcome(["report", tmp_path / "run", "--out", tmp_path / "out"])
     assert (code, said.count("\n")) == (2, 1)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1" + "0" * 9000, "1e400", "[" * 5000])
+def test_numbers_beyond_floats_are_no_trouble_to_compare_and_verify(chain, tmp_path, number):
+    for stage in ("run", "report"):
+        shutil.copytree(chain / stage, tmp_path / stage)
+    for path in (tmp_path / "run" / "metrics.json", tmp_path / "report" / "metrics.json"):
+        text, found = re.subn(r'"distance_m": [0-9.]+', f'"distance_m": {number}', path.read_text())
+        assert found >= 1
+        path.write_text(text)
+    for words in (["compare", chain / "run", tmp_path / "run"], ["verify", "--quick", tmp_path / "report"]):
+        code, said = outcome(words)
+        assert code in (0, 1, 2)
+        assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("number", ["1" + "0" * 400, "1" + "0" * 9000, "[" * 100000])
+def test_loops_of_numbers_beyond_floats_are_refused(tmp_path, number):
+    path = tmp_path / "graph.json"
+    loop = f'{{"i": 1, "j": 0, "residual_m": {number}, "verdict": "accepted"}}'
+    path.write_text(f'{{"loops": [{loop}]}}')
+    with pytest.raises(InputError, match="not a record of loops"):
+        read_loops(path)
 
 
 def test_a_saved_state_with_half_a_pose_is_refused_by_name(tmp_path):
