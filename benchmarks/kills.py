@@ -1,9 +1,9 @@
 """Stages killed at random moments and started again; stages that cannot write what they should.
 
-python -m benchmarks.kills [--count 100] [--quick] [--demo 5] [--seed 0] [--out DIR]
+python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--demo 5] [--seed 0] [--out DIR]
 
-A small chain of record, map, navigate and report is made once undisturbed. Then each stage is killed
-with SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
+A small chain with every command that writes is made once undisturbed. Then each is killed with
+SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
 finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
 disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
 with exit 2, one line, and nothing left behind. Every stage runs in a process of its own, forked after
@@ -19,7 +19,6 @@ import importlib
 import os
 import pkgutil
 import resource
-import shutil
 import signal
 import struct
 import subprocess
@@ -27,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +35,22 @@ from benchmarks.kills_demo import demo_kills
 from datasets.outputs import sha256_tree
 from pipeline.cli import main as turtlebag
 
-SHARES = {"record": 0.4, "map": 0.3, "navigate": 0.2, "report": 0.1}
-"""Of the kills; the cheap stages get more."""
+DONE = (0, 1)
+"""Exit codes of complete outputs; a drive of some seconds does not reach everything."""
+READ = ("record", "map", "navigate", "record3d")
+"""Stages that others read."""
 TELEOP = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.2, -0.55]]}\n"
 WAYPOINTS = "waypoints:\n  - {x: -1.8, y: -0.5, yaw: 0.0}\n"
+CAMPAIGN = """\
+name: small
+question: Does it go on where it was killed?
+factors: {seed: {first: 1, last: 3}}
+stages:
+  record: "record --world turtlebot3_world --teleop TELEOP --seed {seed}"
+  map: "map {record} --truth {record}/truth"
+results: {ate_m: "map:ate_m.rmse"}
+figures: [{x: seed, y: ate_m, title: Error}]
+"""
 
 
 def load_everything() -> None:
@@ -53,16 +64,38 @@ def load_everything() -> None:
 
 def commands(chain: Path) -> dict[str, list[str]]:
     """The stages in order, each reading its inputs from `chain`; `--out` is for the caller to add."""
-    world = ["--world", "turtlebot3_world", "--seed", "3"]
-    built = str(chain / "map" / "map.yaml")
-    patrol = ["--task", "patrol", "--waypoints", str(chain / "one.yaml"), "--timeout", "30"]
-    stages = [str(chain / name) for name in ("record", "map", "navigate")]
-    return {
-        "record": ["record", "-q", *world, "--teleop", str(chain / "short.yaml")],
-        "map": ["map", "-q", stages[0], "--truth", str(chain / "record" / "truth")],
-        "navigate": ["navigate", "-q", *world, *patrol, "--map", built, "--initial-pose", "start"],
-        "report": ["report", "-q", *stages],
+    record, built = f"{chain}/record", f"{chain}/map"
+    world, script = "--world turtlebot3_world --seed 3", f"--teleop {chain}/short.yaml"
+    grid, told = f"--map {built}/map.yaml", "--initial-pose start"
+    lines = {
+        "record": f"record {world} {script}",
+        "map": f"map {record} --truth {record}/truth --explain",
+        "navigate": f"navigate {world} --task patrol --waypoints {chain}/one.yaml --timeout 30 {grid} {told}",
+        "report": f"report {record} {built} {chain}/navigate",
+        "goal": f"navigate {world} --task goal --goal=-1.8,-0.5,0 {grid} {told}",
+        "avoid": f"navigate {world} --task avoid --duration 5",
+        "explore": f"navigate {world} --task explore --duration 5",
+        "localise": f"localise {record} {grid} --initial-pose=-2,-0.5,0",
+        "plan": f"plan {grid} --start=-2,-0.5,0 --goal=0,2,0",
+        "compare": f"compare {built} {built}",
+        "blame": f"blame {record} --replace odometry",
+        "convert": f"bag convert {record}",
+        "sqlite3": f"bag convert {record} --storage sqlite3",
+        "ros1.bag": f"bag convert {record}",
+        "recover": f"bag recover {record}",
+        "world.png": "world show turtlebot3_world",
+        "sweep": f"sweep {chain}/campaign.yaml --workers 1",
+        "record3d": f"record {world} --robot waffle_pi_3d {script}",
+        "map3d": f"map {chain}/record3d --topic /points --truth {chain}/record3d/truth",
     }
+    split = {name: line.split() for name, line in lines.items()}
+    return {name: [verb, "-q", *words] for name, (verb, *words) in split.items()}
+
+
+def hashes(out: Path) -> dict[str, str]:
+    """sha256 of an output's files but its manifest, by path; a single file is called nothing."""
+    found = sha256_tree(out)
+    return {"": found[out.name]} if out.is_file() else found
 
 
 def start(
@@ -92,26 +125,32 @@ def finish(pid: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
-def undisturbed(chain: Path) -> dict[str, float]:
-    """Make the chain; seconds each stage takes, measured on a second run of it."""
+def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
+    """Make the chain; seconds each stage of `only` (empty: all) takes, measured on a second run of it."""
     (chain / "short.yaml").write_text(TELEOP)
     (chain / "one.yaml").write_text(WAYPOINTS)
+    (chain / "campaign.yaml").write_text(CAMPAIGN.replace("TELEOP", f"{chain}/short.yaml"))
     took = {}
     for stage, words in commands(chain).items():
-        for out in (chain / stage, chain / f"{stage}.again"):
+        if only and stage not in {*only, *READ}:
+            continue
+        again = [chain / "again" / stage] if stage in only or not only else []
+        for out in (chain / stage, *again):
             begun = time.perf_counter()
             code = finish(start([*words, "--out", str(out)], chain / "stderr"))
-            if code != 0:
+            if code not in DONE:
                 raise SystemExit(f"{stage}: exit {code}: {(chain / 'stderr').read_text().strip()}")
             took[stage] = time.perf_counter() - begun
-        if sha256_tree(chain / stage) != sha256_tree(chain / f"{stage}.again"):
+        if not again:
+            del took[stage]
+        elif hashes(chain / stage) != hashes(chain / "again" / stage):
             raise SystemExit(f"{stage}: two undisturbed runs differ")
     return took
 
 
 def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     """Outcome of a stage killed after `after_s` seconds and started again."""
-    out, errors = folder / "out", folder / "stderr"
+    out, errors = folder / stage, folder / "stderr"
     words = [*commands(chain)[stage], "--out", str(out)]
     # The second start finds what the first had put into the stage cache when it was killed.
     cache = str(folder / "cache")
@@ -120,16 +159,16 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
     code = finish(pid)
     if code != -signal.SIGKILL:
-        return "finished before the kill" if code == 0 else f"BAD: exit {code} undisturbed"
+        return "finished before the kill" if code in DONE else f"BAD: exit {code} undisturbed"
     whole = out.exists()
     if not whole:
         code = finish(start(words, errors, cache=cache))
-        if code != 0:
+        if code not in DONE:
             return f"BAD: exit {code} when started again: {errors.read_text().strip()}"
-    different = dict(sha256_tree(out).items() ^ sha256_tree(chain / stage).items())
+    different = dict(hashes(out).items() ^ hashes(chain / stage).items())
     if different:
         return f"BAD: other bytes than undisturbed: {', '.join(sorted(different))}"
-    left = {path.name for path in folder.iterdir()} - {"out", "stderr", "out.unfinished", "cache"}
+    left = {path.name for path in folder.iterdir()} - {stage, "stderr", f"{stage}.unfinished", "cache"}
     if left:
         return f"BAD: left behind {', '.join(sorted(left))}"
     return "killed after the last step, whole" if whole else "killed, started again: same bytes"
@@ -139,8 +178,8 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> list[tu
     """(stage, moment [s], outcome) of `count` real kills; runs that were quicker than the kill are extra."""
     rng = np.random.default_rng(seed)
     rows = []
-    for stage, share in SHARES.items():
-        wanted = max(1, round(count * share))
+    for number, stage in enumerate(took):
+        wanted = (count + number) // len(took)
         while wanted:
             after_s = float(rng.uniform(0.0, took[stage]))
             with tempfile.TemporaryDirectory() as name:
@@ -153,13 +192,14 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> list[tu
     return rows
 
 
-def hindered(chain: Path, words: list[str], before: Callable[[], object], parent: Path) -> str:
+def hindered(chain: Path, stage: str, words: list[str], before: Callable[[], object], parent: Path) -> str:
     """Outcome of a stage that cannot write below `parent`."""
     errors = chain / "stderr"
     present = set(parent.iterdir())
-    code = finish(start([*words, "--out", str(parent / "out")], errors, before))
+    code = finish(start([*words, "--out", str(parent / stage)], errors, before))
     said = errors.read_text().strip()
-    left = {path.name for path in set(parent.iterdir()) - present}
+    # A campaign goes on where it stopped, when there is room again.
+    left = {path.name for path in set(parent.iterdir()) - present} - {"sweep.partial"}
     if code != 2 or "\n" in said or not said.startswith("turtlebag: "):
         return f"BAD: exit {code}: {said[-200:]}"
     return f"BAD: left behind {', '.join(sorted(left))}" if left else f"exit 2: {said}"
@@ -184,36 +224,40 @@ def without_privileges() -> None:
         raise OSError(ctypes.get_errno(), "capset")
 
 
-def hindrances(chain: Path) -> list[tuple[str, str, str]]:
-    """(stage, hindrance, outcome) of every stage with every hindrance."""
+def hindrances(chain: Path, stages: Iterable[str]) -> list[tuple[str, str, str]]:
+    """(stage, hindrance, outcome) of the stages with every hindrance."""
     rows = []
-    for stage, words in commands(chain).items():
+    for stage in stages:
+        words = commands(chain)[stage]
         for what in ("disk full", "file size limit", "read-only", "no permission"):
             with tempfile.TemporaryDirectory() as name:
                 parent = Path(name)
-                rows.append((stage, what, one_hindrance(chain, words, what, parent)))
+                rows.append((stage, what, one_hindrance(chain, stage, words, what, parent)))
     return rows
 
 
-def one_hindrance(chain: Path, words: list[str], what: str, parent: Path) -> str:
+def one_hindrance(chain: Path, stage: str, words: list[str], what: str, parent: Path) -> str:
     """Outcome of one stage with one hindrance, or why it could not be tried."""
     if what == "file size limit":
-        return hindered(chain, words, lambda: no_files_beyond(8192), parent)
+        return hindered(chain, stage, words, lambda: no_files_beyond(1000), parent)
     if what == "no permission":
         parent.chmod(0o555)
-        return hindered(chain, words, without_privileges, parent)
-    if not mounted(parent, "size=8k" if what == "disk full" else "ro"):
+        return hindered(chain, stage, words, without_privileges, parent)
+    if not mounted(parent, "size=4k" if what == "disk full" else "ro"):
         return "not tried: no tmpfs can be mounted here"
     try:
-        return hindered(chain, words, lambda: None, parent)
+        return hindered(chain, stage, words, lambda: None, parent)
     finally:
         subprocess.run(["umount", str(parent)], check=True)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--quick", action="store_true", help="10 kills")
+    parser.add_argument("--count", type=int, default=190)
+    parser.add_argument("--quick", action="store_true", help="one kill each")
+    parser.add_argument(
+        "--only", nargs="+", default=[], choices=commands(Path()), metavar="STAGE", help="kill these alone"
+    )
     parser.add_argument("--demo", type=int, metavar="N", help="instead: kill the whole `make demo` N times")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
@@ -224,12 +268,10 @@ def main() -> int:
     load_everything()
     with tempfile.TemporaryDirectory() as name:
         chain = Path(name)
-        took = undisturbed(chain)
+        took = undisturbed(chain, args.only)
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
-        rows = kills(chain, took, 10 if args.quick else args.count, args.seed)
-        rows += hindrances(chain)
-        for again in chain.glob("*.again"):
-            shutil.rmtree(again)
+        rows = kills(chain, took, len(took) if args.quick else args.count, args.seed)
+        rows += hindrances(chain, took)
     counts = Counter((stage, outcome) for stage, _, outcome in rows if not outcome.startswith("exit 2"))
     for (stage, outcome), n in counts.items():
         print(f"{n:5}  {stage:9} {outcome}")
