@@ -9,6 +9,7 @@ from datasets.maps import save_map
 from datasets.se2 import SE2
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import drive
+from pipeline.navigation.navigator import LOST
 from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.setup import Request, prepare
 from planners.tasks.relocalise import RelocaliseConfig, Relocaliser
@@ -30,9 +31,9 @@ def arena_map(tmp_path_factory):
 
 def run(map_path, faults, **request):
     config = NavigateConfig(sim=SimConfig(faults=faults))
-    asked = Request(task="goal", seed=1, map_path=map_path, initial_pose="start", **request)
+    asked = Request(**{"task": "goal", "seed": 1, "map_path": map_path, "initial_pose": "start"} | request)
     mission = prepare(asked, BURGER, config, ARENA.keepout)
-    with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
+    with Simulator(ARENA, BURGER, config.sim, asked.seed) as simulator:
         return drive(simulator, mission, NoBag(), lambda line: None)
 
 
@@ -48,6 +49,26 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
     steps = np.linalg.norm(np.diff(episode.log.T_world_base.xy, axis=0), axis=1)
     assert steps.max() > 3.0
     assert episode.metrics["distance_m"] == pytest.approx(steps[steps < 0.1].sum())
+
+
+def test_a_robot_told_a_pose_in_a_wall_looks_about_before_it_calls_the_goal_unreachable(arena_map):
+    told = SE2.from_xyt(-2.9, -0.4, 0.5)
+    goal = SE2.from_xyt(-0.55, -0.55, 0.0)
+    episode = run(arena_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
+    assert episode.log.state[0] == "plan"
+    assert "look" in episode.log.state
+    assert episode.metrics["goals"][0]["status"] == "reached"
+    assert episode.metrics["goals"][0]["error_m"] < 0.05
+    assert not any(episode.metrics["collisions"].values())
+
+
+def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
+    house = load_world("turtlebot3_house")
+    wrong = save_map(house.rasterize(BURGER.lidar_height), tmp_path, "house")
+    told, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
+    episode = run(wrong, FaultConfig(), goal=goal, initial_pose=told, timeout_s=60.0, seed=0)
+    (outcome,) = episode.metrics["goals"]
+    assert (outcome["status"], outcome["reason"]) == ("unreachable", LOST)
 
 
 def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from datasets.se2 import SE2
 from datasets.types import Observation, Twist
-from pipeline.navigation.goal_runner import GoalRunner, Tools
+from pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
 from pipeline.navigation.localiser import Localiser, Publisher
 from pipeline.navigation.moving import MovingWatch
 from pipeline.navigation.seeker import Seeker
@@ -124,8 +124,8 @@ class NavigationDriver:
         wanted = wiggle.command(now, localiser.amcl.converged)
         if wanted is None:
             self._wiggle = None
-            if wiggle.gave_up and self._seeker is not None:
-                self._seeker.suspect(now, localiser)
+            if wiggle.gave_up and self._seeker is not None and self._seeker.doubts(localiser):
+                self._seeker.look_about(now, localiser)
             return self._stop("wiggle")
         self.state = "wiggle"
         points = self.sensing.points_base(observation.odometry.T_odom_base)
@@ -249,13 +249,30 @@ class NavigationDriver:
         moving = self._moving.points_base(odometry.T_odom_base)
         self._last, verdict = runner.step(now, pose, odometry.twist, self._last, points, new_sweep, moving)
         self.state = runner.state
-        if verdict is not None and self._suspect(now, verdict.status == "reached"):
-            self._forget()
-        elif verdict is not None:
-            self.sequence.close(verdict.status, verdict.reason, now)
-            self._runner = None
-            self.state = verdict.status
+        if verdict is not None:
+            self._judge(verdict, pose, now)
         return self._last
+
+    def _judge(self, verdict: Verdict, T_map_base: SE2, now: int) -> None:
+        """Close the goal, unless it only seems reached, or unreachable, as the robot is elsewhere.
+
+        It looks about then, so often; a goal where the scans still speak against it is not reached.
+        """
+        arrived = verdict.status == "reached"
+        doubtful = False
+        if self._seeker is not None and self.localiser is not None:
+            in_a_wall = not fits(self.tools.live.static, self.tools.model, T_map_base)
+            doubtful = self._seeker.doubts(self.localiser, arrived=arrived, in_a_wall=in_a_wall)
+            if doubtful and self._doubted < DOUBTS_PER_GOAL:
+                self._doubted += 1
+                self._seeker.look_about(now, self.localiser)
+                self._forget()
+                return
+        if doubtful and arrived:
+            verdict = Verdict("unreachable", LOST)
+        self.sequence.close(verdict.status, verdict.reason, now)
+        self._runner = None
+        self.state = verdict.status
 
     def _pushed(self, now: int) -> bool:
         """Whether someone is pushing the robot: it stands still until that is over."""
@@ -267,14 +284,6 @@ class NavigationDriver:
         if self._runner is not None:
             self._runner.rest()
         return True
-
-    def _suspect(self, now: int, arrived: bool) -> bool:
-        """Whether a goal only seems `arrived` at, or unreachable, as the robot is elsewhere."""
-        if self._seeker is None or self.localiser is None or self._doubted >= DOUBTS_PER_GOAL:
-            return False
-        suspected = self._seeker.suspect(now, self.localiser, arrived)
-        self._doubted += suspected or not arrived
-        return suspected
 
     def _stop(self, state: str, *, finished: bool = False) -> Twist:
         """Brake to a standstill."""

@@ -40,7 +40,7 @@ class Seeker:
     def check(self, now_ns: int, localiser: Localiser) -> Action:
         """What to do now by what the filter says of itself."""
         amcl = localiser.amcl
-        if localiser.updates == 0:
+        if localiser.updates == 0 and self._task.action == "go":
             return "go"
         before = self._task.action
         action = self._task.update(now_ns, amcl.converged, amcl.agrees, localiser.updates)
@@ -50,15 +50,17 @@ class Seeker:
             self._wiggle, self._wanted = None, Twist()
         return action
 
-    def suspect(self, now_ns: int, localiser: Localiser, arrived: bool = False) -> bool:
-        """Whether the filter is in doubt; if so the robot looks about before it believes anything else.
+    def doubts(self, localiser: Localiser, *, arrived: bool = False, in_a_wall: bool = False) -> bool:
+        """Whether the robot may well be elsewhere.
 
-        Where it takes itself to have arrived, the newest scan must not speak against that.
+        Where it takes itself to have arrived, the newest scan must not speak against that; where it takes
+        itself to stand in what the map shows as a wall, it is wrong before any scan says so.
         """
-        doubtful = localiser.contradicted if arrived else localiser.amcl.lost
-        if doubtful:
-            self._task.suspect(now_ns, localiser.updates)
-        return doubtful
+        return in_a_wall or (localiser.contradicted if arrived else localiser.amcl.lost)
+
+    def look_about(self, now_ns: int, localiser: Localiser) -> None:
+        """Believe nothing else before that."""
+        self._task.suspect(now_ns, localiser.updates)
 
     def jumped(self, observation: Observation, localiser: Localiser) -> bool:
         """Whether the estimate has moved otherwise than by odometry since the last question.
