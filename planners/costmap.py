@@ -19,6 +19,8 @@ from planners.distance import distance_field
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
+TOUCH = 1e-6
+"""A share of a cell: an outline that runs along a border, but for rounding, reaches the cells on both sides."""
 
 
 class CostmapConfig(BaseModel):
@@ -111,15 +113,46 @@ def _unknown_without_specks(grid: OccupancyGrid, speck_area: float) -> Mask:
 
 
 def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
-    """Cells whose centre lies in a polygon (even-odd rule), (n, 2) corners in the map frame."""
-    corners = costmap.T_grid_map @ np.asarray(polygon_map, dtype=np.float64)
+    """Cells of a polygon (even-odd rule) with (n, 2) corners in the map frame.
+
+    Those whose centre lies in it; where it is too narrow to hold four neighbouring centres, every cell
+    that it reaches into, so that a strip thinner than a cell is whole. Thus each point of the polygon is
+    in a cell of the mask, or in one beside a block of 2 x 2 of them.
+    """
+    corners = costmap.T_grid_map @ np.asarray(polygon_map, dtype=np.float64) / costmap.resolution
     rows, cols = costmap.lethal.shape
-    x = (np.arange(cols) + 0.5)[None, :] * costmap.resolution
-    y = (np.arange(rows) + 0.5)[:, None] * costmap.resolution
-    inside = np.zeros((rows, cols), dtype=bool)
-    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    x, y = np.arange(cols)[None, :] + 0.5, np.arange(rows)[:, None] + 0.5
+    mask = np.zeros((rows, cols), dtype=bool)
+    edges = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+    for (ax, ay), (bx, by) in edges:
         if ay == by:
             continue
         crosses = (ay > y) != (by > y)
-        inside ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-    return inside
+        mask ^= crosses & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+    reached = mask.copy()
+    for start, end in edges:
+        _add_passed(reached, start, end)
+    broad = ndimage.binary_dilation(ndimage.binary_opening(mask, np.ones((2, 2))), EIGHT_NEIGHBOURS)
+    narrow = reached & ~broad
+    return np.asarray(mask | reached & ndimage.binary_dilation(narrow, EIGHT_NEIGHBOURS), dtype=bool)
+
+
+def _add_passed(mask: Mask, start: Array, end: Array) -> None:
+    """Add the cells that a segment touches; its ends (2,) are x, y in cells.
+
+    Exact: a segment and a square have no point in common just when an axis or the segment's own normal
+    separates them.
+    """
+    low = np.maximum(np.floor(np.minimum(start, end) - TOUCH), 0.0)
+    high = np.minimum(np.floor(np.maximum(start, end) + TOUCH) + 1.0, mask.shape[::-1])
+    if not np.all(low < high):
+        return
+    (left, bottom), (right, top) = low.astype(int), high.astype(int)
+    x = np.arange(left, right)[None, :] + 0.5
+    y = np.arange(bottom, top)[:, None] + 0.5
+    along = end - start
+    off = along[0] * (y - start[1]) - along[1] * (x - start[0])
+    reached = np.abs(off) <= (0.5 + TOUCH) * np.abs(along).sum()
+    for at, a, b in ((x, start[0], end[0]), (y, start[1], end[1])):
+        reached &= (max(a, b) >= at - 0.5 - TOUCH) & (min(a, b) <= at + 0.5 + TOUCH)
+    mask[bottom:top, left:right] |= reached

@@ -2,6 +2,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planning_room import BURGER, room
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -44,6 +46,61 @@ def test_keepout_polygons_are_lethal_in_a_turned_map_too():
     assert mask.sum() == 20 * 40
     assert mask[20:60, 20:40].all()
     assert costmap.with_lethal(mask).clearance_at(T_map_grid @ np.array([1.5, 2.0])) == 0.0
+
+
+def free_map(size, resolution=0.05, T_map_grid=SE2.identity()):
+    cells = np.full((size, size), FREE, dtype=np.int8)
+    return costmap_from_grid(OccupancyGrid(cells, resolution, T_map_grid), CostmapConfig())
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.3, 1.7),
+    st.floats(0.3, 1.7),
+    st.floats(0.01, 0.98),
+    st.floats(0.0, math.pi),
+    st.floats(0.1, 1.5),
+)
+def test_a_keepout_narrower_than_a_cell_blocks_every_cell_it_reaches_into(x, y, cells_wide, turn, length):
+    costmap = free_map(80)
+    width = cells_wide * costmap.resolution
+    T_map_strip = SE2.from_xyt(x, y, turn)
+    strip = T_map_strip @ (np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * [length, width])
+    mask = polygon_mask(costmap, strip)
+    across, along = np.meshgrid(np.linspace(-0.499, 0.499, 7), np.linspace(-0.499, 0.499, 301))
+    points = T_map_strip @ np.stack([along.ravel() * length, across.ravel() * width], axis=1)
+    cells = np.floor(points / costmap.resolution).astype(int)
+    cells = cells[np.all((cells >= 0) & (cells < 80), axis=1)]
+    assert mask[cells[:, 1], cells[:, 0]].all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.floats(-0.5, 2.5), st.floats(-0.5, 2.5)), min_size=3, max_size=3))
+def test_no_point_of_a_keepout_is_farther_than_a_cell_from_what_it_blocks(corners):
+    costmap = free_map(40)
+    mask = polygon_mask(costmap, np.array(corners))
+    weights = np.random.default_rng(0).dirichlet([0.5, 0.5, 0.5], 2000)
+    cells = np.floor(weights @ np.array(corners) / costmap.resolution).astype(int)
+    cells = cells[np.all((cells >= 1) & (cells < 39), axis=1)]
+    beside = [mask[cells[:, 1] + dy, cells[:, 0] + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    assert np.any(beside, axis=0).all()
+
+
+@pytest.mark.parametrize("x", [1.0, 1.02])
+def test_a_keepout_without_any_width_stops_the_robot_too(x):
+    mask = polygon_mask(free_map(40), np.array([[x, 0.5], [x, 1.5], [x, 1.0]]))
+    assert mask[10:30, 20].all()
+
+
+def test_a_neck_between_two_keepout_fields_is_closed_and_the_fields_stay_as_they_are():
+    costmap = free_map(60)
+    left, right = (0.31, 1.02, 0.62, 1.33), (1.71, 1.02, 2.02, 1.33)
+    neck = [(left[2], 1.171), (right[0], 1.171), (right[0], 1.174), (left[2], 1.174)]
+    corners = [left[:2], (left[2], left[1]), *neck[:2], right[:2], (right[2], right[1]), right[2:]]
+    corners += [(right[0], right[3]), *neck[2:], left[2:], (left[0], left[3])]
+    mask = polygon_mask(costmap, np.array(corners))
+    assert mask[23, 6:40].all()
+    assert mask[:22].sum() == mask[25:].sum() == 2 * 6 * 2
 
 
 def test_the_field_is_bilinear_between_cell_centres_and_zero_outside():
