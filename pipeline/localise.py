@@ -31,7 +31,7 @@ from reports.metrics.trajectory import associate, summary
 class LocaliseConfig(BaseModel):
     """Settings of the stage."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     amcl: AmclConfig = AmclConfig()
 
 

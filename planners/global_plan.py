@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
+from datasets.spans import Seconds
 from datasets.types import RobotModel
 from planners.control.monitor import padded
 from planners.costmap import Costmap
@@ -53,7 +54,7 @@ class PlanConfig(BaseModel):
     """How fast that push fades with distance, exp(-factor * d), as in costmap_2d."""
     spacing: float = Field(default=0.05, ge=0.01, le=1.0)
     """Distance between the path's poses."""
-    replan_period: float = Field(default=1.0, ge=0.0)
+    replan_period: Seconds = 1.0
     """A blocked path is planned anew no more often than this [s]."""
     snap: float = Field(default=0.35, ge=0.0, le=10.0)
     """How far the start may be moved to reach free floor, when the robot stands too near an obstacle."""

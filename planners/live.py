@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
+from datasets.spans import Seconds
 from planners.costmap import Costmap, Mask
 from planners.distance import distance_field
 
@@ -25,9 +26,9 @@ class LiveConfig(BaseModel):
     raytrace_range: float = Field(default=3.5, gt=0.0)
     known: float = Field(default=0.14, ge=0.0)
     """A beam that ends this near an obstacle of the map shows nothing new."""
-    decay: float = Field(default=8.0, gt=0.0)
+    decay: Seconds = Field(default=8.0, gt=0.0)
     """Seconds after which a mark that was not seen again is forgotten."""
-    period: float = Field(default=0.08, ge=0.0)
+    period: Seconds = 0.08
     """Sweeps that come sooner after one taken in are left out."""
     reach: float = Field(default=1.2, gt=0.0)
     """How far round live obstacles the clearance is computed anew."""

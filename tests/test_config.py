@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.errors import InputError
 from datasets.yaml_files import read_mapping
 from pipeline.config import config_text, load_config
+from pipeline.navigation.config import NavigateConfig
 
 
 class Inner(BaseModel):
@@ -17,6 +18,46 @@ class Outer(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     inner: Inner = Inner()
     name: str = "a"
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        *(
+            f"{key}=1e300"
+            for key in (
+                "sequence.initial_wait",
+                "sequence.timeout",
+                "sequence.pause",
+                "relocalise.settled",
+                "relocalise.look",
+                "relocalise.trust",
+                "relocalise.roam",
+                "relocalise.tell_apart",
+                "recovery.stuck_time",
+                "wiggle.least",
+                "wiggle.most",
+                "goal_checker.hold",
+                "plan.replan_period",
+                "mapless.replan_period",
+                "live.decay",
+                "live.period",
+                "guard.memory",
+                "guard.restless",
+                "explore.look_after",
+                "amcl.likelihood_max_dist",
+            )
+        ),
+        "recovery.ladder=[{kind: wait, amount: 1e300}]",
+        "recovery.back_up_v=1e-300",
+        "recovery.rotate_w=1e-300",
+        "amcl.likelihood_max_dist=.inf",
+        "amcl.laser_min_range=.nan",
+    ],
+)
+def test_times_and_lengths_beyond_any_run_are_refused(setting):
+    with pytest.raises(InputError, match=setting.partition("=")[0]):
+        load_config(NavigateConfig, settings=[setting])
 
 
 def test_settings_override_the_file_and_the_file_the_defaults(tmp_path):

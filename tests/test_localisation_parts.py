@@ -356,6 +356,33 @@ def test_a_slip_of_the_wheels_is_noticed_and_undone_by_the_same_scan():
     assert abs(float(error.yaw)) < 0.01
 
 
+@pytest.mark.parametrize("most", [1, 6])
+def test_a_slip_where_walls_are_forgotten_leaves_the_others_in_their_place(monkeypatch, most):
+    """The scan that shows the slip also shows new walls, so that old ones must go."""
+    monkeypatch.setattr("pipeline.localisation.wall_filter.MAX_WALLS", most)
+    T, rng = SE2.from_xyt(0.6, 0.6, 0.1), np.random.default_rng(8)
+    track = wall_filter(T)
+    for _ in range(10):
+        track.correct(ahead(scanned(T, rng)))
+    known = set(track.offsets)
+    slip = SE2.from_xyt(0.08, 0.0, 0.05)
+    track.predict(slip, (0.0, 0.08, 0.05), np.full(3, 1e-3))
+    T = T @ SE2.from_xyt(0.0, 0.0, 1.8)
+    track.predict(SE2.from_xyt(0.0, 0.0, 1.8), (0.0, 0.0, 1.8), np.full(3, 1e-3))
+    assert track.correct(ahead(scanned(T, rng))) > 6.0
+    assert known - set(track.offsets)
+    assert set(track.offsets) - known
+    error = T.inverse() @ track.T_map_base
+    assert np.hypot(error.x, error.y) < 0.03
+    assert abs(float(error.yaw)) < 0.02
+    assert max(abs(offset) for offset, _ in track.offsets.values()) < 0.02
+
+
+def ahead(points_base: np.ndarray) -> np.ndarray:
+    """What a lidar that looks ahead sees of it."""
+    return points_base[np.abs(np.arctan2(points_base[:, 1], points_base[:, 0])) < 0.8]
+
+
 @given(st.integers(1, 12), st.integers(0, 1000))
 @settings(max_examples=30)
 def test_small_linear_algebra_equals_numpys(n, seed):

@@ -12,6 +12,7 @@ from datasets.errors import InputError
 from datasets.outputs import sha256_tree, write_json, write_manifest
 from pipeline.campaign.case import run_case
 from pipeline.campaign.plan import FOLDER, Campaign, cases, load_campaign
+from pipeline.campaign.table import query, write_parquet
 from reports.campaign import compare_pairs, summarise
 from reports.metrics.statistics import median_interval, paired, share_interval
 
@@ -113,12 +114,21 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("compare: size", "shared: [cook]", "cook is no stage"),
         ("unit: cm", "unit: inch", "unit inch: known are"),
         ("panels: kind", "panels: colour", "colour is no factor"),
+        ('/metrics.json"', "/metrics.json 'x\"", "stages.check: .* 'x`: no closing quotation"),
     ],
 )
 def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
     assert old in CAMPAIGN
     with pytest.raises(InputError, match=message):
         cases(load(tmp_path, CAMPAIGN.replace(old, new)))
+
+
+@pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
+def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
+    write_parquet([{"size": 1}], tmp_path / "runs.parquet")
+    assert query(tmp_path / "runs.parquet", "SELECT size FROM runs") == (["size"], [(1,)])
+    with pytest.raises(InputError, match="asks nothing"):
+        query(tmp_path / "runs.parquet", sql)
 
 
 def row_of(tmp_path, **factors):
@@ -160,7 +170,6 @@ def scheduler():
 
 
 def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, no_commands, scheduler):
-    from pipeline.campaign.table import query
     from pipeline.sweep import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))

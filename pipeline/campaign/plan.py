@@ -225,9 +225,16 @@ def _case(campaign: Campaign, index: int, chosen: dict[str, Scalar]) -> Case:
     for stage, line in campaign.stages.items():
         # Folders of earlier stages stay in braces: they depend on where the campaign is written.
         places = {earlier: "{" + earlier + "}" for earlier in commands}
-        commands[stage] = shlex.split(_filled(line, {**texts, **places}, f"stages.{stage}"))
+        commands[stage] = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
     digest = hashlib.sha256(json.dumps(commands).encode()).hexdigest()
     return Case(index, digest[:12], chosen, commands)
+
+
+def _words(text: str, stage: str) -> list[str]:
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise InputError(f"stages.{stage}: `{text.strip()}`: {str(error).lower()}") from None
 
 
 def _filled(line: str, values: dict[str, Any], where: str) -> str:

@@ -15,7 +15,7 @@ class AmclConfig(BaseModel):
     3.5 m and 1 cm: ROS's sigma_hit of 0.2 m and its odometry noise are far too wide to reach 1 cm.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     min_particles: int = Field(default=500, ge=2)
     max_particles: int = Field(default=2000, ge=2)
@@ -42,7 +42,7 @@ class AmclConfig(BaseModel):
     max_beams: int = Field(default=60, ge=1)
     laser_min_range: float = -1.0  # -1: the sensor's own
     laser_max_range: float = -1.0
-    likelihood_max_dist: float = Field(default=2.0, gt=0.0)
+    likelihood_max_dist: float = Field(default=2.0, gt=0.0, le=100.0)
     sigma_hit: float = Field(default=0.05, gt=0.0)
     z_hit: float = Field(default=0.7, gt=0.0)
     z_short: float = Field(default=0.05, ge=0.0)  # beam model only

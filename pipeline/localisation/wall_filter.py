@@ -92,34 +92,38 @@ class WallFilter:
         A great surprise is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
         """
         self._scans += 1
+        sums, right = self._match(self._x[:POSE], self._offsets(), points_base)
+        # Walls come and go before the state is kept: a wall forgotten meanwhile would shift those after it.
+        seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
         x, P = self._x.copy(), self._P.copy()
-        found = self._take_in(points_base)
+        found = self._take_in(points_base, seen, sums, right)
         if found > SLIP:
-            n = len(x)
-            self._x[:n], self._P[:n, :n] = x, P
-            self._P[:n, n:] = self._P[n:, :n] = 0.0
-            self._x[n:], self._P[n:, n:] = 0.0, self._offset_variance * np.eye(len(self._x) - n)
+            self._x, self._P = x, P
             self._P[range(POSE), range(POSE)] += SLIP_STD**2
-            self._take_in(points_base)
+            self._take_in(points_base, seen, sums, right)
         return found
 
-    def _take_in(self, points_base: Array) -> float:
+    def _offsets(self) -> Array:
+        """The known walls' offsets by patch, 0 for the others, (patches,)."""
+        offsets = np.zeros(self._surfaces.patches)
+        offsets[self._walls] = self._x[FIXED:]
+        return offsets
+
+    def _match(self, pose: Array, offsets: Array, points_base: Array) -> tuple[Array, Array]:
         s = self._surfaces
         tables = (s.points, s.normals, s.trust, s.patch, s.nearest, 1.0 / s.resolution)
-        offsets = np.zeros(s.patches)
-        offsets[self._walls] = self._x[FIXED:]
-        sums, right = match_beams(*tables, self._x[:3], points_base, offsets, self._scale, self._patch_beams)
-        seen = self._admit(np.flatnonzero(sums[:, 9] > 0.0).astype(np.int32))
-        walls = self._walls[seen]
+        return match_beams(*tables, pose, points_base, offsets, self._scale, self._patch_beams)
+
+    def _take_in(self, points_base: Array, seen: NDArray[np.int64], sums: Array, right: Array) -> float:
+        """Correct the state by a scan, matched at the predicted pose; `seen` are its walls in the list."""
+        offsets, walls = self._offsets(), self._walls[seen]
         state = np.concatenate([range(POSE), FIXED + seen])
         before, prior = self._x[state], self._P[state][:, state].copy()
         x = before
         for iteration in range(MAX_ITERATIONS):
             if iteration > 0:
                 offsets[walls] = x[3:]
-                sums, right = match_beams(
-                    *tables, x[:3], points_base, offsets, self._scale, self._patch_beams
-                )
+                sums, right = self._match(x[:3], offsets, points_base)
             information, gradient = normal_equations(sums, right, walls, self._beam_std**-2)
             new = posterior(before, prior, x, information, gradient)
             step = np.abs(new - x).max()

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.spans import Seconds
 from pipeline.localisation.parameters import AmclConfig
 from pipeline.navigation.explore import ExploreConfig
 from pipeline.navigation.moving import WaryConfig
@@ -38,7 +39,7 @@ class MaplessConfig(BaseModel):
     """It moves on when the robot is so far off its centre."""
     resolution: float = Field(default=0.05, gt=0.0)
     controller: ControllerName = "dwa"
-    replan_period: float = Field(default=0.3, ge=0.0)
+    replan_period: Seconds = 0.3
     """Takes the place of plan.replan_period: there is always something new to see."""
     inflation_radius: float = Field(default=0.6, gt=0.0)
     recovery: RecoveryConfig = RecoveryConfig(

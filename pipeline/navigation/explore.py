@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
+from datasets.spans import Seconds
 from datasets.types import Observation, RobotModel, Twist
 from pipeline.navigation.goal_runner import GoalRunner, Tools
 from pipeline.navigation.localiser import Publisher
@@ -43,7 +44,7 @@ class ExploreConfig(BaseModel):
     """How slipping wheels are noticed, and how far it backs off then."""
     margin: float = Field(default=0.03, ge=0.0)
     """Clearance beyond the robot's circumscribed radius that ways must have."""
-    look_after: float = Field(default=12.0, gt=0.0)
+    look_after: Seconds = Field(default=12.0, gt=0.0)
     """The map is made anew after this long on the way to one place, too."""
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2
+from datasets.spans import Seconds
 from datasets.types import Twist, yaw_difference
 
 Preset = Literal["default", "tutorial"]
@@ -23,7 +24,7 @@ class GoalCheckerConfig(BaseModel):
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
     hysteresis: float = Field(default=1.2, ge=1.0)
     """Once inside, the tolerances are this much wider until the goal counts as reached."""
-    hold: float = Field(default=0.3, ge=0.0)
+    hold: Seconds = 0.3
     """Seconds it must stay so."""
     stop: bool = True
     """Whether the robot must stand still there; otherwise passing by is enough."""

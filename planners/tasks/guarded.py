@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
+from datasets.spans import Seconds
 from datasets.types import RobotModel, Twist
 from planners.control.monitor import CollisionMonitor, MonitorConfig
 from planners.tasks.avoid import AvoidConfig, Decision, Sectors
@@ -39,11 +40,11 @@ class GuardConfig(BaseModel):
     back_off: float = Field(default=0.25, gt=0.0)
     back_off_v: float = Field(default=0.1, gt=0.0)
     turn_away: float = Field(default=1.6, gt=0.0)
-    memory: float = Field(default=120.0, ge=0.0)
+    memory: Seconds = 120.0
     """How long a place where it got stuck is kept out of."""
     flips: int = Field(default=3, ge=0)
     """So many changes of the freer side, one after the other, count as dithering: it keeps its side."""
-    restless: float = Field(default=20.0, gt=0.0)
+    restless: Seconds = Field(default=20.0, gt=0.0)
     """After so long within `restless_reach` it turns to where most room is."""
     restless_reach: float = Field(default=0.4, gt=0.0)
 

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, wrap
+from datasets.spans import LONGEST_S, Seconds
 from datasets.types import Twist
 
 Kind = Literal["wait", "clear", "back_up", "rotate"]
@@ -21,7 +22,7 @@ class Rung(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: Kind
-    amount: float = 0.0
+    amount: float = Field(default=0.0, ge=-LONGEST_S, le=LONGEST_S)
 
 
 class RecoveryConfig(BaseModel):
@@ -41,14 +42,14 @@ class RecoveryConfig(BaseModel):
     )
     total: int = Field(default=20, ge=0)
     """Manoeuvres for one goal altogether; then it is given up."""
-    stuck_time: float = Field(default=5.0, gt=0.0)
+    stuck_time: Seconds = Field(default=5.0, gt=0.0)
     """Without moving for so long the robot counts as stuck."""
     stuck_distance: float = Field(default=0.06, gt=0.0)
     stuck_angle: float = Field(default=0.25, gt=0.0)
     progress: float = Field(default=0.5, gt=0.0)
     """Driven so far on, the ladder starts from its foot again."""
-    back_up_v: float = Field(default=0.08, gt=0.0)
-    rotate_w: float = Field(default=0.6, gt=0.0)
+    back_up_v: float = Field(default=0.08, ge=1e-3)
+    rotate_w: float = Field(default=0.6, ge=1e-3)
 
 
 class Manoeuvre(Protocol):

@@ -9,6 +9,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.spans import Seconds
+
 Action = Literal["go", "look", "roam", "restart", "give_up"]
 
 
@@ -18,17 +20,17 @@ class RelocaliseConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     doubts: int = Field(default=2, ge=1)
     """Filter updates in a row that find the robot lost before it stops."""
-    settled: float = Field(default=1.0, ge=0.0)
+    settled: Seconds = 1.0
     """So long the cloud must be narrow and the scans agree before it goes on."""
-    look: float = Field(default=5.0, gt=0.0)
+    look: Seconds = Field(default=5.0, gt=0.0)
     """It turns to and fro for so long; a cloud that is narrow then is trusted: no better place was found."""
-    trust: float = Field(default=15.0, ge=0.0)
+    trust: Seconds = 15.0
     """So long it is not asked again whether the scans agree: people and boxes are not on the map."""
-    roam: float = Field(default=45.0, gt=0.0)
+    roam: Seconds = Field(default=45.0, gt=0.0)
     """It drives about for so long, touching nothing, until the cloud settles."""
     restarts: int = Field(default=2, ge=0)
     """Then it forgets every pose and begins again, so often; then the goal is given up."""
-    tell_apart: float = Field(default=120.0, ge=0.0)
+    tell_apart: Seconds = 120.0
     """Two places look alike: it drives for so long to where they would not; then the goal is given up."""
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2
+from datasets.spans import Seconds
 from planners.tasks.waypoints import Waypoint
 
 Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]
@@ -18,10 +19,10 @@ class SequenceConfig(BaseModel):
     """Simulated seconds; the defaults are the tutorial's patrol."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    initial_wait: float = Field(default=3.0, ge=0.0)
-    timeout: float = Field(default=60.0, gt=0.0)
+    initial_wait: Seconds = 3.0
+    timeout: Seconds = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""
-    pause: float = Field(default=1.0, ge=0.0)
+    pause: Seconds = 1.0
     """After each goal reached."""
     laps: int = Field(default=1, ge=1)
     closed: bool = False

@@ -6,6 +6,7 @@ import math
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.spans import Seconds
 from datasets.types import Twist
 
 
@@ -16,9 +17,9 @@ class WiggleConfig(BaseModel):
     angle: float = Field(default=1.2, gt=0.0)
     """It turns this far to the left, twice as far to the right, and so on."""
     w: float = Field(default=0.7, gt=0.0)
-    least: float = Field(default=3.0, ge=0.0)
+    least: Seconds = 3.0
     """It goes on at least so long."""
-    most: float = Field(default=25.0, gt=0.0)
+    most: Seconds = Field(default=25.0, gt=0.0)
     """And stops after so long, whatever the cloud does."""
 
 
