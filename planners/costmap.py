@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
 TOUCH = 1e-6
-"""A share of a cell: an outline that runs along a border, but for rounding, reaches the cells on both sides."""
+"""A share of a cell: an outline along a border, but for rounding, reaches the cells on both sides of it."""
 
 
 class CostmapConfig(BaseModel):

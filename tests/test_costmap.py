@@ -48,9 +48,9 @@ def test_keepout_polygons_are_lethal_in_a_turned_map_too():
     assert costmap.with_lethal(mask).clearance_at(T_map_grid @ np.array([1.5, 2.0])) == 0.0
 
 
-def free_map(size, resolution=0.05, T_map_grid=SE2.identity()):
+def free_map(size):
     cells = np.full((size, size), FREE, dtype=np.int8)
-    return costmap_from_grid(OccupancyGrid(cells, resolution, T_map_grid), CostmapConfig())
+    return costmap_from_grid(OccupancyGrid(cells, 0.05, SE2.identity()), CostmapConfig())
 
 
 @settings(max_examples=60, deadline=None)
