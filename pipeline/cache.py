@@ -65,7 +65,7 @@ class StageCache:
         """
         if self._folder is None:
             return make(), ""
-        key = fingerprint([stage, _surroundings(), *inputs])
+        key = fingerprint([stage, surroundings(), *inputs])
         path = self._folder / key
         found = _read(path, key)
         self._record.append((stage, found is not None))
@@ -229,9 +229,17 @@ def _feed(digest: Any, value: object) -> None:
 
 
 @cache
-def _surroundings() -> str:
-    """Fingerprint of our sources, the packages and the machine: what shapes results besides the input."""
-    files = sorted(path for folder in SOURCES for path in (ROOT / folder).rglob("*.py"))
-    sources = [(path.relative_to(ROOT).as_posix(), path.read_bytes()) for path in files]
+def surroundings(sources: tuple[str, ...] = SOURCES) -> str:
+    """Fingerprint of our sources, the packages and the machine: what shapes results besides the input.
+
+    `sources` are folders of the project whose Python and YAML files count.
+    """
+    files = sorted(
+        path
+        for folder in sources
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".py", ".yaml") and path.is_file()
+    )
+    read = [(path.relative_to(ROOT).as_posix(), path.read_bytes()) for path in files]
     machine = [platform.python_version(), platform.machine(), get_host_cpu_name()]
-    return fingerprint([sources, package_versions(), machine])
+    return fingerprint([read, package_versions(), machine])

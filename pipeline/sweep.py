@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, check_free, sha256_text, write_json, write_manifest
+from pipeline.cache import surroundings
 from pipeline.campaign.case import CACHE, ROW, SHARED, throw_away
 from pipeline.campaign.engine import run_cases
-from pipeline.campaign.plan import Campaign, Case, cases, load_campaign
+from pipeline.campaign.plan import Campaign, Case, campaign_path, cases, load_campaign
 from pipeline.campaign.table import write_parquet
 from pipeline.config import config_text
 from pipeline.console import log, track
@@ -25,6 +26,9 @@ from reports.stages import read_json
 
 TABLE = "results.parquet"
 TELL_S = 60.0
+MARK = "made_by.txt"
+"""In a growing folder: fingerprint of the code, the packages and the machine that made its rows."""
+MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 
 
 def sweep(
@@ -53,7 +57,7 @@ def sweep(
         folder,
         stage="sweep",
         command=command,
-        inputs={},
+        inputs=_inputs(campaign_name, todo),
         seed=campaign.seed,
         wall_s=watch.seconds(),
         extra={"case_wall_s": timing},
@@ -66,21 +70,42 @@ def sweep(
     return int(failed > 0)
 
 
+def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
+    """The campaign file, and every file and folder of outputs that a stage's command names."""
+    words = {word for case in todo for line in case.commands.values() for word in line}
+    values = {word.partition("=")[2] if word.startswith("--") else word for word in words}
+    named = {word: Path(word.partition("+clutter:")[0].partition(":")[0]) for word in values}
+    files = {
+        str(path): path for path in named.values() if path.is_file() or (path / "manifest.json").is_file()
+    }
+    return {"campaign": campaign_path(campaign_name), **dict(sorted(files.items()))}
+
+
 def _work_folder(campaign: Campaign, out: Path, *, force: bool) -> Path:
-    """OUT.partial: a new one, or the one an earlier start of the same campaign left."""
+    """OUT.partial: a new one, or the one an earlier start of the same campaign and code left."""
     folder = out.with_name(out.name + ".partial")
-    text = config_text(campaign)
-    mark = folder / "config.yaml"
-    if folder.exists() and not (mark.is_file() and sha256_text(mark.read_text()) == sha256_text(text)):
+    marks = {"config.yaml": config_text(campaign), MARK: surroundings(MAKERS) + "\n"}
+    if folder.exists() and (maker := _other_maker(folder, marks)):
         if not force:
-            raise InputError(f"{folder}: left by another campaign; remove it or pass --force")
+            raise InputError(f"{folder}: left by {maker}; remove it or pass --force to begin anew")
         shutil.rmtree(folder)
     try:
         (folder / "cases").mkdir(parents=True, exist_ok=True)
-        mark.write_text(text)
+        for name, text in marks.items():
+            (folder / name).write_text(text)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder
+
+
+def _other_maker(folder: Path, marks: Mapping[str, str]) -> str:
+    """What made a folder's rows when it is not what the marks say; empty when it is."""
+    kinds = ("another campaign", "other code, packages or another machine: its rows cannot be gone on with")
+    for (name, text), kind in zip(marks.items(), kinds, strict=True):
+        path = folder / name
+        if not path.is_file() or sha256_text(path.read_text()) != sha256_text(text):
+            return kind
+    return ""
 
 
 def _run(
@@ -127,6 +152,7 @@ def _collect_timing(folder: Path) -> dict[str, float]:
 def _tidy(folder: Path, campaign: Campaign) -> None:
     """What only the running campaign needed goes; of shared outputs stays what stays of any stage."""
     shutil.rmtree(folder / CACHE, ignore_errors=True)
+    (folder / MARK).unlink(missing_ok=True)
     if (folder / SHARED).is_dir():
         throw_away(folder / SHARED, campaign.keep)
 

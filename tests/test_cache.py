@@ -214,7 +214,7 @@ def test_values_that_look_alike_have_fingerprints_of_their_own():
 def test_new_code_or_packages_are_another_key(tmp_path, monkeypatch):
     cache = StageCache(tmp_path)
     cache.step("a", [1], lambda: 1)
-    monkeypatch.setattr(caching, "_surroundings", lambda: "of tomorrow")
+    monkeypatch.setattr(caching, "surroundings", lambda: "of tomorrow")
     assert cache.step("a", [1], lambda: 2)[0] == 2
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.outputs import sha256_tree, write_json, write_manifest
+from datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
 from pipeline.campaign.case import run_case
 from pipeline.campaign.plan import FOLDER, Campaign, cases, load_campaign
 from pipeline.campaign.table import query, write_parquet
@@ -114,6 +114,13 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("compare: size", "shared: [cook]", "cook is no stage"),
         ("unit: cm", "unit: inch", "unit inch: known are"),
         ("panels: kind", "panels: colour", "colour is no factor"),
+        ("size: [1, 2, 3]", "size: []", "factors.size: has no levels"),
+        ("{first: 1, last: 4}", "{first: 4, last: 1}", "factors.seed: first 4 is after last 1"),
+        ("against: 1", "against: 4", "against: 4 is no level of size"),
+        ("  seed: {first", "  error: [1]\n  seed: {first", "factors.error: the table has a column"),
+        ("  seed: {first", "  case: [1]\n  seed: {first", "factors.case: the table has a column"),
+        (' good: "check', ' failed: "check', "results.failed: the table has a column"),
+        (' good: "check', ' size: "check', "size is both a factor and a result"),
         ('/metrics.json"', "/metrics.json 'x\"", "stages.check: .* 'x`: no closing quotation"),
     ],
 )
@@ -271,6 +278,37 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, sch
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="another campaign"):
         sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler)
+
+
+def test_rows_of_other_code_are_not_gone_on_with(tmp_path, no_commands, scheduler, monkeypatch):
+    from pipeline import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out"
+    folder = sweep._work_folder(load_campaign(arguments[0]), arguments[1], force=False)
+    (folder / "cases/row").write_text("old")
+    assert sweep._work_folder(load_campaign(arguments[0]), arguments[1], force=False) == folder
+    monkeypatch.setattr(sweep, "surroundings", lambda sources: "of tomorrow")
+    with pytest.raises(InputError, match=r"other code.*--force"):
+        sweep.sweep(*arguments, scheduler=scheduler)
+    assert (folder / "cases/row").exists()
+    assert sweep.sweep(*arguments, scheduler=scheduler, force=True) == 0
+    assert not (arguments[1] / "cases/row").exists()
+    assert not (arguments[1] / sweep.MARK).exists()
+
+
+def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_read(
+    tmp_path, no_commands, scheduler
+):
+    from pipeline.sweep import sweep
+
+    (tmp_path / "own.yaml").write_text("a: 1\n")
+    text = CAMPAIGN.replace("--odd 'two words'", f"--world={tmp_path}/own.yaml:gate=open")
+    (tmp_path / "campaign.yaml").write_text(text)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler) == 0
+    inputs = json.loads((tmp_path / "out/manifest.json").read_text())["inputs"]
+    assert inputs["campaign"]["sha256"] == {"campaign.yaml": sha256_text(text)}
+    assert inputs[str(tmp_path / "own.yaml")]["sha256"] == {"own.yaml": sha256_text("a: 1\n")}
 
 
 def test_every_shipped_study_can_be_expanded():

@@ -21,6 +21,8 @@ from reports.numbers import DISPLAY
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
+COLUMNS = frozenset({"case", "failed", "error"})
+"""What every row of the table holds besides factors and results."""
 Scalar = bool | int | float | str
 
 
@@ -115,6 +117,7 @@ class Campaign(BaseModel):
     def _names_agree(self) -> Campaign:
         if self.sample is None and any(isinstance(levels, Uniform) for levels in self.factors.values()):
             raise ValueError("a factor with low and high needs `sample`: the number of cases to draw")
+        self._columns_are_free()
         if clash := set(self.factors) & set(self.stages):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
         for stage in self.shared:
@@ -133,7 +136,31 @@ class Campaign(BaseModel):
                 raise ValueError(f"{figure.y} is no result of this campaign")
             if figure.unit is not None:
                 _check_unit(figure.unit)
+        self._levels_are_there()
         return self
+
+    def _columns_are_free(self) -> None:
+        """Factors and results are columns of one table, beside those that every case has."""
+        for kind, names in (("factors", self.factors), ("results", self.results)):
+            for name in names:
+                if name in COLUMNS:
+                    raise ValueError(f"{kind}.{name}: the table has a column {name} of its own; rename it")
+        if clash := set(self.factors) & set(self.results):
+            raise ValueError(f"{sorted(clash)[0]} is both a factor and a result; rename one")
+
+    def _levels_are_there(self) -> None:
+        for name, levels in self.factors.items():
+            if isinstance(levels, Range) and levels.first > levels.last:
+                raise ValueError(f"factors.{name}: first {levels.first} is after last {levels.last}")
+            if isinstance(levels, Uniform) and levels.low > levels.high:
+                raise ValueError(f"factors.{name}: low {levels.low:g} is above high {levels.high:g}")
+            if not isinstance(levels, Uniform) and not _levels(levels):
+                raise ValueError(f"factors.{name}: has no levels")
+        compared = None if self.compare is None else self.factors[self.compare]
+        if compared is None or self.against is None or isinstance(compared, Uniform):
+            return
+        if self.against not in _levels(compared):
+            raise ValueError(f"against: {self.against} is no level of {self.compare}")
 
 
 @dataclass(frozen=True)
@@ -146,9 +173,14 @@ class Case:
     commands: dict[str, list[str]]
 
 
+def campaign_path(name_or_path: str) -> Path:
+    """The file of a shipped study or of a campaign of one's own; InputError lists the shipped."""
+    return find_named(name_or_path, FOLDER, "study")
+
+
 def load_campaign(name_or_path: str) -> Campaign:
     """A shipped study by name or a file by path; InputError names the first wrong key."""
-    path = find_named(name_or_path, FOLDER, "study")
+    path = campaign_path(name_or_path)
     return checked(Campaign, read_mapping(path), where=str(path))
 
 
