@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from datasets.errors import InputError
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from pipeline.console import track
 from reports.content import build_chapter
@@ -68,6 +69,9 @@ def make_index(
     """Write a page with a sortable table of every output below `roots`; returns its path."""
     watch = Stopwatch()
     lines = index_lines(roots)
+    if not lines:
+        places = ", ".join(str(root) for root in roots)
+        raise InputError(f"{places}: no finished outputs below; name the folder that holds them")
     with staged_output(out, force=force) as partial:
         (partial / "index.html").write_text(render_index(lines))
         write_manifest(partial, stage="index", command=command, inputs={}, seed=None, wall_s=watch.seconds())
