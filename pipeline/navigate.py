@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from datasets.bags.writer import BagWriter
+from datasets.errors import InputError
 from datasets.maps import map_files, save_map
 from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_json, write_manifest
 from datasets.trajectories import save_tum
@@ -18,7 +19,8 @@ from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import Mission, Request, prepare
 from pipeline.navigation.takeover import Source, script_text
-from pipeline.record import set_aside
+from pipeline.record import own_files, set_aside
+from planners.costmap import polygon_mask
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
 from sim.worlds import World, load_world
@@ -34,8 +36,11 @@ def navigate(
     force: bool = False,
     command_line: Sequence[str] = (),
     say: Callable[[str], None] | None = None,
+    files: Mapping[str, Path] | None = None,
 ) -> int:
     """Run a task and write the run outputs to `out`; 0 when it succeeded, 1 when it did not.
+
+    `files` are inputs that the manifest is to name besides those of the request, the world and the robot.
 
     Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
     """
@@ -50,6 +55,7 @@ def navigate(
         force=force,
         command_line=command_line,
         say=say,
+        files={**own_files(world, robot), **(files or {})},
     )
 
 
@@ -63,11 +69,13 @@ def navigate_in(
     force: bool = False,
     command_line: Sequence[str] = (),
     say: Callable[[str], None] | None = None,
+    files: Mapping[str, Path] | None = None,
 ) -> int:
     """`navigate` with a world and a robot that are at hand already."""
     check_free(out, force=force)
     watch = Stopwatch()
     mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
+    _refuse_outlines_off(mission)
     set_aside(out)
     text = config_text(mission.config)
     custom = {
@@ -96,7 +104,7 @@ def navigate_in(
             folder,
             stage="navigate",
             command=command_line,
-            inputs=_inputs(request),
+            inputs={**_inputs(request), **(files or {})},
             seed=request.seed,
             wall_s=watch.seconds(),
             extra={
@@ -138,7 +146,21 @@ def _inputs(request: Request) -> dict[str, Path]:
         inputs["takeover"] = request.takeover
     if request.waypoints_path is not None:
         inputs["waypoints"] = request.waypoints_path
+    if request.keepout_path is not None:
+        inputs["keepout"] = request.keepout_path
     return inputs
+
+
+def _refuse_outlines_off(mission: Mission) -> None:
+    """InputError for an outline of --keepout that covers no cell of the map: it would keep out of nothing."""
+    if mission.costmap is None or mission.request.keepout_path is None:
+        return
+    for number, outline in enumerate(mission.request.keepout or (), start=1):
+        if not polygon_mask(mission.costmap, outline).any():
+            raise InputError(
+                f"--keepout {mission.request.keepout_path}: keepout {number}: is off the map "
+                f"{mission.request.map_path}; correct its corners or leave it out"
+            )
 
 
 def _print(line: str) -> None:

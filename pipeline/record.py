@@ -48,6 +48,12 @@ class RecordConfig(BaseModel):
     sim: SimConfig = SimConfig()
 
 
+def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
+    """World and robot as a manifest's inputs, as far as they are files of the user's own."""
+    named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
+    return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+
+
 @dataclass
 class TruthLog:
     """True base pose at the stamp of each scan, for `truth/trajectory.tum`."""
@@ -118,8 +124,7 @@ class Scene:
 
     def files(self) -> dict[str, Path]:
         """World and robot as far as they are files of the user's own."""
-        named = {"world": self.world_name.partition(":")[0], "robot": self.robot_name}
-        return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+        return own_files(self.world_name, self.robot_name)
 
     def config(self, teleop: str) -> RecordConfig:
         """The resolved settings, to be saved."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from datasets.maps import load_map, save_map
-from datasets.outputs import sha256_tree
+from datasets.outputs import sha256_text, sha256_tree
 from datasets.se2 import SE2
 from pipeline.cli import main
 from pipeline.navigate import navigate
@@ -17,8 +17,9 @@ from pipeline.navigation.setup import Request
 from planners.costmap import CostmapConfig, costmap_from_grid
 from planners.ompl_planner import PlannerName
 from planners.tasks.wiggle import Wiggle, WiggleConfig
+from sim.robots import FOLDER as ROBOTS
 from sim.robots import load_robot
-from sim.worlds import load_world
+from sim.worlds import FOLDER, load_world
 
 WORLD = "turtlebot3_world"
 
@@ -114,6 +115,36 @@ def test_a_goal_in_a_kept_out_place_is_refused(true_map, tmp_path, capsys):
     words += ["--initial-pose", "start", "--out", str(tmp_path / "run"), "--keepout", str(keepout)]
     assert main(words) == 2
     assert "obstacle" in capsys.readouterr().err
+
+
+def test_an_outline_off_the_map_is_refused_by_its_number(true_map, tmp_path, capsys):
+    keepout = tmp_path / "keepout.yaml"
+    keepout.write_text("keepout:\n  - [[0, 0], [0.5, 0], [0.5, 0.5]]\n  - [[90, 90], [91, 90], [91, 91]]\n")
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    assert main([*words, "--out", str(tmp_path / "run"), "--keepout", str(keepout)]) == 2
+    assert "keepout.yaml: keepout 2: is off the map" in capsys.readouterr().err
+
+
+def test_the_manifest_of_a_run_names_every_file_that_went_in(true_map, tmp_path):
+    contents = {
+        "keepout.yaml": "keepout: [[[0, 0], [0.5, 0], [0.5, 0.02]]]",
+        "points.yaml": "waypoints: [[-1.5, 0.5, 0]]",
+        "takeover.yaml": "[]",
+        "config.yaml": "{}",
+        "world.yaml": (FOLDER / "turtlebot3_world.yaml").read_text(),
+        "robot.yaml": (ROBOTS / "burger.yaml").read_text(),
+    }
+    for name, text in contents.items():
+        (tmp_path / name).write_text(text)
+    words = f"navigate --world {tmp_path}/world.yaml+clutter:3 --robot {tmp_path}/robot.yaml --task patrol"
+    words += f" --map {true_map} --waypoints {tmp_path}/points.yaml --keepout {tmp_path}/keepout.yaml"
+    words += f" --takeover {tmp_path}/takeover.yaml --config {tmp_path}/config.yaml --out {tmp_path}/run"
+    assert main(words.split()) == 1  # nobody told it where it is: refused as soon as it looks
+    inputs = json.loads((tmp_path / "run" / "manifest.json").read_text())["inputs"]
+    assert set(inputs) == {"map", "map_image", "world", "robot", "waypoints", "keepout", "takeover", "config"}
+    for name, text in contents.items():
+        kind = "waypoints" if name == "points.yaml" else name.removesuffix(".yaml")
+        assert inputs[kind]["sha256"] == {name: sha256_text(text)}
 
 
 def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map, tmp_path):

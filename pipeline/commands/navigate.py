@@ -102,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
         wiggle=args.wiggle,
         takeover="keyboard" if args.takeover == "keyboard" else args.takeover and Path(args.takeover),
         keepout=_keepout(args.keepout),
+        keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
     )
     return navigate(
         args.world,
@@ -112,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         force=args.force,
         command_line=args.command_line,
         say=(lambda line: None) if args.verbosity < 0 else None,
+        files={} if args.config is None else {"config": args.config},
     )
 
 

@@ -72,6 +72,8 @@ class Request:
     """Who may take over: the keyboard, or a file of intervals in place of the configured ones."""
     keepout: tuple[Array, ...] | None = None
     """Outlines (n, 2) to stay out of; None for those that the world comes with."""
+    keepout_path: Path | None = None
+    """The file that the outlines were read from."""
 
 
 @dataclass(frozen=True, eq=False)
