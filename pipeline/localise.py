@@ -48,6 +48,10 @@ class Localisation:
     updated: np.ndarray
     particles: np.ndarray
     update_s: np.ndarray
+    agreement: float
+    """How much of the last scans the map explains, 0 to 1."""
+    doubt: str | None
+    """Why the last pose is not to be believed; None when it is."""
 
 
 def localise(
@@ -63,7 +67,7 @@ def localise(
     force: bool = False,
     command: Sequence[str] = (),
 ) -> int:
-    """Run AMCL over a recording and write the outputs; 0 done, 1 rejected for want of an initial pose.
+    """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
     `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a truth folder.
     """
@@ -74,16 +78,15 @@ def localise(
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:
-        result, metrics = None, _rejected("no initial pose")
+        result, outcome = None, _rejected("no initial pose")
     else:
         result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"))
-        metrics = _metrics(result, true_trajectory)
+        outcome = _metrics(result, true_trajectory)
+    metrics = {"scans": len(recording), "log_s": recording.duration(), **outcome}
     with staged_output(out, force=force) as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
-        write_json(
-            folder / "metrics.json", {"scans": len(recording), "log_s": recording.duration(), **metrics}
-        )
+        write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(config))
         inputs = {"bag": bag, **map_files(map_yaml)} | ({"truth": truth} if truth else {})
         extra = {"update_ms": _milliseconds(result)} if result else {}
@@ -96,7 +99,19 @@ def localise(
             wall_s=watch.seconds(),
             extra=extra,
         )
-    return 0 if result else 1
+    if result is not None:
+        _summarise(metrics, out)
+    return 0 if metrics["success"] else 1
+
+
+def _summarise(metrics: dict[str, Any], out: Path) -> None:
+    error = metrics["localisation_error_m"]
+    known = f", {error['rmse'] * 100:.1f} cm RMSE from the truth" if error else ""
+    reason = f" ({metrics['reason']})" if "reason" in metrics else ""
+    log.info(
+        f"{metrics['status']}{reason}: {metrics['scans']} scans over {metrics['log_s']:.1f} s, "
+        f"of the last the map explains {metrics['agreement']:.0%}{known} -> {out}"
+    )
 
 
 def checked_odometry(recording: Recording) -> Trajectory:
@@ -138,7 +153,16 @@ def run_amcl(
         np.array(updated),
         np.array(particles),
         np.array(update_s),
+        amcl.agreement,
+        doubt(amcl),
     )
+
+
+def doubt(amcl: Amcl) -> str | None:
+    """Why the filter's pose is not to be believed now; None when it is."""
+    if not amcl.agrees:
+        return "the last scans disagree with the map"
+    return None if amcl.converged else "the particles have not come together"
 
 
 def started(
@@ -189,8 +213,10 @@ def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:
     first = int(np.argmax(result.converged)) if result.converged.any() else None
     stamps = result.trajectory.stamps_ns
     metrics: dict[str, Any] = {
-        "success": True,
-        "status": "localised",
+        "success": result.doubt is None,
+        "status": "localised" if result.doubt is None else "lost",
+        **({} if result.doubt is None else {"reason": result.doubt}),
+        "agreement": result.agreement,
         "updates": int(result.updated.sum()),
         "particles": {"median": float(np.median(result.particles)), "max": int(result.particles.max())},
         "converged": {

@@ -11,13 +11,22 @@ from planners.costmap import Costmap
 from planners.global_plan import fits
 
 
-def require_free(option: str, T_map_base: SE2, costmap: Costmap, model: RobotModel, map_path: Path) -> None:
-    """InputError when the pose is off the map, or the footprint there touches an obstacle or the unknown."""
-    x, y, yaw = T_map_base.xyt.tolist()
-    text = f"{option} {x:g},{y:g},{yaw:g}"
+def require_on_map(option: str, T_map_base: SE2, costmap: Costmap, map_path: Path) -> None:
+    """InputError when the pose is off the map."""
     gx, gy = (costmap.T_grid_map @ T_map_base.xy).tolist()
     width, height = costmap.size
     if not (0.0 <= gx < width and 0.0 <= gy < height):
-        raise InputError(f"{text}: is off the map {map_path}")
+        raise InputError(f"{_text(option, T_map_base)}: is off the map {map_path}")
+
+
+def require_free(option: str, T_map_base: SE2, costmap: Costmap, model: RobotModel, map_path: Path) -> None:
+    """InputError when the pose is off the map, or the footprint there touches an obstacle or the unknown."""
+    require_on_map(option, T_map_base, costmap, map_path)
     if not fits(costmap, model, T_map_base):
+        text = _text(option, T_map_base)
         raise InputError(f"{text}: the robot would stand in an obstacle or unknown space of {map_path}")
+
+
+def _text(option: str, T_map_base: SE2) -> str:
+    x, y, yaw = T_map_base.xyt.tolist()
+    return f"{option} {x:g},{y:g},{yaw:g}"

@@ -199,6 +199,30 @@ def _truth(rng, chain, scratch):
     return ["map", "-q", chain / "record", "--truth", scratch / "truth"]
 
 
+def _bare_map(rng, scratch):
+    """A map of one kind of cell, or of none."""
+    value, (width, height) = rng.choice([0, 205, 254]), rng.choice([(64, 64), (64, 64), (1, 1), (0, 0)])
+    (scratch / "bare.pgm").write_bytes(
+        b"P5 %d %d 255\n" % (width, height) + bytes([value]) * (width * height)
+    )
+    (scratch / "bare.yaml").write_text(
+        "image: bare.pgm\nresolution: 0.05\norigin: [-1.6, -1.6, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return scratch / "bare.yaml"
+
+
+def _bare(rng, chain, scratch):
+    """Any verb that takes a map, on a bare one."""
+    grid, start = _bare_map(rng, scratch), rng.choice(["0,0,0", "90,0,0", "global"])
+    if rng.random() < 0.3:
+        return ["localise", "-q", chain / "record", "--map", grid, f"--initial-pose={start}"]
+    more = {"map": grid, "initial-pose": rng.choice([start, "start"])}
+    if rng.random() < 0.5:
+        return _navigate(chain, "patrol", waypoints=chain / "points.yaml", **more)
+    return _navigate(chain, "goal", "--goal=0.4,0,0", **more)
+
+
 def _goal(rng, chain, scratch):
     if rng.random() < 0.7:
         return _navigate(chain, "goal", "--goal=0.4,0,0", map=_map_file(rng, chain, scratch))
@@ -303,6 +327,7 @@ CASES = {
     "teleop": lambda *a: _record(a[1], teleop=_file(*a, "short.yaml")),
     "waypoints": lambda *a: _navigate(a[1], "patrol", waypoints=_file(*a, "points.yaml")),
     "goal and map": _goal,
+    "bare map": _bare,
     "bag to map": _map_bag,
     "bag commands": _bag_command,
     "bag to drive again": _replay,

@@ -7,6 +7,7 @@ import pytest
 from localisation_room import STILL_LIDAR, Step, drive, l_shaped_room
 
 from datasets.errors import InputError
+from datasets.grid import FREE, OCCUPIED
 from datasets.maps import save_map
 from datasets.se2 import SE2
 from datasets.trajectories import load_tum, save_tum
@@ -64,6 +65,32 @@ def test_a_log_is_localised(room_log, tmp_path, start):
     assert (out / "manifest.json").is_file()
 
 
+def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, capsys):
+    grid = l_shaped_room().grid()
+    rng = np.random.default_rng(5)
+    grid.cells[:] = FREE
+    grid.cells[rng.random(grid.cells.shape) < 0.01] = OCCUPIED
+    save_map(grid, tmp_path, "other")
+    words = ["localise", str(room_log / "log.clf"), "--map", f"{tmp_path}/other.yaml", "--initial-pose=2,2,0"]
+    assert cli.main([*words, "--out", f"{tmp_path}/out"]) == 1
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert (metrics["success"], metrics["status"]) == (False, "lost")
+    assert metrics["reason"] == "the last scans disagree with the map"
+    assert metrics["agreement"] < 0.6
+    assert (tmp_path / "out" / "manifest.json").is_file()
+    assert "lost (the last scans disagree with the map): " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_one_line_sums_up_what_was_found(room_log, tmp_path, capsys, quiet):
+    assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", *(["-q"] if quiet else [])) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["agreement"] > 0.8
+    assert "reason" not in metrics
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("localised: ")]
+    assert len(said) == (0 if quiet else 1)
+
+
 def test_the_same_seed_writes_the_same_bytes(room_log, tmp_path):
     for name in ("a", "b"):
         assert run(room_log, tmp_path / name, "--initial-pose=2,2,0", "--seed", "4") == 0
@@ -115,6 +142,16 @@ def test_a_nav2_parameter_file_configures_the_filter(tmp_path):
     )
     config = load_localise_config(path, ["amcl.min_particles=300"])
     assert (config.amcl.max_particles, config.amcl.kld_z, config.amcl.min_particles) == (1500, 0.99, 300)
+
+
+def test_a_parameter_file_of_ros_1_has_no_sections(tmp_path):
+    path = tmp_path / "amcl.yaml"
+    path.write_text("odom_alpha1: 0.3\nlaser_z_hit: 0.6\nkld_err: 0.04\nodom_frame_id: odom\n")
+    amcl = load_localise_config(path, ["amcl.min_particles=300"]).amcl
+    assert (amcl.alpha1, amcl.z_hit, amcl.kld_err, amcl.min_particles) == (0.3, 0.6, 0.04, 300)
+    path.write_text("odom_alpha1: 0.3\nlaser_model_type: magic\n")
+    with pytest.raises(InputError, match="laser_model_type magic"):
+        load_localise_config(path, [])
 
 
 def recording(**changes):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.maps import save_map
 from datasets.outputs import sha256_tree
 from datasets.runlog import RunLog
@@ -12,11 +13,13 @@ from datasets.se2 import SE2
 from datasets.trajectories import load_tum
 from pipeline.cli import main
 from pipeline.navigate import navigate
-from pipeline.navigation.setup import Request
+from pipeline.navigation.config import NavigateConfig
+from pipeline.navigation.setup import Request, prepare
 from sim.robots import load_robot
 from sim.worlds import load_world
 
 WORLD = "turtlebot3_world"
+MIDDLE = SE2.from_xyt(-2.5, -2.5, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +104,38 @@ def test_bad_goals_are_one_line_and_write_nothing(true_map, tmp_path, capsys, go
     assert said in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("cell", [FREE, UNKNOWN])
+@pytest.mark.parametrize("initial", ["start", "global", None])
+@pytest.mark.parametrize("task", ["goal", "patrol"])
+def test_a_map_without_walls_is_refused_before_anything_is_written(tmp_path, capsys, cell, initial, task):
+    save_map(OccupancyGrid(np.full((100, 100), cell, dtype=np.int8), 0.05, MIDDLE), tmp_path, "bare")
+    words = ["navigate", "--world", WORLD, "--task", task, "--map", f"{tmp_path}/bare.yaml"]
+    words += ["--out", f"{tmp_path}/run", *(["--goal=-2,0,0"] if task == "goal" else [])]
+    assert main([*words, *(["--initial-pose", initial] if initial else [])]) == 2
+    error = capsys.readouterr().err
+    assert "bare.yaml: has no occupied cell" in error
+    assert error.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bare.pgm", "bare.yaml"]
+
+
+def test_a_map_without_floor_cannot_be_searched(tmp_path, capsys):
+    cells = np.full((100, 100), OCCUPIED, dtype=np.int8)
+    save_map(OccupancyGrid(cells, 0.05, MIDDLE), tmp_path, "full")
+    words = ["navigate", "--world", WORLD, "--task", "patrol", "--map", f"{tmp_path}/full.yaml"]
+    assert main([*words, "--out", f"{tmp_path}/run", "--initial-pose", "global"]) == 2
+    assert "full.yaml: has no free cell" in capsys.readouterr().err
+
+
+def test_a_told_pose_must_be_on_the_map_but_may_be_in_a_wall(true_map):
+    def told(x: float) -> Request:
+        at = SE2.from_xyt(x, 1.1, 0.0)
+        return Request(task="patrol", seed=1, map_path=true_map, initial_pose=at)
+
+    with pytest.raises(InputError, match=r"--initial-pose 90,1\.1,0: is off the map"):
+        prepare(told(90.0), load_robot("burger"), NavigateConfig())
+    assert prepare(told(1.1), load_robot("burger"), NavigateConfig()).request.initial_pose is not None
 
 
 def test_unknown_world_and_missing_map_are_input_errors(tmp_path):

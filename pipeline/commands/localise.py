@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Localise; 0 done, 1 rejected."""
+    """Localise; 0 done, 1 lost at the end or rejected."""
     from pipeline.localise import load_localise_config, localise
 
     initial = args.initial_pose

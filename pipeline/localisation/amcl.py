@@ -255,6 +255,11 @@ class Amcl:
             self._fine.predict(T_last_base, step, std)
 
     @property
+    def agreement(self) -> float:
+        """Share of the scans of late that the map explains at the estimate, 0 to 1."""
+        return self._fast
+
+    @property
     def agrees(self) -> bool:
         """Whether the scans of late agree with the map at the estimate as well as those of long."""
         return self._stranger_share() == 0.0

@@ -1,4 +1,7 @@
-"""Settings of the filter from a Nav2 (or ROS 1) amcl parameter file."""
+"""Settings of the filter from an amcl parameter file: Nav2's, or ROS 1's, which has no sections.
+
+ROS 1's odom_alpha1 to 4 are taken as those of its `diff-corrected` model, which are variances as here.
+"""
 
 from __future__ import annotations
 
@@ -65,14 +68,14 @@ class ForeignParameters:
 
 
 def is_nav2(data: dict[str, Any]) -> bool:
-    """Whether a parsed YAML file has an amcl node with ros__parameters."""
+    """Whether a parsed YAML file has an amcl node with ros__parameters, or is one of ROS 1."""
     node = _amcl_node(data)
-    return isinstance(node, dict) and "ros__parameters" in node
+    return _is_flat(data) or (isinstance(node, dict) and "ros__parameters" in node)
 
 
 def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
     """Parameters of the `amcl` node; InputError when its laser model is unknown."""
-    node = _amcl_node(data)
+    node = {"ros__parameters": data} if _is_flat(data) else _amcl_node(data)
     parameters = node.get("ros__parameters") if isinstance(node, dict) else None
     if not isinstance(parameters, dict):
         raise InputError(f"{where}: no amcl: ros__parameters: in it")
@@ -83,6 +86,11 @@ def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
             raise InputError(f"{where}: laser_model_type {model}: known are {', '.join(MODELS)}")
         known["laser_model_type"], known["aggregation"] = MODELS[model]
     return ForeignParameters(known, tuple(sorted(str(name) for name in parameters if name not in NAMES)))
+
+
+def _is_flat(data: dict[str, Any]) -> bool:
+    """Whether amcl's parameters stand at the top, as in a file for ROS 1's node."""
+    return not NAMES.keys().isdisjoint(data)
 
 
 def _amcl_node(data: dict[str, Any]) -> Any:

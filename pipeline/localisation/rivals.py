@@ -125,17 +125,6 @@ class Contest:
         """Whether one is left."""
         return len(self.rivals) == 1
 
-    @property
-    def lead(self) -> float:
-        """By how much the best is ahead of the worst, over the scans so far."""
-        mean = np.mean(self._fits, axis=0) if self._fits else np.zeros(len(self.rivals))
-        return float(mean.max() - mean.min())
-
-    @property
-    def best(self) -> SE2:
-        """The one that the scans fit best."""
-        return self.rivals[int(np.mean(self._fits, axis=0).argmax()) if self._fits else 0]
-
     def judge(self, fits: Array) -> None:
         """Take in the agreement (n,) of a scan under each rival; those left far behind are dropped."""
         self._fits.append(fits)

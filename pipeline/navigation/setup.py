@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
+from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.maps import load_map
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
@@ -30,7 +30,7 @@ from pipeline.navigation.seeker import Seeker
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.takeover import load_script
 from pipeline.navigation.telling import Telling
-from pipeline.pose_check import require_free
+from pipeline.pose_check import require_free, require_on_map
 from planners.control.dwa import Dwa
 from planners.control.interface import Controller
 from planners.control.monitor import CollisionMonitor
@@ -109,11 +109,23 @@ def prepare(
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
     grid = load_map(request.map_path)
+    _require_walls(grid, request)
     outlines = keepout if request.keepout is None else request.keepout
     costmap = costmap_from_grid(grid, config.costmap, [*outlines, *places.keepout])
+    if isinstance(request.initial_pose, SE2):
+        # In a wall it may be: the robot then looks about.
+        require_on_map("--initial-pose", request.initial_pose, costmap, request.map_path)
     if request.goal is not None:
         require_free("--goal", request.goal, costmap, robot.model, request.map_path)
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
+
+
+def _require_walls(grid: OccupancyGrid, request: Request) -> None:
+    """InputError when the robot could not find itself on the map."""
+    if not (grid.cells >= OCCUPIED).any():
+        raise InputError(f"{request.map_path}: has no occupied cell, so no scan can be compared with it")
+    if request.initial_pose == "global" and not (grid.cells == FREE).any():
+        raise InputError(f"{request.map_path}: has no free cell, so there is nowhere to search for the robot")
 
 
 def _places(request: Request) -> WaypointFile:
