@@ -23,7 +23,7 @@ class FaultConfig(BaseModel):
     """Delays and spans in seconds since the start. By default nothing goes wrong."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    command_delay: NonNegative = 0.0
+    command_delay: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     """From a command to the motors hearing it."""
     scan_delay: NonNegative = 0.0
     """From the end of a sweep to its delivery; its stamp stays true."""

@@ -46,6 +46,7 @@ class Outer(BaseModel):
                 "guard.restless",
                 "explore.look_after",
                 "amcl.likelihood_max_dist",
+                "sim.faults.command_delay",
             )
         ),
         "recovery.ladder=[{kind: wait, amount: 1e300}]",
