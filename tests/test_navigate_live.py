@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pytest
 from planning_room import BURGER, room
 
 from datasets.se2 import SE2
@@ -10,6 +11,7 @@ from planners.live import LiveConfig, LiveLayer
 from planners.tasks.avoid import AvoidConfig, Sectors
 from planners.tasks.guarded import Guard, GuardConfig, View
 from planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
+from sim.robots import load_robot
 
 NOTHING = np.zeros((0, 2))
 
@@ -148,6 +150,23 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
     assert moving == 0
     assert standing == 1
     assert decision.command.v < 0.0
+
+
+@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_what_nobody_sees_is_remembered_outside_the_robot(name, speed):
+    model = load_robot(name).model
+    guard = Guard(model, AvoidConfig(), GuardConfig())
+    view = View(0.0, SE2.identity(), circle(), Sectors(1.0, 2.0, 1.0))
+    guard._got_stuck(view, Twist(speed, 0.0))
+    remembered = guard.points_base(view)[len(view.hits_odom) :]
+    tail, nose = model.footprint[:, 0].min(), model.footprint[:, 0].max()
+    beyond = remembered[:, 0] - nose if speed > 0.0 else tail - remembered[:, 0]
+    assert len(remembered) == 5
+    assert np.all((beyond > 0.0) & (beyond < 0.06))
+    # It slows the way towards it, and leaves the other one open.
+    assert abs(guard.pass_on(Twist(speed, 0.0), view).v) < 0.6 * abs(speed)
+    assert guard.pass_on(Twist(-speed, 0.0), view).v == -speed
 
 
 def test_an_escape_from_a_corner_is_found_where_one_exists():

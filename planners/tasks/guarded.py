@@ -22,6 +22,8 @@ from planners.tasks.avoid import AvoidConfig, Decision, Sectors
 
 POSSIBLE = 0.15
 """A command of which the monitor passes no more than this part is not worth giving."""
+AHEAD_M, BEHIND_M = 0.05, 0.015
+"""How far beyond the nose and behind the tail the thing that stopped it is taken to stand."""
 
 
 class GuardConfig(BaseModel):
@@ -107,6 +109,7 @@ class Guard:
         """How often it noticed that it was stuck."""
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + config.side_room
         self._nose = float(model.footprint[:, 0].max())
+        self._tail = float(model.footprint[:, 0].min())
         self._turning = 0.0
         self._flips = 0
         self._slip = SlipWatch(config)
@@ -197,7 +200,7 @@ class Guard:
         self.stuck += 1
         self._turning = 0.0
         backwards = last.v < 0.0
-        edge = -0.12 if backwards else self._nose + 0.05
+        edge = self._tail - BEHIND_M if backwards else self._nose + AHEAD_M
         ys = np.linspace(-self._half_width, self._half_width, 5)
         edge_points = np.stack([np.full(5, edge), ys], axis=1)
         self._unseen.append((view.now_s, view.T_odom_base @ edge_points))
