@@ -142,36 +142,23 @@ def _stands(
     r: int,
     c: int,
     k: int,
+    to: int,
 ) -> bool:
-    """Whether the footprint stands free on a cell in a heading, looked up once."""
+    """Whether the footprint stands free on a cell, turning from heading k `to` another or keeping k.
+
+    Looked up once for each narrow cell and heading k: `known` is for turns to the next one, or for none.
+    """
     number = numbers[r, c]
     if number < 0:
         return bool(number == WIDE)
     at = number * len(yaws) + k
     if known[at] == 0:
         x, y = (c + 0.5) * res, (r + 0.5) * res
-        known[at] = 1 if footprint_free(field, res, corners, x, y, yaws[k]) else 2
-    return bool(known[at] == 1)
-
-
-@njit(cache=True)
-def _turn_free(
-    field: Field32,
-    res: float,
-    corners: Array,
-    numbers: Numbers,
-    known: NDArray[np.int8],
-    yaws: Array,
-    r: int,
-    c: int,
-    k: int,
-) -> bool:
-    """Whether the footprint turns on a narrow cell between heading k and the next, looked up once."""
-    n = len(yaws)
-    at = numbers[r, c] * n + k
-    if known[at] == 0:
-        x, y = (c + 0.5) * res, (r + 0.5) * res
-        known[at] = 1 if moves(field, res, corners, x, y, yaws[k], x, y, yaws[(k + 1) % n]) else 2
+        if to == k:
+            free = footprint_free(field, res, corners, x, y, yaws[k])
+        else:
+            free = moves(field, res, corners, x, y, yaws[k], x, y, yaws[to])
+        known[at] = 1 if free else 2
     return bool(known[at] == 1)
 
 
@@ -228,7 +215,7 @@ def flood(
                         bits = everything if numbers[r1, c1] == WIDE else np.int64(1) << h
                         if reached[side, r1, c1] & bits == bits:
                             continue
-                        if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h):
+                        if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h, h):
                             continue
                         if not _step_free(field, res, corners, numbers, r, c, r1, c1, yaws[h]):
                             continue
@@ -242,10 +229,10 @@ def flood(
                     h = (k + turn) % n
                     if reached[side, r, c] >> h & 1:
                         continue
-                    if not _stands(field, res, corners, numbers, stands, yaws, r, c, h):
+                    if not _stands(field, res, corners, numbers, stands, yaws, r, c, h, h):
                         continue
-                    low = k if turn == 1 else h
-                    if not _turn_free(field, res, corners, numbers, turning, yaws, r, c, low):
+                    low, high = (k, h) if turn == 1 else (h, k)
+                    if not _stands(field, res, corners, numbers, turning, yaws, r, c, low, high):
                         continue
                     reached[side, r, c] |= np.int64(1) << h
                     if reached[0, r, c] & reached[1, r, c]:
@@ -316,7 +303,7 @@ def shortest(
                 nd = d + length * (1.0 if way == 1 else BACKWARDS)
                 if nd >= cost[there] - 1e-4:
                     continue
-                if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h):
+                if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h, h):
                     continue
                 if not _step_free(field, res, corners, numbers, r, c, r1, c1, yaws[h]):
                     continue
@@ -330,9 +317,10 @@ def shortest(
             there = at - k + h
             if d + TURN >= cost[there] - 1e-4:
                 continue
-            if not _stands(field, res, corners, numbers, stands, yaws, r, c, h):
+            if not _stands(field, res, corners, numbers, stands, yaws, r, c, h, h):
                 continue
-            if not _turn_free(field, res, corners, numbers, turning, yaws, r, c, k if turn == 1 else h):
+            low, high = (k, h) if turn == 1 else (h, k)
+            if not _stands(field, res, corners, numbers, turning, yaws, r, c, low, high):
                 continue
             cost[there] = d + TURN
             before[there] = at

@@ -112,17 +112,14 @@ def test_command_goes_on_with_an_earlier_map(saved, tmp_path):
     assert "continued" in json.loads((on / "manifest.json").read_text())["inputs"]
 
 
+def going_on(saved, folder):
+    """The command that goes on with the saved map."""
+    return f"map {saved / 'second.clf'} --continue {saved / 'map'} --out {folder / 'on'}".split()
+
+
 @pytest.mark.parametrize("setting", FRONT_END)
 def test_going_on_with_another_front_end_names_the_setting_and_both_values(saved, tmp_path, capsys, setting):
-    words = [
-        "map",
-        str(saved / "second.clf"),
-        "--continue",
-        str(saved / "map"),
-        "--out",
-        str(tmp_path / "on"),
-    ]
-    assert main([*words, "--set", setting]) == 2
+    assert main([*going_on(saved, tmp_path), "--set", setting]) == 2
     error = capsys.readouterr().err
     key, now = setting.split("=")
     was = SlamConfig().model_dump(mode="json")
@@ -135,16 +132,8 @@ def test_going_on_with_another_front_end_names_the_setting_and_both_values(saved
 
 
 def test_settings_of_all_that_comes_after_the_front_end_may_change_and_that_is_said(saved, tmp_path, capsys):
-    words = [
-        "map",
-        str(saved / "second.clf"),
-        "--continue",
-        str(saved / "map"),
-        "--out",
-        str(tmp_path / "on"),
-    ]
     settings = [word for setting in LATER for word in ("--set", setting)]
-    assert main([*words, *settings]) == 0
+    assert main([*going_on(saved, tmp_path), *settings]) == 0
     said = capsys.readouterr().err
     assert [key for key in LATER if f"{key.split('=')[0]} was " not in said] == []
     assert load_session(tmp_path / "on")[1].refine.rounds == 0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 
-class Verdict:
+class Verdict(ABC):
     """Base of the self-checks; metrics.json shows the verdict before `numbers`."""
 
     reasons: tuple[str, ...]
@@ -16,9 +17,9 @@ class Verdict:
         return not self.reasons
 
     @property
+    @abstractmethod
     def numbers(self) -> dict[str, Any]:
         """What was measured, by its name in metrics.json."""
-        raise NotImplementedError
 
     def as_metrics(self) -> dict[str, Any]:
         """What metrics.json says of it."""
