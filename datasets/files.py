@@ -1,27 +1,190 @@
-"""Input files as bytes: mapped whole, or .gz and .bz2 unpacked on the way, as far as they are intact."""
+"""Input files as bytes: plain files only, unchanged while they are read, unpacked within bounds."""
 
 from __future__ import annotations
 
 import bz2
-import mmap
+import os
+import stat
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple, overload
+
+import zstandard
 
 from datasets.errors import InputError
+
+HARMLESS_BYTES = 64 << 20
+"""Whatever unpacks to no more than this is unpacked."""
+GREATEST_RATIO = 100
+"""What is larger may be this many times its packed size ..."""
+GREATEST_BYTES = 2 << 30
+"""... and this large at most: it lies in memory."""
+CHUNK_RATIO = 1000
+"""A chunk of a bag may be this many times its packed size where it is not harmless: empty pictures are."""
+CHUNK_BYTES = 1 << 30
+"""Most that one chunk may hold, and all chunks of a file too that is not a `CHUNK_RATIO`th of it."""
+_PIECE = 1 << 20
+_MOST_FILES = 100_000
+
+
+class Signature(NamedTuple):
+    """What changes when a file is written to or replaced: device, inode, size and time of change [ns]."""
+
+    device: int
+    inode: int
+    size: int
+    mtime_ns: int
+
+
+def _signature(status: os.stat_result) -> Signature:
+    return Signature(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+def signatures(path: Path) -> dict[Path, Signature]:
+    """Signature of a file, or of every file below a folder.
+
+    InputError for a pipe or a device, which a reader would wait for, and for a folder of too many files.
+    """
+    found = {}
+    for file in _files_below(path) if path.is_dir() else (path,):
+        try:
+            status = file.stat()
+        except OSError:
+            continue  # a link to nowhere; whoever reads it says so
+        if stat.S_ISREG(status.st_mode):
+            found[file] = _signature(status)
+        elif not (stat.S_ISDIR(status.st_mode) or stat.S_ISSOCK(status.st_mode)):
+            raise InputError(f"{file}: is a pipe or a device; give a plain file")
+        if len(found) > _MOST_FILES:
+            raise InputError(f"{path}: holds more than {_MOST_FILES} files; name the folder that is meant")
+    return found
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for place, _, names in os.walk(folder):
+        yield from (Path(place, name) for name in names)
+
+
+@contextmanager
+def unchanged(path: Path) -> Iterator[None]:
+    """InputError when a file, or one below a folder, is not the same at the end as at the beginning."""
+    before = signatures(path)
+    yield
+    require_same(path, before)
+
+
+def require_same(path: Path, before: dict[Path, Signature]) -> None:
+    """InputError that names a file of `path` whose signature is not the one it had before."""
+    now = signatures(path) if os.path.exists(path) else {}
+    changed = sorted({file for file, _ in before.items() ^ now.items()})
+    if changed:
+        raise _changed(changed[0])
+
+
+def _changed(path: Path) -> InputError:
+    return InputError(f"{path}: changed while it was read; run the command again when nothing writes to it")
+
+
+def opened_plain(path: Path) -> BinaryIO:
+    """A plain file for reading; InputError when it is none. Never waits, as opening a pipe would."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise InputError(f"{path}: is not a plain file")
+    return os.fdopen(descriptor, "rb", buffering=0)
+
+
+class FileBytes:
+    """The bytes of a file, as a `bytes` object would give them, read as they are asked for.
+
+    Unlike a memory map it turns a file that is cut meanwhile into an InputError, not into a crash.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = opened_plain(path)
+        self._signature = _signature(os.fstat(self._file.fileno()))
+        self._start, self._window = 0, b""
+        if not self._signature.size:
+            raise InputError(f"{path}: the file is empty")
+
+    def __len__(self) -> int:
+        return self._signature.size
+
+    @overload
+    def __getitem__(self, place: int) -> int: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> bytes: ...
+
+    def __getitem__(self, place: int | slice) -> int | bytes:
+        if isinstance(place, slice):
+            start, stop, _ = place.indices(len(self))
+            return self._read(start, max(stop - start, 0))
+        if not -len(self) <= place < len(self):
+            raise IndexError(place)
+        return self._read(place % len(self), 1)[0]
+
+    def _read(self, start: int, size: int) -> bytes:
+        at = start - self._start
+        if at < 0 or at + size > len(self._window):
+            self._start, at = start, 0
+            self._window = os.pread(self._file.fileno(), max(size, min(_PIECE, len(self) - start)), start)
+        piece = self._window[at : at + size]
+        while len(piece) < size:  # a read may give less than was asked for, but not nothing
+            more = os.pread(self._file.fileno(), size - len(piece), start + len(piece))
+            if not more:
+                raise _changed(self._path)
+            piece += more
+        return piece
+
+    def find(self, part: bytes, start: int) -> int:
+        """Where `part` begins first, from `start` on; -1 when it does not."""
+        while start < len(self):
+            piece = self[start : start + _PIECE + len(part) - 1]
+            at = piece.find(part)
+            if at >= 0:
+                return start + at
+            start += _PIECE
+        return -1
+
+    def crc32(self, stop: int) -> int:
+        """CRC-32 of the first `stop` bytes."""
+        crc = 0
+        for start in range(0, stop, _PIECE):
+            crc = zlib.crc32(self[start : min(start + _PIECE, stop)], crc)
+        return crc
+
+    def require_unchanged(self) -> None:
+        """InputError when the file was written to or replaced since it was opened."""
+        try:
+            now = {_signature(os.fstat(self._file.fileno())), _signature(self._path.stat())}
+        except OSError:
+            now = set()
+        if now != {self._signature}:
+            raise _changed(self._path)
+
+
+def read_whole(path: Path) -> bytes:
+    """Content of a plain file; InputError when it is none, is empty or changes meanwhile."""
+    file = FileBytes(path)
+    content = file[:]
+    file.require_unchanged()
+    return content
 
 
 def read_unpacked(path: Path) -> tuple[bytes, str | None]:
     """Content of a plain, gzip or bzip2 file and, when it is damaged or cut, one line that says so.
 
-    What could be unpacked before the damage is returned; nothing at all is an InputError.
+    What could be unpacked before the damage is returned; nothing at all is an InputError, and so is
+    content beyond all measure.
     """
-    try:
-        packed = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if not packed:
-        raise InputError(f"{path}: the file is empty")
+    packed = read_whole(path)
     if packed[:2] == b"\x1f\x8b":
         return _unpack(path, packed, "gzip")
     if packed[:3] == b"BZh":
@@ -29,38 +192,98 @@ def read_unpacked(path: Path) -> tuple[bytes, str | None]:
     return packed, None
 
 
-def mapped(path: Path) -> mmap.mmap:
-    """The bytes of a file without reading it whole; InputError when there are none."""
-    try:
-        with path.open("rb") as file:
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except ValueError:
-        raise InputError(f"{path}: the file is empty") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+def bound_of(packed: int) -> int:
+    """Most bytes that something of `packed` bytes is unpacked to."""
+    return min(max(HARMLESS_BYTES, GREATEST_RATIO * packed), GREATEST_BYTES)
+
+
+def _beyond(path: Path, bound: int) -> InputError:
+    return InputError(
+        f"{path}: unpacks to more than {bound >> 20} MiB; if that is meant, unpack it yourself "
+        "and give what comes out"
+    )
+
+
+def chunk_bound(packed: int) -> int:
+    """Most bytes that a chunk of `packed` bytes is unpacked to."""
+    return min(max(HARMLESS_BYTES, CHUNK_RATIO * packed), CHUNK_BYTES)
+
+
+class Unpacked:
+    """Counts what the chunks of a file unpack to, all together."""
+
+    def __init__(self, path: Path, packed: int) -> None:
+        self._path, self._left = path, max(CHUNK_BYTES, CHUNK_RATIO * packed)
+
+    def add(self, size: int) -> None:
+        """Count a chunk; InputError when that is too much."""
+        self._left -= size
+        if self._left < 0:
+            raise InputError(
+                f"{self._path}: its chunks unpack to more than {CHUNK_RATIO} times the file; not read further"
+            )
 
 
 def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
-    parts: list[bytes] = []
-    problem = None
+    content, bound, problem = bytearray(), bound_of(len(packed)), None
     while packed and problem is None:
         unpacker: Any = bz2.BZ2Decompressor() if kind == "bzip2" else zlib.decompressobj(wbits=31)
+        start = 0
         try:
             # Small pieces, so that what precedes a flipped bit is not lost with it.
-            for start in range(0, len(packed), 1 << 16):
-                parts.append(unpacker.decompress(packed[start : start + (1 << 16)]))
-                if unpacker.eof:
-                    break
+            while start < len(packed) and not unpacker.eof:
+                piece = packed[start : start + (1 << 16)]
+                start += len(piece)
+                for part in _parts(unpacker, piece):
+                    content += part
+                    if len(content) > bound:
+                        raise _beyond(path, bound)
         except (OSError, zlib.error):
             problem = f"{path.name}: damaged {kind} data; read up to the damage"
             break
         if not unpacker.eof:
             problem = f"{path.name}: {kind} data ends early; read up to there"
             break
-        packed = unpacker.unused_data + packed[start + (1 << 16) :]
+        packed = unpacker.unused_data + packed[start:]
         if not packed.startswith((b"\x1f\x8b", b"BZh")):
             break  # padding after the last stream
-    content = b"".join(parts)
     if not content:
         raise InputError(f"{path}: damaged {kind} file, nothing could be unpacked; fetch it again")
-    return content, problem
+    return bytes(content), problem
+
+
+def _parts(unpacker: Any, piece: bytes) -> Iterator[bytes]:
+    """What a piece unpacks to, a mebibyte at a time."""
+    if isinstance(unpacker, bz2.BZ2Decompressor):
+        yield unpacker.decompress(piece, _PIECE)
+        while not (unpacker.eof or unpacker.needs_input):
+            yield unpacker.decompress(b"", _PIECE)
+        return
+    yield unpacker.decompress(piece, _PIECE)
+    while unpacker.unconsumed_tail and not unpacker.eof:
+        yield unpacker.decompress(unpacker.unconsumed_tail, _PIECE)
+
+
+def unpack_zstd(packed: bytes, bound: int) -> bytes:
+    """Content of one zstd frame; ValueError when it is damaged or larger than `bound` bytes."""
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
+            content = reader.read(bound + 1)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"damaged zstd data ({error})") from None
+    if len(content) > bound:
+        raise ValueError(f"unpacks to more than {bound} bytes")
+    return bytes(content)
+
+
+def unpack_zstd_file(path: Path, target: Path) -> None:
+    """Unpack a zstd file into another; InputError when it is damaged or unpacks beyond all measure."""
+    with opened_plain(path) as packed, target.open("wb") as out:
+        bound = max(HARMLESS_BYTES, GREATEST_RATIO * os.fstat(packed.fileno()).st_size)
+        try:
+            for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
+                bound -= out.write(piece)
+                if bound < 0:
+                    raise _beyond(path, out.tell())
+        except zstandard.ZstdError as error:
+            raise InputError(f"{path}: damaged zstd data ({error}); fetch or record it again") from None

@@ -7,16 +7,16 @@ import json
 import math
 import os
 import platform
-import shutil
-import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from datasets.claims import MARKER, Claim, claimed, watch_inputs
 from datasets.errors import InputError
+from datasets.places import check_free
 
 PACKAGES = (
     "turtlebag",
@@ -34,99 +34,47 @@ PACKAGES = (
 )
 
 
-_growing: set[Path] = set()
-
-
 @contextmanager
-def staged_output(out: Path, *, force: bool = False, suffix: str = ".partial") -> Iterator[Path]:
+def staged_output(
+    out: Path, *, force: bool = False, inputs: Iterable[Path] = (), save_bag: bool = False
+) -> Iterator[Path]:
     """Folder `OUT.partial` to write into; renamed to `out` on success, removed on any error.
 
-    Raises InputError at once when `out` exists and `force` is not given, or cannot be written.
+    Raises InputError at once when `out` exists and may not be replaced (`check_free`), or cannot be
+    written, or another process is writing it; and at the end when an input is not what it was. What a
+    killed process left is removed, with `save_bag` an unfinished bag is set aside.
     """
-    check_free(out, force=force)
-    partial = out.with_name(out.name + suffix)
-    try:
-        if partial.exists():
-            shutil.rmtree(partial)
-        partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"{partial}: cannot be created ({error.strerror})") from None
-    _growing.add(partial)
-    try:
+    check_free(out, force=force, inputs=inputs, kind="folder")
+    with claimed(out, force=force, inputs=inputs) as claim, _growing(claim, save_bag=save_bag) as partial:
         yield partial
-        _put_in_place(partial, out)
-    except BaseException as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        if isinstance(error, OSError) and error.errno is not None:
-            raise InputError(f"{error.filename or out}: {error.strerror}") from None
-        raise
-    finally:
-        _growing.discard(partial)
+        claim.finish()
 
 
 @contextmanager
-def staged_file(out: Path, *, force: bool = False) -> Iterator[Path]:
-    """File `OUT.partial` to write; renamed to `out` on success, removed on any error, as `staged_output`."""
-    check_free(out, force=force)
-    partial = out.with_name(out.name + ".partial")
-    _growing.add(partial)
+def staged_file(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
+    """A file in `OUT.partial` to write; moved to `out` on success, else removed, as `staged_output`."""
+    check_free(out, force=force, inputs=inputs, kind="file")
+    with claimed(out, force=force, inputs=inputs) as claim, _growing(claim) as partial:
+        yield partial / out.name
+        claim.finish(partial / out.name)
+
+
+@contextmanager
+def _growing(claim: Claim, *, save_bag: bool = False) -> Iterator[Path]:
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        partial.unlink(missing_ok=True)
-        yield partial
-        partial.replace(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror})") from None
-    finally:
-        partial.unlink(missing_ok=True)
-        _growing.discard(partial)
-
-
-def discard_unfinished() -> None:
-    """Remove every output that is still growing: for a process that is about to end."""
-    for partial in list(_growing):
+        yield claim.begin(save_bag=save_bag)
+    except BaseException as error:
         with suppress(OSError):
-            partial.unlink() if partial.is_file() else shutil.rmtree(partial, ignore_errors=True)
-
-
-def _put_in_place(partial: Path, out: Path) -> None:
-    """Swap the finished folder in; what stood there before goes last, and no signal comes between."""
-    old = out.with_name(out.name + ".old")
-    stops = {signal.SIGINT, signal.SIGTERM}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, stops)
-    try:
-        if old.exists():
-            _remove(old)
-        if out.exists():
-            out.rename(old)
-        partial.rename(out)
+            claim.clear()
+        if isinstance(error, OSError) and error.errno is not None:
+            raise InputError(f"{error.filename or claim.out}: {error.strerror}") from None
+        raise
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    if old.exists():
-        _remove(old)
+        claim.growing = False
 
 
-OUTPUT_MARKS = ("manifest.json", "metadata.yaml")
-"""A folder that holds one of these is an output (or a bag) of ours and may be replaced on demand."""
-
-
-def check_free(out: Path, *, force: bool) -> None:
-    """InputError when `out` cannot be an output, or exists already and may not be replaced."""
-    if out.name in ("", ".."):
-        raise InputError(f"--out {out}: give the folder to write a name")
-    if not out.exists():
-        return
-    if not force:
-        raise InputError(f"{out}: already exists; choose another --out or pass --force")
-    if out.is_dir() and any(out.iterdir()) and not any((out / mark).exists() for mark in OUTPUT_MARKS):
-        raise InputError(f"{out}: holds files that are no output of turtlebag; --force does not remove them")
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
+NO_CONTENT = ("manifest.json", MARKER)
+"""Files of an output that say how it was made and how far it is."""
 
 
 def sha256_file(path: Path) -> str:
@@ -139,10 +87,10 @@ def sha256_file(path: Path) -> str:
 
 
 def sha256_tree(path: Path) -> dict[str, str]:
-    """sha256 of a file, or of every file below a folder, by path relative to it; manifests left out."""
+    """sha256 of a file, or of every file below a folder, by path relative to it; no manifests and marks."""
     if path.is_file():
         return {path.name: sha256_file(path)}
-    files = sorted(item for item in path.rglob("*") if item.is_file() and item.name != "manifest.json")
+    files = sorted(item for item in path.rglob("*") if item.is_file() and item.name not in NO_CONTENT)
     return {item.relative_to(path).as_posix(): sha256_file(item) for item in files}
 
 
@@ -189,7 +137,11 @@ def write_manifest(
     wall_s: float,
     extra: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `manifest.json`: the hashes of inputs and of all outputs in `folder`, and the volatile facts."""
+    """Write `manifest.json`: the hashes of inputs and of all outputs in `folder`, and the volatile facts.
+
+    InputError when `folder` grows to replace one of the inputs, to lie in one or to hold one.
+    """
+    watch_inputs(folder, inputs.values())
     write_json(
         folder / "manifest.json",
         {

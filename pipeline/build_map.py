@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from datasets.bags.mapping_input import NoScans
 from datasets.errors import InputError
+from datasets.files import require_same, signatures
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map, save_map
-from datasets.outputs import Stopwatch, check_free, sha256_tree, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, sha256_tree, staged_output, write_json, write_manifest
+from datasets.places import check_free
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
 from datasets.se2 import SE2
@@ -60,7 +62,7 @@ def build_map(
     where the input says the laser sits on the robot. InputError when anything given cannot be used,
     before anything is written. With `cache` only the steps are done whose inputs it does not know.
     """
-    check_free(out, force=force)
+    check_free(out, force=force, kind="folder")
     settled = _settings(config, settings)
     references = References(truth, relations)
     watch = Stopwatch()
@@ -142,10 +144,16 @@ def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], Slam
 
 
 def _recording(path: Path, laser: SE2 | None, topic: str | None, cache: StageCache) -> Recording:
-    """An input, from the cache when its bytes were read before."""
+    """An input, from the cache when its bytes were read before; InputError when they change meanwhile."""
+    before = signatures(path)
     content = sha256_tree(path) if cache.on and path.exists() else {}
-    inputs = [str(path), content, laser, topic]
-    return cache.step("reading", inputs, lambda: load_recording(path, T_base_lidar=laser, topic=topic))[0]
+
+    def read() -> Recording:
+        recording = load_recording(path, T_base_lidar=laser, topic=topic)
+        require_same(path, before)  # before it is kept under the hash of what was there at first
+        return recording
+
+    return cache.step("reading", [str(path), content, laser, topic], read)[0]
 
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:

@@ -14,9 +14,11 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
+from datasets.claims import claimed, release_all
 from datasets.errors import InputError
-from datasets.outputs import discard_unfinished
-from pipeline.console import set_verbosity
+from datasets.files import signatures
+from pipeline.commands.arguments import named_inputs
+from pipeline.console import Words, guarded_streams, set_verbosity
 from pipeline.missing import missing_package
 
 # verb -> (module in pipeline.commands, what `turtlebag --help` says). A module has `EXAMPLE`,
@@ -68,7 +70,7 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
         noise.add_argument("-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0)
         noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity")
         command.add_arguments(sub)
-        sub.set_defaults(run=command.run)
+        sub.set_defaults(run=command.run, inputs=getattr(command, "inputs", named_inputs))
     return parser
 
 
@@ -89,7 +91,7 @@ def _stop(number: int, frame: FrameType | None) -> NoReturn:
     Nothing is raised: an exception would surface inside whatever compiled code is running, which
     reports it as an error of its own or crashes.
     """
-    discard_unfinished()
+    release_all()
     if sys.stderr.isatty():
         sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
     print("turtlebag: interrupted", file=sys.stderr, flush=True)
@@ -117,30 +119,47 @@ def _stopping_cleanly() -> Iterator[None]:
             signal.signal(number, before[number])
 
 
+def _run(args: argparse.Namespace, stdout: Words) -> int:
+    """Run a command that is parsed, holding the claim to its output if it has one."""
+    set_verbosity(args.verbosity)
+    inputs = args.inputs(args)
+    out = getattr(args, "out", None)
+    if out is None:
+        for path in inputs:
+            signatures(path)  # no pipes, no devices
+        return int(args.run(args))
+    stdout.optional = True
+    with claimed(out, force=args.force, inputs=inputs):
+        return int(args.run(args))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     verb = next((word for word in argv if not word.startswith("-")), None)
     args = argparse.Namespace()
-    try:
-        with _stopping_cleanly():
-            args = build_parser(verb).parse_args(joined(argv))
-            args.command_line = ["turtlebag", *argv]
-            set_verbosity(args.verbosity)
-            return int(args.run(args))
-    except InputError as error:
-        print(f"turtlebag: {error}", file=sys.stderr)
-        return EXIT_INPUT
-    except ImportError as error:
-        print(missing_package(error), file=sys.stderr)
-        return EXIT_INPUT
-    except BrokenPipeError:
-        sys.stderr.close()
-        return EXIT_OK
-    except OSError as error:  # a full disk, no permission: the system's own words, in one line
-        where = error.filename or getattr(args, "out", None) or verb
-        print(f"turtlebag: {where}: {error.strerror or error}", file=sys.stderr)
-        return EXIT_INPUT
-    except MemoryError:
-        print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
-        return EXIT_INPUT
+    with guarded_streams() as stdout:
+        try:
+            with _stopping_cleanly():
+                args = build_parser(verb).parse_args(joined(argv))
+                args.command_line = ["turtlebag", *argv]
+                code = _run(args, stdout)
+            stdout.flush()
+            if stdout.problem:
+                print(f"turtlebag: {stdout.problem}; what was to be said is lost", file=sys.stderr)
+            return code
+        except InputError as error:
+            print(f"turtlebag: {error}", file=sys.stderr)
+            return EXIT_INPUT
+        except ImportError as error:
+            print(missing_package(error), file=sys.stderr)
+            return EXIT_INPUT
+        except BrokenPipeError:
+            return EXIT_OK
+        except OSError as error:  # a full disk, no permission: the system's own words, in one line
+            where = error.filename or getattr(args, "out", None) or verb
+            print(f"turtlebag: {where}: {error.strerror or error}", file=sys.stderr)
+            return EXIT_INPUT
+        except MemoryError:
+            print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
+            return EXIT_INPUT

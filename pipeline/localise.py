@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.maps import load_map, map_files
-from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from datasets.places import check_free
 from datasets.recordings import load_recording
 from datasets.se2 import SE2
 from datasets.seeds import stream
@@ -73,7 +74,7 @@ def localise(
     """
     watch = Stopwatch()
     config = config or LocaliseConfig()
-    check_free(out, force=force)
+    check_free(out, force=force, kind="folder")
     grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)

@@ -11,7 +11,8 @@ from typing import Any
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.maps import map_files, save_map
-from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
+from datasets.places import check_free
 from datasets.trajectories import save_tum
 from pipeline.config import config_text
 from pipeline.console import log
@@ -19,7 +20,7 @@ from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.setup import Mission, Request, prepare
 from pipeline.navigation.takeover import Source, script_text
-from pipeline.record import own_files, set_aside
+from pipeline.record import own_files
 from planners.costmap import polygon_mask
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
@@ -44,7 +45,7 @@ def navigate(
 
     Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
     """
-    check_free(out, force=force)
+    check_free(out, force=force, kind="folder")
     arena = load_world(world)
     return navigate_in(
         arena,
@@ -72,11 +73,10 @@ def navigate_in(
     files: Mapping[str, Path] | None = None,
 ) -> int:
     """`navigate` with a world and a robot that are at hand already."""
-    check_free(out, force=force)
+    check_free(out, force=force, kind="folder")
     watch = Stopwatch()
     mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
     _refuse_outlines_off(mission)
-    set_aside(out)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),
@@ -86,7 +86,7 @@ def navigate_in(
     }
     with (
         Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
-        staged_output(out, force=force) as folder,
+        staged_output(out, force=force, save_bag=True) as folder,
     ):
         with BagWriter(folder / "bag", custom=custom) as bag, _takeovers(mission) as takeovers:
             episode = drive(simulator, mission, bag, say or _print, takeovers)

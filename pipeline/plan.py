@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from datasets.maps import load_map, map_files
-from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from datasets.places import check_free
 from datasets.se2 import SE2
 from datasets.seeds import stream
 from pipeline.config import config_text
@@ -49,7 +50,7 @@ def plan(
     With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
     metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
     """
-    check_free(out, force=force)
+    check_free(out, force=force, kind="folder")
     watch = Stopwatch()
     config = config or PlanStageConfig()
     spec = load_robot(robot)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import signal
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,8 @@ from pydantic import BaseModel, ConfigDict
 
 from datasets.bags.writer import BagWriter
 from datasets.maps import save_map
-from datasets.outputs import Stopwatch, check_free, sha256_text, staged_output, write_manifest
+from datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
+from datasets.places import check_free
 from datasets.se2 import SE2
 from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist, seconds
@@ -155,11 +155,10 @@ def record_drive(
     `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
     """
     timer = Stopwatch()
-    check_free(out, force=force)
-    set_aside(out)
+    check_free(out, force=force, kind="folder")
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
-    with deferred_interrupt() as interrupted, staged_output(out, force=force) as folder:
+    with deferred_interrupt() as interrupted, staged_output(out, force=force, save_bag=True) as folder:
         (folder / "config.yaml").write_text(config_text(config))
         truth = TruthLog()
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
@@ -184,19 +183,6 @@ def record_drive(
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
-
-
-def set_aside(out: Path) -> None:
-    """Move what a killed recording (or run) left where this one will grow: it can still be recovered."""
-    partial = out.with_name(out.name + ".partial")
-    if not any((partial / "bag").glob("*.mcap")):
-        return
-    names = (f"{out.name}.unfinished{'' if n == 1 else f'-{n}'}" for n in itertools.count(1))
-    aside = next(path for name in names if not (path := out.with_name(name)).exists())
-    partial.rename(aside)
-    log.warning(
-        "an unfinished recording is now %s; `turtlebag bag recover %s --out DIR` saves it", aside, aside
-    )
 
 
 def _drive(

@@ -11,7 +11,7 @@ from datasets.outputs import Stopwatch, staged_output, write_json, write_manifes
 from pipeline.console import track
 from reports.content import build_chapter
 from reports.figures.album import Album
-from reports.index import index_lines
+from reports.index import index_lines, shown_outputs
 from reports.layout import viewer_layouts
 from reports.page import render, render_index
 from reports.stages import group_stages, load_stage
@@ -37,7 +37,7 @@ def make_report(
     """
     watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
-    with staged_output(out, force=force) as partial:
+    with staged_output(out, force=force, inputs=folders) as partial:
         album = Album(partial / "figures", animate=animate, paper=paper)
         chapters = [build_chapter(group, album) for group in track(groups, "draw")]
         (partial / "index.html").write_text(render(chapters, groups))
@@ -72,7 +72,7 @@ def make_index(
     if not lines:
         places = ", ".join(str(root) for root in roots)
         raise InputError(f"{places}: no finished outputs below; name the folder that holds them")
-    with staged_output(out, force=force) as partial:
+    with staged_output(out, force=force, inputs=shown_outputs(roots)) as partial:
         (partial / "index.html").write_text(render_index(lines))
         write_manifest(partial, stage="index", command=command, inputs={}, seed=None, wall_s=watch.seconds())
     return out / "index.html"

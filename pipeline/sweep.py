@@ -10,8 +10,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from datasets.claims import MARKER, Claim, claimed
 from datasets.errors import InputError
-from datasets.outputs import Stopwatch, check_free, sha256_text, write_json, write_manifest
+from datasets.outputs import Stopwatch, sha256_text, write_json, write_manifest
+from datasets.places import check_free
 from pipeline.cache import surroundings
 from pipeline.campaign.case import CACHE, ROW, SHARED, throw_away
 from pipeline.campaign.engine import run_cases
@@ -46,9 +48,24 @@ def sweep(
     """
     watch = Stopwatch()
     campaign = load_campaign(campaign_name)
-    check_free(out, force=force)
-    folder = _work_folder(campaign, out, force=force)
+    check_free(out, force=force, kind="folder")
+    with claimed(out, force=force) as claim:
+        return _sweep(campaign, campaign_name, claim, scheduler, workers, command, watch)
+
+
+def _sweep(
+    campaign: Campaign,
+    campaign_name: str,
+    claim: Claim,
+    scheduler: str | None,
+    workers: int | None,
+    command: Sequence[str],
+    watch: Stopwatch,
+) -> int:
+    folder = _work_folder(campaign, claim)
     todo = cases(campaign)
+    inputs = _inputs(campaign_name, todo)
+    claim.watch(inputs.values())
     rows = _run(campaign, todo, folder / "cases", scheduler, workers)
     timing = _collect_timing(folder / "cases")
     _tidy(folder, campaign)
@@ -57,16 +74,14 @@ def sweep(
         folder,
         stage="sweep",
         command=command,
-        inputs=_inputs(campaign_name, todo),
+        inputs=inputs,
         seed=campaign.seed,
         wall_s=watch.seconds(),
         extra={"case_wall_s": timing},
     )
-    if out.exists():
-        shutil.rmtree(out)
-    folder.rename(out)
+    claim.finish()
     failed = sum(bool(row["failed"]) for row in rows)
-    log.info(f"{out}: {len(rows)} cases, {failed} failed")
+    log.info(f"{claim.out}: {len(rows)} cases, {failed} failed")
     return int(failed > 0)
 
 
@@ -81,14 +96,14 @@ def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
     return {"campaign": campaign_path(campaign_name), **dict(sorted(files.items()))}
 
 
-def _work_folder(campaign: Campaign, out: Path, *, force: bool) -> Path:
+def _work_folder(campaign: Campaign, claim: Claim) -> Path:
     """OUT.partial: a new one, or the one an earlier start of the same campaign and code left."""
-    folder = out.with_name(out.name + ".partial")
+    folder = claim.partial
     marks = {"config.yaml": config_text(campaign), MARK: surroundings(MAKERS) + "\n"}
-    if folder.exists() and (maker := _other_maker(folder, marks)):
-        if not force:
+    if any(path.name != MARKER for path in folder.iterdir()) and (maker := _other_maker(folder, marks)):
+        if not claim.force:
             raise InputError(f"{folder}: left by {maker}; remove it or pass --force to begin anew")
-        shutil.rmtree(folder)
+        claim.clear()
     try:
         (folder / "cases").mkdir(parents=True, exist_ok=True)
         for name, text in marks.items():

@@ -50,19 +50,23 @@ def find_outputs(roots: Sequence[Path]) -> Iterator[Path]:
                 yield manifest.parent
 
 
+def shown_outputs(roots: Sequence[Path]) -> dict[Path, str]:
+    """Folders of the records, maps and runs below the roots, and the names to show them by."""
+    return {
+        folder.resolve(): _name(folder, root)
+        for root in roots
+        for folder in find_outputs([root])
+        if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run")
+    }
+
+
 def index_lines(roots: Sequence[Path]) -> list[Line]:
     """A line for each finished record, map or run below the roots; everything else is passed over.
 
     What a map or a localisation does not say itself - world, robot, seed - is its recording's, where that is
     among the outputs.
     """
-    named = {
-        folder.resolve(): _name(folder, root)
-        for root in roots
-        for folder in find_outputs([root])
-        if read_json(folder / "manifest.json").get("stage") in (*KINDS, "run")
-    }
-    stages = {name: load_stage(folder) for folder, name in named.items()}
+    stages = {name: load_stage(folder) for folder, name in shown_outputs(roots).items()}
     records = {
         digest: stage
         for stage in stages.values()

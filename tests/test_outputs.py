@@ -34,7 +34,7 @@ def test_an_interrupted_output_leaves_nothing(tmp_path, error):
 def test_an_existing_output_is_refused_and_untouched_unless_forced(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").write_text("old")
-    (tmp_path / "out" / "manifest.json").write_text("{}")
+    write_manifest(tmp_path / "out", stage="map", command=[], inputs={}, seed=None, wall_s=0.0)
     with pytest.raises(InputError, match="already exists"), staged_output(tmp_path / "out"):
         pass
     assert (tmp_path / "out" / "old").exists()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.claims import MARKER
 from datasets.errors import InputError
 from datasets.maps import load_map
 from datasets.recordings import load_recording
@@ -210,9 +211,11 @@ def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes
         left_over = tmp_path / "rec.partial" / "bag" / "bag_0.mcap"
         left_over.parent.mkdir(parents=True)
         left_over.write_bytes(b"what a killed process left %d" % number)
+        (tmp_path / "rec.partial" / MARKER).write_text("turtlebag\n")
         assert record("turtlebot3_world", None, script, 1, tmp_path / "rec", force=True) == 0
     assert (tmp_path / "rec.unfinished" / "bag" / "bag_0.mcap").read_bytes().endswith(b"0")
     assert (tmp_path / "rec.unfinished-2" / "bag" / "bag_0.mcap").read_bytes().endswith(b"1")
+    assert not (tmp_path / "rec.unfinished" / MARKER).exists()
     assert not (tmp_path / "rec.partial").exists()
 
 
@@ -220,6 +223,7 @@ def test_what_a_killed_run_left_is_set_aside_too_but_not_by_a_command_that_is_re
     left_over = tmp_path / "run.partial" / "bag" / "bag_0.mcap"
     left_over.parent.mkdir(parents=True)
     left_over.write_bytes(b"what a killed process left")
+    (tmp_path / "run.partial" / MARKER).write_text("turtlebag\n")
     drive = ["navigate", "--world", "turtlebot3_world", "--task", "avoid", "--out", str(tmp_path / "run")]
     assert main([*drive, "--duration", "-1"]) == 2
     assert left_over.exists()

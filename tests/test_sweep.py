@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.claims import MARKER, claimed
 from datasets.errors import InputError
 from datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
 from pipeline.campaign.case import run_case
@@ -274,6 +275,7 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, sch
     from pipeline.sweep import sweep
 
     (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / MARKER).write_text("turtlebag\n")
     (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="another campaign"):
@@ -285,9 +287,10 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, no_commands, schedule
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out"
-    folder = sweep._work_folder(load_campaign(arguments[0]), arguments[1], force=False)
-    (folder / "cases/row").write_text("old")
-    assert sweep._work_folder(load_campaign(arguments[0]), arguments[1], force=False) == folder
+    for _ in range(2):
+        with claimed(arguments[1]) as claim:
+            folder = sweep._work_folder(load_campaign(arguments[0]), claim)
+            (folder / "cases/row").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda sources: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
         sweep.sweep(*arguments, scheduler=scheduler)

@@ -29,14 +29,12 @@ from datasets.bags.mcap import (
     STATISTICS,
 )
 from datasets.errors import InputError
-from datasets.files import mapped
-
-MAX_CHUNK_BYTES = 1 << 30
-"""A chunk that claims to be larger is taken for damaged."""
+from datasets.files import FileBytes, Unpacked, chunk_bound
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
+_FOOTER = struct.Struct("<QQI")
 _LAST_OPCODE = DATA_END
 
 
@@ -118,7 +116,7 @@ class McapScan:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.state = McapState()
-        self._data = mapped(path)
+        self._data = FileBytes(path)
         if self._data[: len(MAGIC)] != MAGIC:
             raise InputError(f"{path}: not an MCAP file (its first bytes are damaged or of another format)")
 
@@ -133,6 +131,7 @@ class McapScan:
         if step_over:
             self._register_from_summary()
         at, end = len(MAGIC), len(self._data)
+        unpacked = Unpacked(self.path, end)
         while at < end:
             try:
                 opcode, body, following = self._record(at)
@@ -140,7 +139,9 @@ class McapScan:
                     self._finish(at, body, following)
                     return
                 if opcode == CHUNK:
-                    yield from self._chunk_messages(_unpack_chunk(body), wanted)
+                    records = _unpack_chunk(body)
+                    unpacked.add(len(records))
+                    yield from self._chunk_messages(records, wanted)
                 elif opcode == MESSAGE:
                     yield from self._chunk_messages(self._data[at:following], wanted)
                 else:
@@ -175,7 +176,7 @@ class McapScan:
     def _record(self, at: int) -> tuple[int, bytes, int]:
         if at + _RECORD.size > len(self._data):
             raise Damage("the file ends inside a record")
-        opcode, size = _RECORD.unpack_from(self._data, at)
+        opcode, size = _RECORD.unpack(self._data[at : at + _RECORD.size])
         start = at + _RECORD.size
         if size > len(self._data) - start:
             raise Damage("the file ends inside a record, or its length is wrong")
@@ -229,7 +230,7 @@ class McapScan:
         footer = len(self._data) - len(MAGIC) - _RECORD.size - 20
         if footer < 0 or self._data[-len(MAGIC) :] != MAGIC or self._data[footer] != FOOTER:
             return
-        at, _, crc = struct.unpack_from("<QQI", self._data, footer + _RECORD.size)
+        at, _, crc = _FOOTER.unpack(self._data[footer + _RECORD.size : footer + _RECORD.size + _FOOTER.size])
         if not 0 < at <= footer or (crc and crc != zlib.crc32(self._data[at : footer + _RECORD.size + 16])):
             return
         try:
@@ -274,7 +275,7 @@ class McapScan:
         state = self.state
         fields = _Fields(body)
         crc = fields.number("I")
-        if crc and crc != zlib.crc32(memoryview(self._data)[:at]):
+        if crc and crc != self._data.crc32(at):
             state.problems.append(
                 "the file's checksum does not match: something outside the messages changed"
             )
@@ -284,7 +285,9 @@ class McapScan:
                 opcode, record, following = self._record(following)
                 if opcode == STATISTICS:
                     state.claimed = _Fields(record).number("Q")
-            start, _, crc = struct.unpack_from("<QQI", self._data, following + _RECORD.size)
+            start, _, crc = _FOOTER.unpack(
+                self._data[following + _RECORD.size : following + _RECORD.size + _FOOTER.size]
+            )
             if crc and start and crc != zlib.crc32(self._data[start : following + _RECORD.size + 16]):
                 state.complete = False
         except (Damage, IndexError, struct.error):
@@ -300,7 +303,7 @@ def _unpack_chunk(body: bytes) -> bytes:
     if len(body) < _CHUNK_HEAD.size:
         raise Damage("a chunk without a head")
     start, end, size, crc = _CHUNK_HEAD.unpack_from(body)
-    if start > end or size > MAX_CHUNK_BYTES:
+    if start > end or size > chunk_bound(len(body)):
         raise Damage("a chunk with an impossible head")
     fields = _Fields(body)
     fields.at = _CHUNK_HEAD.size
@@ -324,7 +327,7 @@ def _decompress(compression: str, packed: bytes, size: int) -> bytes:
                 raise Damage("a chunk of the wrong size")
             return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         if compression == "lz4":
-            return bytes(lz4.frame.decompress(packed))
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
     except (zstandard.ZstdError, RuntimeError, MemoryError, ValueError) as error:
         raise Damage(f"a chunk cannot be unpacked ({' '.join(str(error).split())[:80]})") from None
     raise Damage(f"unknown compression {compression[:20]!r}")

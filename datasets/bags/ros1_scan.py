@@ -7,7 +7,6 @@ seen; one in the structure ends the reading or is stepped over.
 from __future__ import annotations
 
 import bz2
-import mmap
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from pathlib import Path
 import lz4.frame
 
 from datasets.errors import InputError
-from datasets.files import mapped
+from datasets.files import FileBytes, Unpacked, chunk_bound
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
@@ -60,7 +59,8 @@ class Ros1Scan:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.state = Ros1State()
-        self._data = mapped(path)
+        self._data = FileBytes(path)
+        self._total = Unpacked(path, len(self._data))
         if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
             raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
 
@@ -70,6 +70,7 @@ class Ros1Scan:
         """(connection, log time [ns], data) in file order; damage stops it or is stepped over."""
         self.state = state = Ros1State()
         at, end = len(ROS1_MAGIC), len(self._data)
+        self._total = Unpacked(self.path, end)
         while at < end:
             try:
                 header, start, size = _record(self._data, at, end)
@@ -94,7 +95,9 @@ class Ros1Scan:
         operation = header["op"][0]
         if operation == _CHUNK:
             self.state.chunks += 1
-            yield from self._chunk(_unpacked(header, body, size), wanted)
+            records = _unpacked(header, body, size)
+            self._total.add(len(records))
+            yield from self._chunk(records, wanted)
             if len(body) < size:
                 raise Damage("the file ends inside a chunk")
         elif operation == _CONNECTION:
@@ -150,18 +153,18 @@ class Ros1Scan:
         return end
 
 
-def _record(data: bytes | mmap.mmap, at: int, end: int) -> tuple[dict[str, bytes], int, int]:
+def _record(data: bytes | FileBytes, at: int, end: int) -> tuple[dict[str, bytes], int, int]:
     """Header fields, start and size of the data of a record."""
     if at + 4 > end:
         raise Damage("the file ends inside a record")
-    (length,) = struct.unpack_from("<I", data, at)
+    length = int.from_bytes(data[at : at + 4], "little")
     start = at + 4 + length
     if length > _LONGEST_HEADER or start + 4 > end:
         raise Damage("the file ends inside a record, or its length is wrong")
     header = _fields(data[at + 4 : start])
     if len(header.get("op", b"")) != 1 or header["op"][0] not in _OPERATIONS:
         raise Damage("unknown kind of record")
-    return header, start + 4, struct.unpack_from("<I", data, start)[0]
+    return header, start + 4, int.from_bytes(data[start : start + 4], "little")
 
 
 def _fields(data: bytes) -> dict[str, bytes]:
@@ -201,10 +204,14 @@ def _unpacked(header: dict[str, bytes], body: bytes, size: int) -> bytes:
             raise Damage("the file ends inside a compressed chunk")
         if compression not in ("bz2", "lz4"):
             raise Damage(f"unknown compression {compression[:20]!r}")
-        records = bz2.decompress(body) if compression == "bz2" else bytes(lz4.frame.decompress(body))
+        claimed = _number(header, "size")
+        if claimed > chunk_bound(size):
+            raise Damage("a chunk of an impossible size")
+        unpacker = bz2.BZ2Decompressor() if compression == "bz2" else lz4.frame.LZ4FrameDecompressor()
+        records = bytes(unpacker.decompress(body, max_length=claimed + 1))
     except (OSError, RuntimeError, ValueError, EOFError, MemoryError) as error:
         reason = " ".join(str(error).split())[:80]
         raise Damage(f"a chunk cannot be unpacked ({reason})") from None
-    if len(records) != _number(header, "size"):
+    if len(records) != claimed:
         raise Damage("a chunk of the wrong size")
     return records

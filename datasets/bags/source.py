@@ -15,7 +15,16 @@ from datasets.bags.ros1_scan import ROS1_MAGIC
 from datasets.bags.storage import READERS, Message, Wanted
 from datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from datasets.errors import InputError
-from datasets.files import read_unpacked
+from datasets.files import (
+    chunk_bound,
+    opened_plain,
+    read_unpacked,
+    require_same,
+    signatures,
+    unchanged,
+    unpack_zstd,
+    unpack_zstd_file,
+)
 
 MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
@@ -32,19 +41,37 @@ class Bag:
         files: list[Path],
         notes: list[str],
         custom: Mapping[str, str] | None = None,
+        *,
+        packed_messages: bool = False,
+        keep: tempfile.TemporaryDirectory | None = None,
     ) -> None:
         self.path, self.kind, self.files, self.notes = path, kind, files, notes
         self._custom = dict(custom or {})
-        self._keep: list[tempfile.TemporaryDirectory] = []
+        self._packed = packed_messages
+        self._keep = keep  # the folder of unpacked files lives as long as the bag
+        self._before = {file: signatures(file) for file in files}
 
     def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
         """Messages of the wanted topics (all without `wanted`), file after file.
 
-        At damage reading ends, or with `step_over` goes on where the file is whole again.
+        At damage reading ends, or with `step_over` goes on where the file is whole again. InputError when
+        a file has changed since the bag was opened.
         """
         for file in self.files:
             source = READERS[self.kind](file)
-            yield from source.messages(wanted, self.notes, step_over=step_over)
+            messages = source.messages(wanted, self.notes, step_over=step_over)
+            yield from self._unpacked(messages, file) if self._packed else messages
+            require_same(file, self._before[file])
+
+    def _unpacked(self, messages: Iterator[Message], file: Path) -> Iterator[Message]:
+        """Messages that were compressed each by itself."""
+        for count, message in enumerate(messages):
+            try:
+                data = unpack_zstd(message.data, chunk_bound(len(message.data)))
+            except ValueError as error:
+                self.notes.append(f"{file.name}: damaged after {count} messages ({error}); read up to there")
+                return
+            yield message._replace(data=data)
 
     def custom_data(self) -> dict[str, str]:
         """What the recorder noted of the recording (seed and the like), as far as it can be read."""
@@ -80,11 +107,8 @@ def open_bag(path: Path) -> Bag:
 
 
 def _kind_of(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    with opened_plain(path) as file:
+        head = file.read(16)
     if not head:
         raise InputError(f"{path}: the file is empty")
     for magic, kind in MAGICS.items():
@@ -108,9 +132,7 @@ def _open_packed(path: Path) -> Bag:
     folder = tempfile.TemporaryDirectory(prefix="turtlebag-")
     unpacked = Path(folder.name) / path.stem
     unpacked.write_bytes(content)
-    bag = Bag(path, kind, [unpacked], [problem] if problem else [])
-    bag._keep.append(folder)
-    return bag
+    return Bag(path, kind, [unpacked], [problem] if problem else [], keep=folder)
 
 
 def _open_folder(path: Path) -> Bag:
@@ -139,10 +161,23 @@ def _from_metadata(path: Path, folder: Path) -> Bag:
     if kind not in ("mcap", "sqlite3"):
         raise ValueError(f"unknown storage {kind!r}")
     custom = {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()}
-    if information.get("compression_mode", "").lower() not in ("", "none"):
-        return Bag(path, "compressed", [folder], [], custom)
     files = [folder / PurePosixPath(str(name)).name for name in information["relative_file_paths"]]
     missing = [file.name for file in files if not file.is_file()]
     if missing or not files:
         raise ValueError(f"it names {', '.join(missing) or 'no file'}")
-    return Bag(path, kind, files, [], custom)
+    mode = str(information.get("compression_mode") or "none").lower()
+    if mode != "none" and information.get("compression_format") != "zstd":
+        raise InputError(f"{folder}: its compression {information.get('compression_format')!r} is not read")
+    if mode == "file":
+        unpacked = tempfile.TemporaryDirectory(prefix="turtlebag-")
+        files = [_unpacked_file(file, Path(unpacked.name)) for file in files]
+        return Bag(path, kind, files, [], custom, keep=unpacked)
+    return Bag(path, kind, files, [], custom, packed_messages=mode == "message")
+
+
+def _unpacked_file(file: Path, folder: Path) -> Path:
+    """A storage file that was compressed as a whole, unpacked into `folder`."""
+    target = folder / file.stem
+    with unchanged(file):
+        unpack_zstd_file(file, target)
+    return target

@@ -100,7 +100,7 @@ class _Ros1File:
 
 
 class _Rosbag2File:
-    """sqlite3 storage and compressed folders, read by rosbags."""
+    """sqlite3 storage, read by rosbags."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -143,7 +143,6 @@ READERS: dict[str, Callable[[Path], BagFile]] = {
     "mcap": _McapFile,
     "ros1": _Ros1File,
     "sqlite3": _Rosbag2File,
-    "compressed": _Rosbag2File,
 }
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+from contextlib import suppress
 from pathlib import Path
 
 from datasets.errors import InputError
@@ -22,6 +24,23 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="one setting"
     )
+
+
+def named_inputs(args: argparse.Namespace) -> list[Path]:
+    """Every file and folder that the arguments name, and that exists: what the command may read."""
+    given = {key: value for key, value in vars(args).items() if key not in ("out", "verb", "action")}
+    found = []
+    for value in given.values():
+        for one in value if isinstance(value, list) else [value]:
+            # A word may be the name of something built in; only a file of that name is meant as a file.
+            if isinstance(one, Path) or (isinstance(one, str) and not os.path.isdir(one)):
+                found.append(Path(one))
+    if isinstance(given.get("map"), Path):
+        from datasets.maps import map_files  # heavy, and needed anyway where there is a map
+
+        with suppress(InputError):
+            found += map_files(given["map"]).values()
+    return [path for path in found if os.path.exists(path)]
 
 
 def seed(text: str) -> int:

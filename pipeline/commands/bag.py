@@ -156,8 +156,7 @@ def _play(args: argparse.Namespace) -> int:
 
 def _recover(args: argparse.Namespace) -> int:
     watch = Stopwatch()
-    # Not OUT.partial: that is where the unfinished recording lies that is to be saved.
-    with staged_output(args.out, force=args.force, suffix=".recovering") as folder:
+    with staged_output(args.out, force=args.force) as folder:
         saved = recover(args.bag, folder / "bag")
         _manifest(folder, "bag recover", args, watch)
     _print_notes(saved.notes)

@@ -8,7 +8,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from datasets.maps import save_map
-from datasets.outputs import Stopwatch, check_free, staged_output, write_json, write_manifest
+from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from datasets.trajectories import save_tum
 from pipeline.campaign.oracle import PARTS, true_drive, true_steps, with_sensors, with_truth
 from pipeline.commands.arguments import add_config, add_output
@@ -45,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the map outputs with the errors that are left."""
     watch = Stopwatch()
-    check_free(args.out, force=args.force)
     parts = [] if args.replace == "none" else args.replace.split(",")
     for part in parts:
         if part not in PARTS:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.commands.arguments import add_config, add_output, named_inputs, pose, seed
 from pipeline.config import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
@@ -28,6 +29,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     add_config(parser)
     add_output(parser)
+
+
+def inputs(args: argparse.Namespace) -> list[Path]:
+    """World, robot and settings as far as they are files, and the bag whose commands are driven again."""
+    from pipeline.replay import is_recording
+    from sim.teleop import script_names
+
+    replayed = is_recording(args.teleop) and args.teleop not in script_names()
+    return [*named_inputs(args), *([Path(args.teleop)] if replayed else [])]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -29,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser)
 
 
+def inputs(args: argparse.Namespace) -> list[Path]:
+    """What is read: for an index what is found below the folders, among which the index may lie."""
+    return [] if args.index else args.folders
+
+
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
     if args.index:

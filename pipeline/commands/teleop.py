@@ -36,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Drive by keys until Q or Ctrl-C."""
     from datasets.errors import InputError
-    from datasets.outputs import check_free
     from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, show
     from pipeline.record import RecordOptions, Scene, record_drive
 
@@ -45,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     options = load_config(RecordOptions, args.config, args.settings)
     start = pose(args.start, "--start") if args.start else None
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
-    check_free(args.out, force=args.force)
     state = KeyState(scene.robot.limits, args.style)
     show(TABLES[args.style] + "\n")
     with keys_of(sys.stdin.fileno()) as read_keys:

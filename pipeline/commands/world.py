@@ -43,12 +43,11 @@ def _list() -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    from datasets.outputs import check_free, staged_file
+    from datasets.outputs import staged_file
     from reports.figures.world import draw_world
     from sim.robots import load_robot
     from sim.worlds import load_world
 
-    check_free(args.out, force=args.force)
     if args.out.suffix.lower() != ".png":
         raise InputError(f"--out {args.out}: the picture is a PNG; give it a name that ends in .png")
     world = load_world(args.world)
