@@ -226,9 +226,9 @@ class Unpacked:
 
 def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
     content, bound, problem = bytearray(), bound_of(len(packed)), None
-    while packed and problem is None:
+    start = 0
+    while problem is None:
         unpacker: Any = bz2.BZ2Decompressor() if kind == "bzip2" else zlib.decompressobj(wbits=31)
-        start = 0
         try:
             # Small pieces, so that what precedes a flipped bit is not lost with it.
             while start < len(packed) and not unpacker.eof:
@@ -244,9 +244,9 @@ def _unpack(path: Path, packed: bytes, kind: str) -> tuple[bytes, str | None]:
         if not unpacker.eof:
             problem = f"{path.name}: {kind} data ends early; read up to there"
             break
-        packed = unpacker.unused_data + packed[start:]
-        if not packed.startswith((b"\x1f\x8b", b"BZh")):
-            break  # padding after the last stream
+        start -= len(unpacker.unused_data)
+        if not packed.startswith((b"\x1f\x8b", b"BZh"), start):
+            break  # the end, or padding after the last stream
     if not content:
         raise InputError(f"{path}: damaged {kind} file, nothing could be unpacked; fetch it again")
     return bytes(content), problem
@@ -266,13 +266,15 @@ def _parts(unpacker: Any, piece: bytes) -> Iterator[bytes]:
 
 def unpack_zstd(packed: bytes, bound: int) -> bytes:
     """Content of one zstd frame; ValueError when it is damaged or larger than `bound` bytes."""
+    content = bytearray()
     try:
         with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-            content = reader.read(bound + 1)
+            while piece := reader.read(1 << 16):
+                content += piece
+                if len(content) > bound:
+                    raise ValueError(f"unpacks to more than {bound} bytes")
     except zstandard.ZstdError as error:
         raise ValueError(f"damaged zstd data ({error})") from None
-    if len(content) > bound:
-        raise ValueError(f"unpacks to more than {bound} bytes")
     return bytes(content)
 
 

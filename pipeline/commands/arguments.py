@@ -28,7 +28,11 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:
     """Every file and folder that the arguments name, and that exists: what the command may read."""
-    given = {key: value for key, value in vars(args).items() if key not in ("out", "verb", "action")}
+    given = {
+        key: value
+        for key, value in vars(args).items()
+        if key not in ("out", "verb", "action", "command_line")
+    }
     found = []
     for value in given.values():
         for one in value if isinstance(value, list) else [value]:
