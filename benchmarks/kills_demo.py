@@ -21,7 +21,7 @@ from datasets.outputs import sha256_tree
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = shutil.ignore_patterns(".venv", "data", ".git", ".hypothesis", ".mypy_cache", ".ruff_cache")
-LEFT_BEHIND = (".partial", ".old")
+LEFT_BEHIND = (".partial", ".old-", ".turtlebag-")
 
 
 def copy_of_the_tree(folder: Path) -> Path:
@@ -75,7 +75,9 @@ def one_kill(folder: Path, after_s: float, wanted: dict[str, str]) -> str:
     different = sorted(name for name, _ in set(found.items()) ^ set(wanted.items()))
     if different:
         return f"BAD: {len(different)} files differ, first {different[0]}"
-    left = [path.name for path in (folder / "data").rglob("*") if path.name.endswith(LEFT_BEHIND)]
+    left = [
+        path.name for path in (folder / "data").rglob("*") if any(part in path.name for part in LEFT_BEHIND)
+    ]
     return f"BAD: left behind {', '.join(left)}" if left else f"killed after {stages} stages: same bytes"
 
 

@@ -7,10 +7,10 @@ What the command reads must lie apart from it and be the same at the end as at t
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import logging
 import os
+import re
 import secrets
 import shutil
 import signal
@@ -20,11 +20,13 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.files import Signature, require_same, signatures
-from datasets.places import check_free, identity, lineage, place_of, require_apart
+from datasets.locks import close, is_locked, is_same, open_locked
+from datasets.places import check_free, identity, is_output, lineage, place_of, require_apart
 
 MARKER = ".turtlebag-unfinished"
 """File in every folder that grows. It never is part of a finished output, nor of its hashes."""
 _MARK = "turtlebag: this output is unfinished; the same command removes it and begins anew\n"
+_HIDDEN = ".turtlebag-"
 _held: dict[Path, Claim] = {}
 
 
@@ -43,7 +45,7 @@ class Claim:
         # An unfinished recording may be the input: then its folder is not ours to grow in, but locked too.
         usual = out.with_name(out.name + ".partial")
         read = any(identity(usual) in lineage(path) for path in inputs) if usual.is_dir() else False
-        self._reading = _open_locked(usual, out) if read else None
+        self._reading = open_locked(usual, out) if read else None
         self.partial = out.with_name(out.name + (".recovering" if read else ".partial"))
         self._made_parents = _missing_parents(self.partial)
         self._folder = self._acquired()
@@ -105,8 +107,8 @@ class Claim:
                     old.rename(self.place)
                 raise
             (self.place / MARKER).unlink()
-        for path in _replaced(self.place):
-            shutil.rmtree(path, ignore_errors=True)
+        for path in _left_over(self.place):
+            _discard(path)
 
     def require_unchanged(self) -> None:
         """InputError when a file of the inputs is not the one it was when the claim was made."""
@@ -116,15 +118,17 @@ class Claim:
     def release(self) -> None:
         """Give up the claim; a folder in which nothing grew goes with it."""
         with suppress(OSError):
-            if not self._kept and _same(self._folder, self.partial):
+            if not self._kept and is_same(self._folder, self.partial):
                 left = [path.name for path in self.partial.iterdir()]
                 if self.growing or left == [MARKER]:
-                    shutil.rmtree(self.partial, ignore_errors=True)
+                    hidden = _hidden(self.partial)
+                    self.partial.rename(hidden)  # at once: a kill from here on leaves nothing in the way
+                    _discard(hidden)
         with suppress(OSError):
             for parent in self._made_parents:
                 parent.rmdir()
-        _close(self._folder)
-        _close(self._reading)
+        close(self._folder)
+        close(self._reading)
 
     def _acquired(self) -> int:
         """Descriptor of `partial`, which is ours alone now: a new one, or what a killed process left."""
@@ -134,13 +138,13 @@ class Claim:
                 if folder is not None:
                     return folder
                 continue  # another process was quicker
-            folder = _open_locked(self.partial, self.out)
-            if folder is None or not _same(folder, self.partial):  # it was finished in this moment
-                _close(folder)
+            folder = open_locked(self.partial, self.out)
+            if folder is None or not is_same(folder, self.partial):  # it was finished in this moment
+                close(folder)
                 continue
             if _is_marked(self.partial):
                 return folder
-            _close(folder)
+            close(folder)
             raise InputError(
                 f"{self.partial}: is in the way and no unfinished output of turtlebag; "
                 "move it or choose another --out"
@@ -152,7 +156,7 @@ class Claim:
         aside = next(path for name in names if not os.path.lexists(path := self.out.with_name(name)))
         self.partial.rename(aside)
         (aside / MARKER).unlink()
-        _close(self._folder)
+        close(self._folder)
         self._folder = self._acquired()
         logging.getLogger("turtlebag").warning(
             "an unfinished recording is now %s; `turtlebag bag recover %s --out DIR` saves it", aside, aside
@@ -162,9 +166,9 @@ class Claim:
         """Move the output to be replaced to a name of its own; None when there is none, or an empty one."""
         if not self.place.is_dir() or not any(self.place.iterdir()):
             return None
-        (self.place / MARKER).write_text(_MARK)
         old = self.place.with_name(f"{self.place.name}.old-{secrets.token_hex(4)}")
         self.place.rename(old)
+        (old / MARKER).write_text(_MARK)
         return old
 
 
@@ -213,62 +217,25 @@ def uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _open_locked(folder: Path, out: Path) -> int | None:
-    """Descriptor of a folder with its lock; None when there is none any more.
-
-    InputError when another process has the lock, or what is there is no folder.
-    """
-    try:
-        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        return None
-    except NotADirectoryError:
-        raise InputError(f"{folder}: is in the way and no folder; move it or choose another --out") from None
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be read ({error.strerror})") from None
-    try:
-        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        _close(opened)
-        if not isinstance(error, BlockingIOError):
-            raise InputError(f"{folder}: cannot be locked ({error.strerror})") from None
-        raise InputError(
-            f"{out}: another process is writing it (in {folder}); wait for it or choose another --out"
-        ) from None
-    return opened
-
-
 def _created(partial: Path) -> int | None:
     """Descriptor of a new marked and locked folder; None when the name is taken meanwhile.
 
     It is complete before it gets its name: no other process sees it without its mark or its lock.
     """
-    hidden = partial.with_name(f".turtlebag-{secrets.token_hex(8)}")
+    hidden = _hidden(partial)
     folder = None
     try:
         hidden.mkdir(parents=True)
+        folder = open_locked(hidden, partial)
         (hidden / MARKER).write_text(_MARK)
-        folder = _open_locked(hidden, partial)
         hidden.rename(partial)
         return folder
     except OSError as error:
-        shutil.rmtree(hidden, ignore_errors=True)
-        _close(folder)
+        _discard(hidden)
+        close(folder)
         if folder is not None and os.path.lexists(partial):
             return None
         raise InputError(f"{partial}: cannot be created ({error.strerror})") from None
-
-
-def _close(folder: int | None) -> None:
-    """Close a descriptor, and with it give up its lock."""
-    if folder is not None:
-        with suppress(OSError):  # given up before, by a process that was told to end while it did so
-            os.close(folder)
-
-
-def _same(folder: int, path: Path) -> bool:
-    status = os.fstat(folder)
-    return (status.st_dev, status.st_ino) == identity(path)
 
 
 def _is_marked(folder: Path) -> bool:
@@ -281,10 +248,30 @@ def _missing_parents(path: Path) -> list[Path]:
     return [parent for parent in path.parents if not parent.exists()]
 
 
-def _replaced(place: Path) -> list[Path]:
-    """What outputs replaced that stood at a place, this time or by a process that was killed meanwhile."""
-    named = (path for path in place.parent.iterdir() if path.name.startswith(f"{place.name}.old-"))
-    return [path for path in named if path.is_dir() and not path.is_symlink() and _is_marked(path)]
+def _hidden(path: Path) -> Path:
+    """A name of its own beside a path, for what is coming or going."""
+    return path.with_name(f"{_HIDDEN}{secrets.token_hex(8)}")
+
+
+def _left_over(place: Path) -> list[Path]:
+    """What an output replaced, and what killed processes left beside it: ours, and nobody works on it."""
+    found = []
+    for path in place.parent.iterdir():
+        old = re.fullmatch(re.escape(place.name) + r"\.old-[0-9a-f]{8}", path.name) is not None
+        if not (old or path.name.startswith(_HIDDEN)) or path.is_symlink() or not path.is_dir():
+            continue
+        if (_is_marked(path) or (old and is_output(path))) and not is_locked(path):
+            found.append(path)
+    return found
+
+
+def _discard(folder: Path) -> None:
+    """Remove a folder as far as that goes, its mark last: what a kill leaves of it is known again."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.name != MARKER:
+                _remove(path)
+        shutil.rmtree(folder)
 
 
 def _remove(path: Path) -> None:
