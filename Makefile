@@ -36,6 +36,9 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 .PHONY: help setup doctor demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
   bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
+# Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
+.PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
+OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; }
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -68,7 +71,7 @@ navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL M
 report: $(REPORT_DIR)/manifest.json ## make the page of a run   (OUT, or as navigate)
 
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/record.py | $(READY)
-	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
+	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D) $(OR_AGAIN)
 
 $(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) pipeline/build_map.py pipeline/build_map3d.py | $(READY)
 	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
@@ -79,7 +82,7 @@ data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
 
 $(RUN_DIR)/manifest.json: $(if $(NEEDS_MAP),$(or $(MAP),$(MAP_DIR)/manifest.json)) $(call sources,sim datasets planners pipeline) | $(READY)
 	$(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
-	  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
+	  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL)) $(OR_AGAIN)
 
 $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/report.py | $(READY)
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import os
 import stat
+import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -202,6 +203,14 @@ def _beyond(path: Path, bound: int) -> InputError:
         f"{path}: unpacks to more than {bound >> 20} MiB; if that is meant, unpack it yourself "
         "and give what comes out"
     )
+
+
+def require_bounded_zip(path: Path) -> None:
+    """InputError when a zip file (NumPy's .npz is one) unpacks beyond its bound."""
+    bound = bound_of(path.stat().st_size)
+    with zipfile.ZipFile(path) as archive:
+        if sum(member.file_size for member in archive.infolist()) > bound:
+            raise _beyond(path, bound)
 
 
 def chunk_bound(packed: int) -> int:

@@ -93,6 +93,7 @@ def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path) -> str:
     if (out / "manifest.json").is_file():
         return ""
     mine = out if out.parent == place else place / stage
+    shutil.rmtree(mine, ignore_errors=True)  # what a killed worker had half thrown away
     told, said = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.files import require_bounded_zip
 from datasets.outputs import sha256_file
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording
@@ -132,6 +133,7 @@ def load_session(folder: Path) -> tuple[Session, SlamConfig]:
     if not path.is_file():
         raise InputError(f"{folder}: no {FILE} here to continue from; map its recording again")
     try:
+        require_bounded_zip(path)
         with np.load(path, allow_pickle=False) as stored:
             return _session({name: stored[name] for name in stored.files}, sha256_file(path))
     except UNREADABLE as error:
