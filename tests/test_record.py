@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pipeline.record
 from datasets.claims import MARKER
 from datasets.errors import InputError
 from datasets.maps import load_map
@@ -102,9 +103,15 @@ def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, number, code):
+def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, monkeypatch, number, code):
     out = tmp_path / "rec"
-    threading.Timer(1.5, lambda: signal.raise_signal(number)).start()
+    drive_on = pipeline.record._drive
+
+    def interrupted(*given):
+        threading.Timer(1.0, lambda: signal.raise_signal(number)).start()
+        return drive_on(*given)
+
+    monkeypatch.setattr(pipeline.record, "_drive", interrupted)
     started = time.monotonic()
     assert record("turtlebot3_world", None, "tour", 1, out, sim=SimConfig(physics={"substeps": 80})) == code
     assert time.monotonic() - started < 20.0
