@@ -13,11 +13,13 @@ import pytest
 
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
+from datasets.fingerprints import fingerprint
+from datasets.kept import MAGIC
 from datasets.outputs import sha256_tree
 from datasets.se2 import SE2
 from datasets.types import Joints, Observation, Odometry, Twist
 from pipeline import cache as caching
-from pipeline.cache import MAGIC, StageCache, default_cache, fingerprint
+from pipeline.cache import StageCache, default_cache
 from pipeline.cli import main
 from pipeline.slam.slam import SlamConfig, run_slam
 from tests.slam_rooms import ROOM, around_the_room, drifted, recording

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
 from pipeline.slam.clouds import NOTHING_M, sweep_motion

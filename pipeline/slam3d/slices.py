@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.slam.occupancy import MAX_CELLS, OccupancyConfig, classify, trace, trimmed
 
