@@ -106,7 +106,7 @@ def _read_cells(path: Path, meta: MapYaml) -> NDArray[np.int8]:
         what = f"not a readable image ({type(error).__name__})"
         raise InputError(f"{path}: {what}; PGM, PNG, BMP and JPEG are read") from None
     # One look-up a pixel: arithmetic on the whole image takes forty bytes for each.
-    cells = _interpret(np.arange(top + 1) * (255.0 / top), meta)[values[::-1]]
+    cells = _interpret(np.linspace(0.0, 255.0, top + 1), meta)[values[::-1]]
     if opaque is not None:
         cells[~opaque[::-1]] = UNKNOWN
     return cells

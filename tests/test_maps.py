@@ -132,7 +132,7 @@ def test_no_image_starts_a_program(tmp_path, monkeypatch, name):
     """Pillow opens PostScript by Ghostscript, whatever the file is called."""
     for call in ("Popen", "run", "check_call", "check_output"):
         monkeypatch.setattr(subprocess, call, lambda *args, **options: pytest.fail("a program was started"))
-    with pytest.raises(InputError, match="not a readable image.*PGM, PNG, BMP and JPEG are read"):
+    with pytest.raises(InputError, match=r"not a readable image.*PGM, PNG, BMP and JPEG are read"):
         stored(tmp_path, EPS, name)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.bags.decode import RawScan
+from datasets.bags.units import limits_in_millimetres, ranges_in_millimetres
 from datasets.se2 import Array
 from datasets.types import LidarSpec
 
@@ -70,6 +71,7 @@ def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarS
         if key in usable:
             beams = places[key]
             row[beams[beams >= 0]] = scan.ranges[beams >= 0]
+    lidar = _in_metres(ranges, lidar, notes)
     return _normalised(ranges, lidar, notes), lidar
 
 
@@ -91,6 +93,17 @@ def _lidar(key: _Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarS
         range_max = 100.0
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
     return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
+
+
+def _in_metres(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> LidarSpec:
+    """The lidar in metres, and its readings in place, where a driver wrote millimetres."""
+    if not ranges_in_millimetres(ranges[:: 1 + len(ranges) // 200], lidar.range_max):
+        return lidar
+    ranges /= np.float32(1000.0)
+    notes.append("the readings are longer than any lidar's; taken for millimetres")
+    if not limits_in_millimetres(lidar.range_max):
+        return lidar
+    return replace(lidar, range_min=lidar.range_min / 1000.0, range_max=lidar.range_max / 1000.0)
 
 
 def _median(values: Iterable[float]) -> float:
