@@ -178,3 +178,25 @@ def test_long_ranges_and_fast_cars_are_no_millimetres():
     assert not driven_in_millimetres(stamps, ahead)
     assert driven_in_millimetres(stamps, 5.0 * ahead)
     assert not driven_in_millimetres(stamps, np.where(np.arange(20)[:, None] < 15, 0.01 * ahead, 1e5))
+
+
+OVERTURNED = "/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0.1, 0, 0.2), (1, 0, 0, 0)))
+
+
+@pytest.mark.parametrize("static", [OVERTURNED, mounted()], ids=["overturned", "upright"])
+@pytest.mark.parametrize("time", [1.0, 1e30, -1e30])
+def test_a_sweep_of_minutes_is_taken_for_an_instant(good, tmp_path, time, static):
+    log = load_recording(bag(tmp_path / "bag", odom, lambda k: scan(k, time_increment=time), static=[static]))
+    assert any("taken for one instant" in note for note in log.notes)
+    assert log.lidar.time_increment == 0.0
+    assert log.stamps_ns.tolist() == good.stamps_ns.tolist()
+
+
+@pytest.mark.parametrize(
+    "changes", [{"angle_increment": 1e-30}, {"angle_increment": 1e30}, {"angle_min": 1e30}]
+)
+def test_beams_without_directions_are_named_and_refused(tmp_path, changes):
+    path = bag(tmp_path / "bag", odom, lambda k: scan(k, **changes))
+    assert "beam angles" in {finding.check for finding in examine(path)}
+    with pytest.raises(InputError, match="no scan has a usable geometry; nothing to map with"):
+        load_recording(path)

@@ -11,7 +11,7 @@ import numpy as np
 from datasets.bags import impossible
 from datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
 from datasets.bags.survey import Survey, TopicSurvey, survey
-from datasets.bags.units import stands_still
+from datasets.bags.units import directed, stands_still
 
 _LATCHED = ("/tf_static", "/map")
 _CLOCK_NS = 1_000_000_000
@@ -169,7 +169,11 @@ def _scans(found: Survey) -> list[Finding]:
         total = sum(scans.geometries.values())
         (geometry, n), _ = scans.geometries.most_common(1)[0]
         angle_min, angle_max, increment, time_increment, _, range_min, range_max = geometry
-        if increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
+        step = increment or (angle_max - angle_min) / max(n - 1, 1)
+        if not directed(angle_min, step, n):
+            what = f"{name}: {n} readings from {angle_min:g} rad on, {step:g} rad apart"
+            findings.append(Finding("error", "beam angles", what, "the readings have no directions"))
+        elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
             what = f"{name}: {n} readings, but angle_min, angle_max and the increment speak of {steps}"
             breaks = "slam_toolbox and Karto refuse such scans, others put each beam a little off"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +21,13 @@ _LONG_M = 50.0
 _LARGEST_LIMIT_M = 1000.0
 """No planar lidar sees as far [m]; its limits are in millimetres too."""
 _STEP_NS = 1_000_000_000
+
+
+def directed(angle_min: float, step: float, n: int) -> bool:
+    """Whether n beams from an angle on, a step apart [rad], have directions."""
+    if not (math.isfinite(angle_min) and math.isfinite(step) and n > 0):
+        return False
+    return abs(angle_min) < 100.0 and (n == 1 or 1e-5 <= abs(step) <= math.pi)
 
 
 def stands_still(stamps: ArrayLike) -> bool:
