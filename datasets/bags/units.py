@@ -41,7 +41,7 @@ def far_away(xyz: ArrayLike) -> bool:
     return not bool((np.abs(np.asarray(xyz, dtype=np.float64)) < FAR_M).all())
 
 
-def ranges_in_millimetres(ranges: NDArray[np.float32], range_max: float) -> bool:
+def ranges_in_millimetres(ranges: NDArray[np.floating], range_max: float) -> bool:
     """Whether readings are thousands of what a lidar can see; one code again and again is not."""
     limit = range_max if range_max > _LARGEST_LIMIT_M else np.inf
     with np.errstate(invalid="ignore"):
