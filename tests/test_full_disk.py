@@ -57,7 +57,10 @@ def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_nothing(chain, 
 
 
 def test_figures_need_no_home_and_say_nothing_of_it(tmp_path):
-    code = "from pipeline.console import set_verbosity; set_verbosity(0); import matplotlib as m; m.get_configdir()"
+    code = (
+        "from pipeline.console import set_verbosity\nset_verbosity(0)\n"
+        "import matplotlib\nmatplotlib.get_configdir()"
+    )
     homeless = {**os.environ, "HOME": "/proc/none", "TMPDIR": str(tmp_path)}
     for name in ("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):
         homeless.pop(name, None)
