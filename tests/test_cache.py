@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pickle
+import re
 import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -218,6 +219,18 @@ def test_new_code_or_packages_are_another_key(tmp_path, monkeypatch):
     cache.step("a", [1], lambda: 1)
     monkeypatch.setattr(caching, "surroundings", lambda: "of tomorrow")
     assert cache.step("a", [1], lambda: 2)[0] == 2
+
+
+def test_the_sources_in_a_key_are_all_that_a_stage_is_made_of():
+    folders = tuple(folder.replace("/", ".") for folder in caching.SOURCES)
+    for path in sorted(path for folder in caching.SOURCES for path in (caching.ROOT / folder).rglob("*.py")):
+        named = re.findall(
+            r"^\s*(?:from|import) ((?:datasets|sim|planners|reports|pipeline)\b[\w.]*)",
+            path.read_text(),
+            re.M,
+        )
+        others = {name for name in named if not name.startswith(folders)}
+        assert others <= {"pipeline.cache"}, path
 
 
 def test_where_the_cache_is(tmp_path, monkeypatch):
