@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.trajectories import stamp_from_text
@@ -63,6 +64,9 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
         notes.append(f"{rear} rear laser scans (RLASER) not used")
     n = lines.beams[0]
     stamps = np.array(lines.stamps, dtype=np.int64)
+    if stands_still(stamps):
+        notes.append(f"every stamp is {stamps[0] * 1e-9:.6f}; the order of the file is all that is known")
+    values = _in_metres(values, stamps, notes)
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
         notes.append(f"stamps go back {backwards} times; file order kept")
@@ -169,11 +173,24 @@ def _numbers(lines: _Lines, broken: list[int]) -> Array:
         values = np.array(rows)
         _replace(lines, good)
     values = values.reshape(-1, width)
-    finite = np.isfinite(values[:, -6:]).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        finite = (np.abs(values[:, -6:]) < FAR_M).all(axis=1)
     if not finite.all():
         broken.extend(lines.line_numbers[index] for index in np.flatnonzero(~finite))
         _replace(lines, np.flatnonzero(finite).tolist())
     return values[finite]
+
+
+def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
+    """The readings and poses of `_numbers` in metres, where a program wrote millimetres."""
+    scale = np.ones(values.shape[1])
+    if ranges_in_millimetres(values[:: 1 + len(values) // 200, :-6], FAR):
+        notes.append("the readings are longer than any lidar's; taken for millimetres")
+        scale[:-6] = 1e-3
+    if driven_in_millimetres(stamps, values[:, -3:-1]):
+        notes.append("the robot would be faster than any; its poses taken for millimetres")
+        scale[[-6, -5, -3, -2]] = 1e-3
+    return values if (scale == 1.0).all() else values * scale
 
 
 def _replace(lines: _Lines, keep: list[int]) -> None:

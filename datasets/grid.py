@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from datasets.se2 import SE2, Array
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
+MAX_CELLS, MAX_GB = 64_000_000, 5
+"""Cells of a map that others can work with (8000 x 8000), and the memory that localising in them takes."""
 
 Cells = NDArray[np.int64]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,7 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.grid import FREE, MAX_CELLS, MAX_GB, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2
 from datasets.yaml_files import load_model
 
@@ -20,6 +21,8 @@ from datasets.yaml_files import load_model
 # because free_thresh is 0.196: with Nav2's 0.25 it would load as free.
 PIXEL_FREE, PIXEL_UNKNOWN, PIXEL_OCCUPIED = 254, 205, 0
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+READERS = ("PPM", "PNG", "BMP", "JPEG")
+"""Pillow's own, named one by one: among the rest are some that start other programs."""
 
 
 class MapYaml(BaseModel):
@@ -60,13 +63,7 @@ def load_map(path: Path) -> OccupancyGrid:
     image_path = _image_of(path, meta)
     if not image_path.is_file():
         raise InputError(f"{path}: its image {image_path} does not exist")
-    try:
-        with Image.open(image_path) as image:
-            pixels = np.asarray(image.convert("L"), dtype=np.float64)
-    except Exception as error:
-        # Pillow raises many types (SyntaxError among them) for damaged images.
-        raise InputError(f"{image_path}: not a readable image ({type(error).__name__})") from None
-    cells = _interpret(pixels[::-1], meta)
+    cells = _read_cells(image_path, meta)
     try:
         return OccupancyGrid(cells, meta.resolution, SE2.from_xyt(*meta.origin))
     except ValueError as error:
@@ -91,11 +88,50 @@ def _read_yaml(path: Path) -> MapYaml:
     return meta
 
 
+def _read_cells(path: Path, meta: MapYaml) -> NDArray[np.int8]:
+    """Cell values of an image, row 0 lowest. What is not opaque is unknown."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit here is lower
+            image = Image.open(path, formats=READERS)
+        with image:
+            if image.width * image.height > MAX_CELLS:
+                raise Image.DecompressionBombError
+            values, top, opaque = _brightness(image)
+    except Image.DecompressionBombError:
+        limit = f"{MAX_CELLS // 1_000_000} million pixels, with which localising takes {MAX_GB} GB"
+        raise InputError(f"{path}: a larger image than can be used ({limit}); crop or reduce it") from None
+    except Exception as error:
+        # Pillow raises many types (SyntaxError among them) for damaged images.
+        what = f"not a readable image ({type(error).__name__})"
+        raise InputError(f"{path}: {what}; PGM, PNG, BMP and JPEG are read") from None
+    # One look-up a pixel: arithmetic on the whole image takes forty bytes for each.
+    cells = _interpret(np.linspace(0.0, 255.0, top + 1), meta)[values[::-1]]
+    if opaque is not None:
+        cells[~opaque[::-1]] = UNKNOWN
+    return cells
+
+
+def _brightness(image: Image.Image) -> tuple[NDArray[np.unsignedinteger], int, NDArray[np.bool_] | None]:
+    """The pixels, what white is among them, and which of them are opaque (None: all)."""
+    if image.mode in ("1", "L"):
+        return np.asarray(image.convert("L")), 255, None
+    if image.mode.startswith("I"):
+        return np.asarray(image).astype(np.uint16), 65535, None
+    if image.mode == "F":
+        raise ValueError("pixels without a white")
+    opaque = np.asarray(image.convert("RGBA").getchannel("A")) == 255 if image.has_transparency_data else None
+    # The mean of the colours, as map_server takes it.
+    red, green, blue = (np.asarray(band, dtype=np.uint16) for band in image.convert("RGB").split())
+    return red + green + blue, 3 * 255, opaque
+
+
 def _interpret(pixels: NDArray[np.float64], meta: MapYaml) -> NDArray[np.int8]:
-    """Cell values from pixels, row 0 lowest, by map_server's three modes; thresholds are strict."""
+    """Cell values of pixels from 0 to 255 by map_server's three modes; thresholds are strict."""
     if meta.negate:
         pixels = 255.0 - pixels
     if meta.mode == "raw":
+        pixels = np.rint(pixels)
         return np.where(pixels <= 100, pixels, UNKNOWN).astype(np.int8)
     p = (255.0 - pixels) / 255.0
     if meta.mode == "scale" and meta.occupied_thresh > meta.free_thresh:

@@ -2,33 +2,28 @@
 
 An entry's name is the sha256 of the stage, of everything that went in (the recording's content, the
 settings the stage reads, the entries before it), of our own sources, the package versions and the
-processor. An entry says what its bytes have to hash to: a cut or altered one is no entry. Entries are
-written beside and renamed, so that any number of processes may share a folder and be killed at any
-moment; the least recently used go when the folder grows beyond its limit. Trouble with the folder
-(full, read-only) never ends a run: what cannot be kept is made again.
+processor. The least recently used go when the folder grows beyond its limit.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 import pickle
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
-from threading import get_ident
 from typing import Any, TypeVar
 
 import numpy as np
 from llvmlite.binding import get_host_cpu_name
-from pydantic import BaseModel
 
 from datasets.errors import InputError
+from datasets.fingerprints import fingerprint
+from datasets.kept import read_kept, trim_kept, user_cache, write_kept
 from datasets.outputs import package_versions
 
 Value = TypeVar("Value")
@@ -38,9 +33,7 @@ LIMIT_VARIABLE = "TURTLEBAG_STAGE_CACHE_MB"
 LIMIT_MB = 1024
 LIMIT_ENTRIES = 4000
 SMALL = 4096
-MAGIC = b"turtlebag stage 1\n"
-ENTRY_NAME = re.compile(r"[0-9a-f]{64}(\.\d+\.\d+)?")
-"""An entry, or one that is being written."""
+ENTRY_NAME = re.compile(r"[0-9a-f]{64}")
 SOURCES = ("datasets", "pipeline/slam")
 """Whose code shapes the entries; changing any file of it makes all of them anew."""
 ROOT = Path(__file__).parents[1]
@@ -67,47 +60,25 @@ class StageCache:
             return make(), ""
         key = fingerprint([stage, surroundings(), *inputs])
         path = self._folder / key
-        found = _read(path, key)
+        found = _read(path)
         self._record.append((stage, found is not None))
         if found is not None:
             return found[0], key
         value = make()
-        self._keep(path, key, value)
+        self._keep(path, value)
         return value, key
 
-    def _keep(self, path: Path, key: str, value: object) -> None:
+    def _keep(self, path: Path, value: object) -> None:
         written = io.BytesIO()
         _Writer(written, protocol=5).dump((value,))
         payload = written.getvalue()
-        if len(payload) > self._limit:
-            return
-        partial = path.with_name(f"{path.name}.{os.getpid()}.{get_ident()}")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial.write_bytes(MAGIC + _digest(key, payload) + payload)
-            partial.replace(path)
-        except OSError:
-            with suppress(OSError):
-                partial.unlink(missing_ok=True)
+        if len(payload) <= self._limit:
+            write_kept(path, payload)
 
     def trim(self) -> None:
         """Remove the least recently used entries, and what killed processes left, beyond the limits."""
-        if self._folder is None:
-            return
-        entries = []
-        for path in self._folder.glob("*"):
-            if not ENTRY_NAME.fullmatch(path.name):
-                continue  # not ours: whose folder this is nobody knows
-            with suppress(OSError):  # another process was quicker
-                status = path.stat()
-                entries.append((status.st_mtime_ns, status.st_size, path))
-        total = sum(size for _, size, _ in entries)
-        for oldest, (_, size, path) in enumerate(sorted(entries)):
-            if total <= self._limit and len(entries) - oldest <= LIMIT_ENTRIES:
-                return
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-            total -= size
+        if self._folder is not None:
+            trim_kept(self._folder, ENTRY_NAME, self._limit, LIMIT_ENTRIES)
 
     @property
     def found(self) -> list[str]:
@@ -137,31 +108,20 @@ def default_cache() -> StageCache:
 def _usual_folder() -> Path | None:
     if (ROOT / "Makefile").is_file() and Path.cwd().is_relative_to(ROOT):
         return ROOT / "data" / "cache"
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(user) / "turtlebag" / "stages" if os.path.isabs(user) else None
+    user = user_cache()
+    return user / "stages" if user else None
 
 
-def _read(path: Path, key: str) -> tuple[Any] | None:
+def _read(path: Path) -> tuple[Any] | None:
     """An entry's value as a tuple of one; None when there is none, or it is not what was written."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    payload = content[len(MAGIC) + 32 :]
-    if content[: len(MAGIC) + 32] != MAGIC + _digest(key, payload):
+    payload = read_kept(path)
+    if payload is None:
         return None
     try:
         value = _Entry(io.BytesIO(payload)).load()
-        os.utime(path)
-    except (pickle.UnpicklingError, OSError):
+    except pickle.UnpicklingError:
         return None
     return value if isinstance(value, tuple) and len(value) == 1 else None
-
-
-def _digest(key: str, payload: bytes) -> bytes:
-    digest = hashlib.sha256(key.encode())
-    digest.update(payload)
-    return digest.digest()
 
 
 class _Writer(pickle.Pickler):
@@ -195,37 +155,6 @@ class _Entry(pickle.Unpickler):
             if isinstance(found, type) and is_dataclass(found):
                 return found
         raise pickle.UnpicklingError(f"{module}.{name} has no place in an entry")
-
-
-def fingerprint(value: object) -> str:
-    """sha256 of a value's content: arrays, settings, dataclasses, lists, mappings, plain values."""
-    digest = hashlib.sha256()
-    _feed(digest, value)
-    return digest.hexdigest()
-
-
-def _feed(digest: Any, value: object) -> None:
-    """Add a value; every part says its type and its length, so that no two values run together."""
-    if isinstance(value, np.ndarray):
-        digest.update(f"array {value.dtype.str} {value.shape};".encode())
-        digest.update(np.ascontiguousarray(value).data)
-    elif isinstance(value, BaseModel):
-        _feed(digest, [type(value).__qualname__, value.model_dump(mode="json")])
-    elif is_dataclass(value) and not isinstance(value, type):
-        digest.update(f"{type(value).__qualname__};".encode())
-        _feed(digest, {field.name: getattr(value, field.name) for field in fields(value)})
-    elif isinstance(value, Mapping):
-        digest.update(b"mapping;")
-        _feed(digest, [item for pair in value.items() for item in pair])
-    elif isinstance(value, (list, tuple)):
-        digest.update(f"list {len(value)};".encode())
-        for item in value:
-            _feed(digest, item)
-    elif value is None or isinstance(value, (bool, int, float, str, bytes, Path)):
-        text = repr(value).encode()
-        digest.update(f"{type(value).__name__} {len(text)};".encode() + text)
-    else:
-        raise TypeError(f"{type(value).__name__} has no fingerprint")
 
 
 @cache

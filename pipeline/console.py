@@ -21,6 +21,8 @@ log = logging.getLogger("turtlebag")
 def set_verbosity(level: int) -> None:
     """-1 quiet, 0 normal, 1 verbose."""
     logging.basicConfig(stream=sys.stderr, format="%(message)s", force=True)
+    # Where there is no home it warns, twice, of the temporary folder that it finds by itself.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     log.setLevel({-1: logging.ERROR, 0: logging.INFO}.get(level, logging.DEBUG))
 
 

@@ -9,9 +9,9 @@ import heapq
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from planners.footprint import Field32, footprint_free
 from planners.oriented import drives, moves, turns

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.spans import Seconds
 from planners.costmap import Costmap, Mask

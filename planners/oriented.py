@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from planners.footprint import Field32, footprint_free
 

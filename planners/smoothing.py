@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from planners.footprint import Field32, disc_segment_free, field_at
 

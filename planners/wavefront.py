@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from datasets.kernels import njit
 
 SQRT2 = float(np.sqrt(2.0))
 _STEPS = (

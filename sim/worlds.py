@@ -24,8 +24,8 @@ from sim.world_files import GeneratorSpec, WorldSpec
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5
 """Free border around the outermost solid in a true map."""
-MOST_M2 = 250_000.0
-"""Largest world: its true map has 100 million cells."""
+MOST_M2 = 160_000.0
+"""Largest world: its true map has as many cells as can be read again."""
 
 
 @dataclass(frozen=True, eq=False)

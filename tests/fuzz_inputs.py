@@ -14,6 +14,7 @@ import traceback
 from pathlib import Path
 
 import yaml
+from numba.core.event import Listener, install_listener
 
 from pipeline.cli import main
 
@@ -128,27 +129,55 @@ def broken(rng, path):
 
 
 class TooSlow(BaseException):
-    """A valid variant that would run for long: neither good nor bad."""
+    """A command that would not end in time, as every variant must: what a person waits for, or kills."""
+
+
+WAITING = 60
+"""Times the computing time that a command may take by the clock, on a machine however busy."""
+
+AGAIN = 0.5
+"""Seconds after which it is stopped once more: what calls back from C swallows exceptions."""
+
+
+class Uncounted(Listener):
+    """Stops the clock while kernels are compiled: that is done once, by whichever variant comes first."""
+
+    def __init__(self):
+        self.depth, self.left = 0, 0.0
+
+    def on_start(self, event):
+        self.depth += 1
+        if self.depth == 1:
+            self.left = signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)[0]
+
+    def on_end(self, event):
+        self.depth -= 1
+        if self.depth == 0:
+            signal.setitimer(signal.ITIMER_VIRTUAL, self.left, AGAIN)
 
 
 @contextlib.contextmanager
 def limits(seconds, memory_bytes=6 << 30):
-    """Stop what runs for long by TooSlow; memory beyond the limit is a MemoryError."""
+    """Stop what computes for longer, or waits for ever, by TooSlow; too much memory is a MemoryError."""
 
     def stop(number, frame):
         raise TooSlow
 
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    before = signal.signal(signal.SIGVTALRM, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGVTALRM, signal.SIGALRM)}
     resource.setrlimit(resource.RLIMIT_AS, (used + memory_bytes, hard))
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds, AGAIN)
+    signal.setitimer(signal.ITIMER_REAL, WAITING * seconds, AGAIN)
     try:
-        yield
+        with install_listener("numba:compile", Uncounted()):
+            yield
     finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        for timer in (signal.ITIMER_VIRTUAL, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0.0)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-        signal.signal(signal.SIGVTALRM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -186,10 +215,12 @@ def outcome(words, seconds=5.0):
 def complaint(words, place, seconds=5.0):
     """What is wrong with how a command line ended that writes below the empty folder `place`; "" is well.
 
-    Exit 0, 1 or 2; with 2 one line on stderr that names the program, and `place` still empty.
+    In time, exit 0, 1 or 2; with 2 one line on stderr that names the program, and `place` still empty.
     """
     code, text = outcome(words, seconds)
-    if code not in (-1, 0, 1, 2) or "Traceback" in text or "Warning: " in text:
+    if code == -1:
+        return f"it computes for more than {seconds:g} s, or waits for ever"
+    if code not in (0, 1, 2) or "Traceback" in text or "Warning: " in text:
         return f"exit {code}: {text}"
     if code != 2:
         return ""

@@ -80,6 +80,7 @@ DEFECTS = {
         "25.0 %",
     ),
     "range limits": (only("/scan", lambda k, m: spoiled_scan(k, m, range_max=0.0)), "0.12..0 m"),
+    "beam angles": (only("/scan", lambda k, m: spoiled_scan(k, m, angle_increment=1e-30)), "1e-30 rad apart"),
     "sweep time": (only("/scan", lambda k, m: spoiled_scan(k, m, time_increment=0.01)), "3.590 s"),
     "no scans": (only("/scan", lambda k, m: None), "no LaserScan"),
     "bad quaternions": (

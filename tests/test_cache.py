@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import pickle
+import re
 import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -13,11 +14,13 @@ import pytest
 
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
+from datasets.fingerprints import fingerprint
+from datasets.kept import MAGIC
 from datasets.outputs import sha256_tree
 from datasets.se2 import SE2
 from datasets.types import Joints, Observation, Odometry, Twist
 from pipeline import cache as caching
-from pipeline.cache import MAGIC, StageCache, default_cache, fingerprint
+from pipeline.cache import StageCache, default_cache
 from pipeline.cli import main
 from pipeline.slam.slam import SlamConfig, run_slam
 from tests.slam_rooms import ROOM, around_the_room, drifted, recording
@@ -216,6 +219,18 @@ def test_new_code_or_packages_are_another_key(tmp_path, monkeypatch):
     cache.step("a", [1], lambda: 1)
     monkeypatch.setattr(caching, "surroundings", lambda: "of tomorrow")
     assert cache.step("a", [1], lambda: 2)[0] == 2
+
+
+def test_the_sources_in_a_key_are_all_that_a_stage_is_made_of():
+    folders = tuple(folder.replace("/", ".") for folder in caching.SOURCES)
+    for path in sorted(path for folder in caching.SOURCES for path in (caching.ROOT / folder).rglob("*.py")):
+        named = re.findall(
+            r"^\s*(?:from|import) ((?:datasets|sim|planners|reports|pipeline)\b[\w.]*)",
+            path.read_text(),
+            re.M,
+        )
+        others = {name for name in named if not name.startswith(folders)}
+        assert others <= {"pipeline.cache"}, path
 
 
 def test_where_the_cache_is(tmp_path, monkeypatch):

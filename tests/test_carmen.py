@@ -86,6 +86,40 @@ def test_file_order_survives_stamps_that_go_back(tmp_path):
     assert any("go back" in note for note in recording.notes)
 
 
+def drive(readings=1.0, poses=1.0, stamp=lambda k: f"{k}.000000"):
+    ranges = np.linspace(1.0, 2.5, 180)
+    lines = [flaser(ranges * readings, *2 * [(0.2 * k * poses, 0.0, 0.1)], stamp(k)) for k in range(9)]
+    return "".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("changes", "note"),
+    [
+        ({"readings": 1000.0}, "the readings are longer than any lidar's; taken for millimetres"),
+        ({"poses": 1000.0}, "the robot would be faster than any; its poses taken for millimetres"),
+    ],
+)
+def test_millimetres_are_told_and_made_metres(tmp_path, changes, note):
+    good = load_recording(write(tmp_path, drive()))
+    found = load_recording(write(tmp_path, drive(**changes)))
+    assert found.notes == (*good.notes, note)
+    np.testing.assert_allclose(found.ranges, good.ranges, atol=0.006)
+    np.testing.assert_allclose(found.T_odom_base.xyt, good.T_odom_base.xyt, atol=1e-9)
+    assert found.lidar.range_max == good.lidar.range_max
+
+
+def test_a_clock_that_stands_is_told(tmp_path):
+    found = load_recording(write(tmp_path, drive(stamp=lambda k: "0.0")))
+    assert found.notes == ("every stamp is 0.000000; the order of the file is all that is known",)
+
+
+def test_a_pose_beyond_the_earth_is_damage(tmp_path):
+    text = drive() + flaser(np.ones(180), (1e12, 0.0, 0.0), (1e12, 0.0, 0.0), "9.0")
+    found = load_recording(write(tmp_path, text))
+    assert len(found) == 9
+    assert "1 damaged lines skipped, the first is line 10" in found.notes
+
+
 def test_damaged_lines_are_skipped_and_counted(tmp_path):
     good = flaser(np.ones(180))
     bad = [

@@ -1,5 +1,8 @@
 """A disk that is full before the last byte of any file: exit 2, one line, nothing left behind."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,3 +54,17 @@ def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_nothing(chain, 
     assert str(full / name) in said
     left = ["sweep.partial"] if verb == "sweep" else []  # a campaign goes on where it stopped
     assert [path.name for path in full.iterdir()] == left
+
+
+def test_figures_need_no_home_and_say_nothing_of_it(tmp_path):
+    code = (
+        "from pipeline.console import set_verbosity\nset_verbosity(0)\n"
+        "import matplotlib\nmatplotlib.get_configdir()"
+    )
+    homeless = {**os.environ, "HOME": "/proc/none", "TMPDIR": str(tmp_path)}
+    for name in ("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"):
+        homeless.pop(name, None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=homeless, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")

@@ -4,14 +4,17 @@ import json
 import random
 import re
 import shutil
+import time
 
+import numpy as np
 import pytest
 from fuzz_cases import CASES, ROOM, SDF
-from fuzz_inputs import attempt, outcome, with_output
+from fuzz_inputs import attempt, complaint, outcome, with_output
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datasets.errors import InputError
+from datasets.kernels import njit
 from datasets.relations import load_relations
 from datasets.trajectories import load_tum
 from datasets.yaml_files import parsed
@@ -52,6 +55,36 @@ def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path
     words = with_output(CASES[case](random.Random(1), chain, tmp_path / "in"), tmp_path)
     code, said = outcome(words)
     assert code in (0, 1), said
+
+
+@pytest.mark.parametrize("what", [lambda: None, lambda: time.sleep(0.1)], ids=["computes", "waits"])
+def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path, what):
+    def endless(words):
+        while True:
+            what()
+
+    monkeypatch.setattr("fuzz_inputs.main", endless)
+    monkeypatch.setattr("fuzz_inputs.WAITING", 5)
+    assert "more than 0.2 s" in complaint(["map", "x"], tmp_path, seconds=0.2)
+
+
+def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
+    @njit(cache=False)
+    def kernel(values):
+        return (values * 2.0).sum() + np.sort(values)[0]
+
+    def compiles(words):
+        assert kernel(np.ones(3)) == 7.0
+        while words[0] == "endless":
+            pass
+        return 0
+
+    monkeypatch.setattr("fuzz_inputs.main", compiles)
+    monkeypatch.setattr("fuzz_inputs.WAITING", 600)
+    begin = time.process_time()
+    assert complaint(["short"], tmp_path, seconds=0.2) == ""
+    assert time.process_time() - begin > 0.4
+    assert "more than 0.2 s" in complaint(["endless"], tmp_path, seconds=0.2)
 
 
 def refusal(read, given):

@@ -1,5 +1,8 @@
 """Maps are byte-compatible with map_saver and read as map_server reads."""
 
+import subprocess
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -81,6 +84,79 @@ def test_a_damaged_image_is_an_input_error(tmp_path):
     (tmp_path / "map.pgm").write_bytes(b"P5\n10 10\n255\nxx")
     with pytest.raises(InputError, match="not a readable image"):
         load_map(path)
+
+
+GREYS = [[0, 89, 90, 204, 205, 206, 254, 255]]
+
+
+def stored(folder, image, name):
+    """The map of an image, in a file of that name."""
+    if isinstance(image, bytes):
+        (folder / name).write_bytes(image)
+    else:
+        image.save(folder / name)
+    (folder / "map.yaml").write_text(YAML.replace("map.pgm", name))
+    return load_map(folder / "map.yaml").cells.tolist()
+
+
+def test_every_depth_and_kind_of_image_is_the_same_map(tmp_path):
+    grey = Image.fromarray(np.array(GREYS, dtype=np.uint8))
+    deep = Image.fromarray(np.array(GREYS, dtype=np.uint16) * 257)
+    of_1000 = b"P5 3 1 1000\n" + np.array([0, 803, 1000], ">u2").tobytes()
+    clear = Image.fromarray(
+        np.array([[[0, 0, 0, 255], [205, 205, 205, 255], [255, 255, 255, 254]]], np.uint8)
+    )
+    expected = [[OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN, FREE, FREE, FREE]]
+    assert [stored(tmp_path, grey, name) for name in ("a.pgm", "a.png", "a.bmp")] == [expected] * 3
+    assert [stored(tmp_path, deep, name) for name in ("b.pgm", "b.png")] == [expected] * 2
+    assert [stored(tmp_path, grey.convert(mode), "c.png") for mode in ("RGB", "P", "RGBA")] == [expected] * 3
+    assert stored(tmp_path, of_1000, "d.pgm") == [[OCCUPIED, UNKNOWN, FREE]]
+    assert stored(tmp_path, clear, "e.png") == [[OCCUPIED, UNKNOWN, UNKNOWN]]
+
+
+def test_colours_count_by_their_mean_and_deep_raw_pixels_by_their_eighth_bit(tmp_path):
+    # Green seems lighter than blue to the eye; map_server asks no eye.
+    colours = np.array([[[0, 255, 0], [0, 0, 255], [252, 252, 111]]], np.uint8)
+    assert stored(tmp_path, Image.fromarray(colours), "a.png") == [[OCCUPIED, OCCUPIED, UNKNOWN]]
+    deep = Image.fromarray(np.array([[0, 42 * 257 + 3, 100 * 257, 101 * 257]], np.uint16))
+    deep.save(tmp_path / "map.png")
+    (tmp_path / "map.yaml").write_text(YAML.replace("map.pgm", "map.png") + "mode: raw\n")
+    assert load_map(tmp_path / "map.yaml").cells.tolist() == [[0, 42, 100, UNKNOWN]]
+
+
+EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n%%EOF\n"
+
+
+@pytest.mark.parametrize("name", ["x.eps", "x.pgm"])
+def test_no_image_starts_a_program(tmp_path, monkeypatch, name):
+    """Pillow opens PostScript by Ghostscript, whatever the file is called."""
+    for call in ("Popen", "run", "check_call", "check_output"):
+        monkeypatch.setattr(subprocess, call, lambda *args, **options: pytest.fail("a program was started"))
+    with pytest.raises(InputError, match=r"not a readable image.*PGM, PNG, BMP and JPEG are read"):
+        stored(tmp_path, EPS, name)
+
+
+@pytest.mark.parametrize("image", [b"Pf 2 1\n-1.0\n" + bytes(8), b"GIF89a", b"II*\0" + bytes(20)])
+def test_images_of_other_kinds_are_refused(tmp_path, image):
+    with pytest.raises(InputError, match="not a readable"):
+        stored(tmp_path, image, "a.pgm")
+
+
+@pytest.mark.parametrize("size", [b"8001 8000", b"100000 100000", b"2147483647 2147483647"])
+def test_an_image_beyond_memory_is_refused_before_it_is_unpacked(tmp_path, size, recwarn):
+    with pytest.raises(InputError, match=r"larger image than can be used \(64 million pixels") as caught:
+        stored(tmp_path, b"P5 " + size + b" 255\n", "a.pgm")
+    assert "\n" not in str(caught.value)
+    assert not recwarn.list
+
+
+def test_reading_a_map_takes_a_few_bytes_a_pixel(tmp_path):
+    path = write(tmp_path, np.full((2000, 2000), 254))
+    tracemalloc.start()
+    load_map(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 6 * 2000 * 2000
 
 
 @given(st.tuples(st.integers(0, 9), st.integers(0, 6)), st.floats(-3, 3))

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from datasets.errors import InputError
 from datasets.grid import FREE, OCCUPIED, UNKNOWN
 from datasets.se2 import SE2
+from pipeline.slam import occupancy
 from pipeline.slam.occupancy import OccupancyConfig, make_grid, thinned
 from tests.slam_rooms import LDS, around_the_room, recording, rectangle
 
@@ -38,6 +40,14 @@ def thinned_by_numpy(cells, hits, behind, before):
         for f, k in zip(neighbours(free, False), opposite, strict=True)
     ]
     return np.where((out == X) & ~closes & np.any(short, axis=0), F, out)
+
+
+def test_a_map_that_could_not_be_read_again_is_not_made(monkeypatch):
+    log = recording(rectangle(0.0, 0.0, 7.0, 6.0), around_the_room(3))
+    rows, cols = make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(), 30.0).shape
+    monkeypatch.setattr(occupancy, "MAX_CELLS", rows * cols - 1)
+    with pytest.raises(InputError, match=f"{rows} x {cols} cells; choose a larger grid.resolution_m"):
+        make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(), 30.0)
 
 
 def test_thinning_does_as_numpy_does():

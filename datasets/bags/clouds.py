@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.bags.decode import BadMessage, Cursor
-from datasets.bags.odometry import find_odometry, odometry_at, sensor_matrix
+from datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
 from datasets.bags.source import Bag, open_bag
 from datasets.bags.streams import Streams
 from datasets.errors import InputError
@@ -102,7 +103,7 @@ class _Index:
 
     stamps: list[int] = field(default_factory=list)
     log_times: list[int] = field(default_factory=list)
-    frame: str = ""
+    frames: Counter[str] = field(default_factory=Counter)
 
 
 class _Clouds:
@@ -136,25 +137,32 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
             return
         index.stamps.append(layout.stamp_ns)
         index.log_times.append(log_time)
-        index.frame = index.frame or layout.frame
+        index.frames[layout.frame] += 1
 
     streams = Streams(bag, note_cloud=note)
     chosen = _chosen_topic(path, list(found), topic)
     index = found[chosen]
     if not index.stamps:
         raise InputError(f"{path}: {chosen}: no point cloud could be decoded")
-    stamps, notes = np.array(index.stamps, dtype=np.int64), list(bag.notes)
+    if len(index.frames) > 1:
+        several = ", ".join(f"'{name}' ({count})" for name, count in index.frames.most_common())
+        raise InputError(
+            f"{path}: {chosen}: clouds of more frames than one: {several}; record one lidar a topic"
+        )
+    (frame,) = index.frames
+    notes, log_times = list(bag.notes), np.array(index.log_times, dtype=np.int64)
+    stamps = running(np.array(index.stamps, dtype=np.int64), log_times, chosen, notes)
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
         notes.append(f"{chosen}: stamps go back {backwards} times; file order kept")
-    odometry = find_odometry(streams, index.frame, notes)
+    odometry = find_odometry(streams, frame, notes)
     known = len(notes)
-    T_base_lidar = sensor_matrix(streams.frames, odometry.base, index.frame, notes)
+    T_base_lidar = sensor_matrix(path, streams.frames, odometry.base, frame, notes)
     mounted = len(notes) == known
     del notes[known:]
-    T_odom_base = odometry_at(odometry, stamps, np.array(index.log_times, dtype=np.int64), notes)
+    T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
-    streams.note_unknown(notes)
+    streams.note_left_out(notes)
     if streams.bad + bad:
         notes.append(f"{streams.bad + bad} damaged messages skipped")
     return Recording3D(

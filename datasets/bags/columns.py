@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -21,12 +22,17 @@ Decoded = TypeVar("Decoded")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdometryColumns:
-    """nav_msgs/Odometry of one topic: `kept` are the indices of the messages that could be decoded."""
+    """nav_msgs/Odometry of one topic: `kept` are the indices of the messages that could be decoded.
+
+    Where several robots or nodes write to it, those of the most frequent frames; `others` says how many
+    of which are left out.
+    """
 
     stamps_ns: Stamps
     xyt: Array
     child: str
     kept: NDArray[np.int64]
+    others: dict[str, int] = field(default_factory=dict)
 
 
 def odometry(messages: Sequence[bytes], cursor: MakeCursor) -> OdometryColumns:
@@ -34,9 +40,14 @@ def odometry(messages: Sequence[bytes], cursor: MakeCursor) -> OdometryColumns:
     table = _table(messages, cursor, decode.odometry)
     if table is None:
         poses, kept = _one_by_one(messages, cursor, decode.odometry)
+        links = Counter((pose.frame, pose.child) for pose in poses)
+        (main, _), *rest = links.most_common() or [(("", ""), 0)]
+        ours = [(pose, index) for pose, index in zip(poses, kept, strict=True) if pose[1:3] == main]
+        poses, kept = [pose for pose, _ in ours], np.array([index for _, index in ours], dtype=np.int64)
+        others = {f"{parent} -> {child}": count for (parent, child), count in rest}
         stamps = np.array([pose.stamp_ns for pose in poses], dtype=np.int64)
         xyt = np.array([pose[3:6] for pose in poses], dtype=np.float64).reshape(-1, 3)
-        return OdometryColumns(stamps, xyt, poses[0].child if poses else "", kept)
+        return OdometryColumns(stamps, xyt, main[1], kept, others)
     rows, order = table
     probe = cursor(messages[0])
     probe.header()

@@ -152,6 +152,7 @@ class RawTransform(NamedTuple):
     child: str
     xyz: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]
+    log_time_ns: int = 0
 
 
 class RawImu(NamedTuple):

@@ -4,31 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from datasets.bags import impossible
+from datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
 from datasets.bags.survey import Survey, TopicSurvey, survey
+from datasets.bags.units import directed, stands_still
 
-Severity = Literal["error", "warning"]
-SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_BASES = ("base_footprint", "base_link")
 _LATCHED = ("/tf_static", "/map")
 _CLOCK_NS = 1_000_000_000
 """Header stamps of two topics that lie this much apart come from different clocks."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One defect: how grave, which check, what was seen and what it would break."""
-
-    severity: Severity
-    check: str
-    what: str
-    breaks: str
 
 
 def examine(path: Path) -> list[Finding]:
@@ -71,7 +58,7 @@ def _backwards(found: Survey) -> list[Finding]:
     findings = []
     for name, topic in found.topics.items():
         stamps = np.array(topic.stamps, dtype=np.int64)
-        if topic.topic.msgtype in TRANSFORMS:
+        if topic.topic.msgtype in TRANSFORMS or stands_still(stamps):
             continue
         steps = np.diff(stamps)
         if (steps < 0).any():
@@ -99,7 +86,7 @@ def _backwards(found: Survey) -> list[Finding]:
 def _clocks(found: Survey) -> list[Finding]:
     lags = {}
     for name, topic in found.topics.items():
-        if topic.stamps and len(topic.stamps) == len(topic.log_times):
+        if topic.stamps and len(topic.stamps) == len(topic.log_times) and not stands_still(topic.stamps):
             lags[name] = float(np.median(np.array(topic.log_times) - np.array(topic.stamps)))
     if len(lags) < 2:
         return []
@@ -151,7 +138,7 @@ def _connections(found: Survey) -> list[Finding]:
         what = "no /tf_static and no fixed link in /tf"
         breaks = "the laser is taken to sit at the robot's centre; --laser X,Y,YAW tells its place"
         findings.append(Finding("error", "no static transforms", what, breaks))
-    base = _base(found)
+    base = found.base()
     for topic in scans:
         for frame in topic.frames:
             if frame != base and frames.fixed and frames.lookup(base, frame) is None:
@@ -176,22 +163,17 @@ def _connections(found: Survey) -> list[Finding]:
     return findings
 
 
-def _base(found: Survey) -> str:
-    odometry = [topic for topic in found.of_type(ODOMETRY) if topic.topic.name == "/odom"]
-    child = odometry[0].children.most_common(1)[0][0] if odometry and odometry[0].children else ""
-    known = found.frames.frames()
-    if child in known:
-        return child
-    return next((frame for frame in _BASES if frame in known), child or _BASES[0])
-
-
 def _scans(found: Survey) -> list[Finding]:
     findings = []
     for name, scans in found.scans.items():
         total = sum(scans.geometries.values())
         (geometry, n), _ = scans.geometries.most_common(1)[0]
         angle_min, angle_max, increment, time_increment, _, range_min, range_max = geometry
-        if increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
+        step = increment or (angle_max - angle_min) / max(n - 1, 1)
+        if not directed(angle_min, step, n):
+            what = f"{name}: {n} readings from {angle_min:g} rad on, {step:g} rad apart"
+            findings.append(Finding("error", "beam angles", what, "the readings have no directions"))
+        elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
             what = f"{name}: {n} readings, but angle_min, angle_max and the increment speak of {steps}"
             breaks = "slam_toolbox and Karto refuse such scans, others put each beam a little off"
@@ -264,9 +246,13 @@ _CHECKS: tuple[Callable[[Survey], list[Finding]], ...] = (
     _file,
     _missing_topics,
     _backwards,
+    impossible.still_clocks,
     _clocks,
     _gaps,
     _connections,
+    impossible.mixed_frames,
+    impossible.places,
+    impossible.units,
     _scans,
     _rotations,
     _quality_of_service,

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from datasets.bags.decode import RawTransform
+from datasets.bags.units import far_away
 from datasets.se2 import Array
 
 
@@ -25,17 +26,21 @@ def matrix(xyz: Iterable[float], quaternion: Iterable[float]) -> Array:
 
 
 class FrameTree:
-    """Links between frames; a link that changes is kept apart as moving."""
+    """Links between frames; a link that changes is kept apart as moving, `far` are those left out."""
 
     def __init__(self) -> None:
         self.fixed: dict[tuple[str, str], Array] = {}
         self.moving: dict[tuple[str, str], list[RawTransform]] = {}
+        self.far: set[tuple[str, str]] = set()
         self._first: dict[tuple[str, str], RawTransform] = {}
 
     def add(self, transform: RawTransform, *, static: bool) -> None:
-        """Take note of one transform of /tf or /tf_static; non-finite ones are ignored."""
+        """Take note of one transform of /tf or /tf_static; what is no place on Earth is left out."""
         link = transform.parent, transform.child
         if not np.isfinite((*transform.xyz, *transform.quaternion)).all():
+            return
+        if far_away(transform.xyz):
+            self.far.add(link)
             return
         if link in self.moving:
             self.moving[link].append(transform)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
-from datasets.bags.odometry import find_odometry, odometry_at, sensor_matrix
+from datasets.bags.decode import RawScan
+from datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
 from datasets.bags.scans import assemble, turned_over
 from datasets.bags.source import Bag
 from datasets.bags.streams import CLOUD, Streams
+from datasets.bags.units import stands_still
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
-from datasets.types import Recording
+from datasets.types import Recording, Stamps
 
 
 class NoScans(InputError):
@@ -29,27 +33,29 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
     streams = Streams(bag)
     notes = bag.notes
     topic = _scan_topic(streams, topic)
-    scans = streams.scans[topic]
+    scans, log_times = _of_one_laser(topic, streams.scans[topic], streams.scan_times[topic], notes)
     try:
         ranges, lidar = assemble(scans, notes)
     except ValueError as error:
         raise InputError(f"{bag.path}: {topic}: {error}; nothing to map with") from None
-    stamps = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+    stamps = running(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), log_times, topic, notes)
+    if stands_still(stamps):
+        what = f"{topic}: all scans carry one stamp and were recorded at one time"
+        raise InputError(f"{bag.path}: {what}; without time there is nothing to map with")
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
         notes.append(f"{topic}: stamps go back {backwards} times; file order kept")
     odometry = find_odometry(streams, scans[0].frame, notes)
     if T_base_lidar is None:
         T_base_lidar, over = _planar(
-            sensor_matrix(streams.frames, odometry.base, scans[0].frame, notes), notes
+            sensor_matrix(bag.path, streams.frames, odometry.base, scans[0].frame, notes), notes
         )
         if over:
             ranges, lidar = turned_over(ranges, lidar)
             stamps = stamps - round((lidar.n_beams - 1) * lidar.time_increment * 1e9)
-    log_times = np.array(streams.scan_times[topic], dtype=np.int64)
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
-    streams.note_unknown(notes)
+    streams.note_left_out(notes)
     if streams.bad:
         notes.append(f"{streams.bad} damaged messages skipped")
     return Recording(
@@ -63,6 +69,20 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
         imu=imu,
         notes=tuple(notes),
     )
+
+
+def _of_one_laser(
+    topic: str, scans: list[RawScan], log_times: list[int], notes: list[str]
+) -> tuple[list[RawScan], Stamps]:
+    """The scans of the most frequent frame and their log times: two lasers do not sit at one place."""
+    times = np.array(log_times, dtype=np.int64)
+    (frame, count), *others = Counter(scan.frame for scan in scans).most_common()
+    if not others:
+        return scans, times
+    left = ", ".join(f"{number} of '{name}'" for name, number in others)
+    notes.append(f"{topic}: scans of more lasers than one; {count} of '{frame}' used, {left} left out")
+    ours = [k for k, scan in enumerate(scans) if scan.frame == frame]
+    return [scans[k] for k in ours], times[ours]
 
 
 def _scan_topic(streams: Streams, wanted: str | None) -> str:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from datasets.bags import decode
 from datasets.bags.frames import FrameTree
 from datasets.bags.streams import Streams
+from datasets.bags.units import ARM_M, FAR_M, driven_in_millimetres, stands_still
+from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.types import Stamps, Trajectory
 
@@ -36,11 +39,11 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
             if streams.frames.lookup(columns.child, scan_frame) is None:
                 streams.follow_tf()
             times = np.array(streams.odometry[chosen].times, dtype=np.int64)[columns.kept]
-            return OdometrySource(
-                columns.child or base_of(streams.frames),
-                _increasing(columns.stamps_ns, columns.xyt, chosen, notes),
-                _increasing(times, columns.xyt, chosen, []),
-            )
+            if columns.others:
+                left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
+                notes.append(f"{chosen}: poses of more frames than one; {left} left out")
+            base = columns.child or base_of(streams.frames)
+            return _source(base, columns.stamps_ns, times, columns.xyt, chosen, notes)
     if len(names) > 1:
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
     streams.follow_tf()
@@ -48,8 +51,9 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
         if "odom" in parent and (child == scan_frame or streams.frames.lookup(child, scan_frame) is not None):
             notes.append(f"odometry from /tf ({parent} -> {child})")
             stamps = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
+            times = np.array([transform.log_time_ns for transform in moving], dtype=np.int64)
             rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
-            return OdometrySource(child, _increasing(stamps, rows, "/tf", notes))
+            return _source(child, stamps, times, rows, "/tf", notes)
     notes.append("no odometry: neither an Odometry topic nor odom -> base in /tf")
     return OdometrySource(base_of(streams.frames))
 
@@ -60,14 +64,34 @@ def base_of(frames: FrameTree) -> str:
     return next((frame for frame in _BASES if frame in known), _BASES[0])
 
 
-def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Trajectory | None:
-    """Poses in order of their stamps, each stamp once, finite."""
-    finite = np.isfinite(xyt).all(axis=1)
-    if not finite.all():
-        notes.append(f"{name}: {np.count_nonzero(~finite)} poses are not finite and left out")
-        stamps, xyt = stamps[finite], xyt[finite]
+def _source(
+    base: str, stamps: Stamps, times: Stamps, xyt: Array, name: str, notes: list[str]
+) -> OdometrySource:
+    """The poses (n, 3) that are such, in metres, by stamp and by log time [ns]."""
+    with np.errstate(invalid="ignore"):
+        places = (np.abs(xyt) < FAR_M).all(axis=1)
+    if not places.all():
+        notes.append(f"{name}: {np.count_nonzero(~places)} poses are not finite, or no place, and left out")
+        stamps, times, xyt = stamps[places], times[places], xyt[places]
     if not len(stamps):
-        return None
+        return OdometrySource(base)
+    stamps = running(stamps, times, name, notes)
+    if driven_in_millimetres(stamps, xyt[:, :2]):
+        notes.append(f"{name}: the robot would be faster than any; taken for millimetres")
+        xyt = xyt * (1e-3, 1e-3, 1.0)
+    return OdometrySource(base, _increasing(stamps, xyt, name, notes), _increasing(times, xyt, name, []))
+
+
+def running(stamps: Stamps, log_times: Stamps, name: str, notes: list[str]) -> Stamps:
+    """The stamps, or for a clock that never ran the times of recording, with a note."""
+    if not stands_still(stamps) or stands_still(log_times):
+        return stamps
+    notes.append(f"{name}: every stamp is {stamps[0] * 1e-9:.6f}; the times of recording taken instead")
+    return log_times
+
+
+def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Trajectory:
+    """Poses in order of their stamps, each stamp once."""
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
         notes.append(f"{name}: stamps go back {backwards} times; sorted")
@@ -75,13 +99,21 @@ def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Traj
     return Trajectory(stamps, SE2.from_array(xyt[first]))
 
 
-def sensor_matrix(frames: FrameTree, base: str, sensor: str, notes: list[str]) -> Array:
-    """`T_base_sensor` (4, 4); identity, with a note, when no fixed links connect them."""
+def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: list[str]) -> Array:
+    """`T_base_sensor` (4, 4); identity, with a note, when no fixed links connect them.
+
+    InputError when they put the sensor further from the robot than any is large.
+    """
     if sensor == base:
         return np.eye(4)
     for start in (base, *_BASES):
         T = frames.lookup(start, sensor)
         if T is not None:
+            if (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:
+                what = (
+                    f"by its transforms the laser '{sensor}' sits {arm:.4g} m from '{start}' (millimetres?)"
+                )
+                raise InputError(f"{path}: {what}; --laser X,Y,YAW says where it does")
             return T
     known = ", ".join(sorted(frames.frames())) or "none"
     notes.append(

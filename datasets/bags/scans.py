@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.bags.decode import RawScan
+from datasets.bags.units import directed, limits_in_millimetres, ranges_in_millimetres
 from datasets.se2 import Array
 from datasets.types import LidarSpec
 
@@ -19,6 +20,7 @@ Ranges = NDArray[np.float32]
 
 _OVERSAMPLING = 4
 """Beams of a grid for one of the scanner, where the scanner's own angles change from scan to scan."""
+_LONGEST_SWEEP_S = 60.0
 _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 
@@ -39,8 +41,7 @@ class _Geometry(NamedTuple):
 
     def usable(self) -> bool:
         """Whether the beams have directions."""
-        angles = (self.angle_min, self.angle_max, self.increment)
-        return self.n > 0 and all(map(math.isfinite, angles)) and (self.step() != 0.0 or self.n == 1)
+        return math.isfinite(self.angle_max) and directed(self.angle_min, self.step(), self.n)
 
 
 def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
@@ -70,6 +71,7 @@ def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarS
         if key in usable:
             beams = places[key]
             row[beams[beams >= 0]] = scan.ranges[beams >= 0]
+    lidar = _in_metres(ranges, lidar, notes)
     return _normalised(ranges, lidar, notes), lidar
 
 
@@ -90,7 +92,21 @@ def _lidar(key: _Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarS
         notes.append(f"range_max is {range_max:g}; 100 m used")
         range_max = 100.0
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
+    if abs(times[0]) * key.n > _LONGEST_SWEEP_S:
+        notes.append(f"time_increment makes a sweep of {abs(times[0]) * key.n:.3g} s; taken for one instant")
+        times[0] = 0.0
     return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
+
+
+def _in_metres(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> LidarSpec:
+    """The lidar in metres, and its readings in place, where a driver wrote millimetres."""
+    if not ranges_in_millimetres(ranges[:: 1 + len(ranges) // 200], lidar.range_max):
+        return lidar
+    ranges /= np.float32(1000.0)
+    notes.append("the readings are longer than any lidar's; taken for millimetres")
+    if not limits_in_millimetres(lidar.range_max):
+        return lidar
+    return replace(lidar, range_min=lidar.range_min / 1000.0, range_max=lidar.range_max / 1000.0)
 
 
 def _median(values: Iterable[float]) -> float:

@@ -64,7 +64,7 @@ class Streams:
             elif topic.msgtype == CLOUD and note_cloud is not None:
                 note_cloud(topic.name, log_time, data)
             elif topic.name.endswith("tf_static"):
-                self._transforms(data, static=True)
+                self._transforms(log_time, data, static=True)
             else:
                 self._moving.add(log_time, data)
 
@@ -72,8 +72,10 @@ class Streams:
         self.seen[topic.name] = topic.msgtype
         return topic.msgtype in self._types and not topic.name.startswith(TRUTH_PREFIX)
 
-    def note_unknown(self, notes: list[str]) -> None:
-        """Name the topics whose types are no standard ROS types."""
+    def note_left_out(self, notes: list[str]) -> None:
+        """Name the topics whose types are no standard ROS types, and the transforms that are no places."""
+        for parent, child in sorted(self.frames.far):
+            notes.append(f"the transform {parent} -> {child} is no place on Earth and left out")
         known = typestore().fielddefs
         unknown = [
             f"{name} ({msgtype})" for name, msgtype in self.seen.items() if _current(msgtype) not in known
@@ -90,24 +92,24 @@ class Streams:
         self.scans.setdefault(name, []).append(scan)
         self.scan_times.setdefault(name, []).append(log_time)
 
-    def _transforms(self, data: bytes, *, static: bool) -> None:
+    def _transforms(self, log_time: int, data: bytes, *, static: bool) -> None:
         try:
             for transform in decode.transforms(self.bag.cursor(data)):
-                self.frames.add(transform, static=static)
+                self.frames.add(transform._replace(log_time_ns=log_time), static=static)
         except decode.BadMessage:
             self.bad += 1
 
     def follow_tf(self) -> None:
         """Decode /tf as well; needed only where topics and /tf_static do not say enough."""
-        for data in self._moving.data:
-            self._transforms(data, static=False)
+        for log_time, data in zip(self._moving.times, self._moving.data, strict=True):
+            self._transforms(log_time, data, static=False)
         self._moving = Raw()
 
     def read_odometry(self, name: str) -> OdometryColumns:
         """Decoded poses of an odometry topic."""
         raw = self.odometry[name]
         columns = odometry(raw.data, self.bag.cursor)
-        self.bad += len(raw.data) - len(columns.kept)
+        self.bad += len(raw.data) - len(columns.kept) - sum(columns.others.values())
         return columns
 
     def read_imu(self) -> ImuLog | None:

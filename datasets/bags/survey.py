@@ -8,11 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.bags import decode
 from datasets.bags.frames import FrameTree
 from datasets.bags.source import Bag, open_bag
 from datasets.bags.storage import Topic
+
+_SOME = 200
+_BASES = ("base_footprint", "base_link")
 
 
 @dataclass(slots=True)
@@ -22,6 +26,7 @@ class TopicSurvey:
     topic: Topic
     log_times: list[int] = field(default_factory=list)
     stamps: list[int] = field(default_factory=list)
+    places: list[tuple[float, float]] = field(default_factory=list)
     frames: Counter[str] = field(default_factory=Counter)
     children: Counter[str] = field(default_factory=Counter)
     undecodable: int = 0
@@ -36,6 +41,8 @@ class ScanSurvey:
     zeros: int = 0
     all_nan: int = 0
     no_return: int = 0
+    some: list[NDArray[np.float32]] = field(default_factory=list)
+    """The first scans, to tell their unit by."""
 
 
 @dataclass(slots=True)
@@ -55,6 +62,15 @@ class Survey:
     def of_type(self, *msgtypes: str) -> list[TopicSurvey]:
         """Topics of the given types."""
         return [topic for topic in self.topics.values() if topic.topic.msgtype in msgtypes]
+
+    def base(self) -> str:
+        """The robot's base frame, as far as the bag tells it."""
+        odometry = [topic for topic in self.of_type("nav_msgs/msg/Odometry") if topic.topic.name == "/odom"]
+        child = odometry[0].children.most_common(1)[0][0] if odometry and odometry[0].children else ""
+        known = self.frames.frames()
+        if child in known:
+            return child
+        return next((frame for frame in _BASES if frame in known), child or _BASES[0])
 
 
 def survey(path: Path) -> Survey:
@@ -84,6 +100,8 @@ def _scan(found: Survey, topic: TopicSurvey, bag: Bag, data: bytes) -> None:
     summary = found.scans.setdefault(topic.topic.name, ScanSurvey())
     summary.geometries[scan.geometry, len(scan.ranges)] += 1
     summary.readings += len(scan.ranges)
+    if len(summary.some) < _SOME:
+        summary.some.append(scan.ranges)
     summary.zeros += int(np.count_nonzero(scan.ranges == 0.0))
     if np.isnan(scan.ranges).all():
         summary.all_nan += 1
@@ -96,6 +114,7 @@ def _odometry(found: Survey, topic: TopicSurvey, bag: Bag, data: bytes) -> None:
     topic.stamps.append(pose.stamp_ns)
     topic.frames[pose.frame] += 1
     topic.children[pose.child] += 1
+    topic.places.append((pose.x, pose.y))
     if not np.isfinite(pose.yaw):
         found.bad_rotations[topic.topic.name] += 1
 

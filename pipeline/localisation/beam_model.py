@@ -7,8 +7,8 @@ nearer (z_short), no return (z_max) and anything at all (z_rand).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.localisation.beams import Beams, spread
 from pipeline.localisation.field import DistanceField, FloatGrid

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.localisation.sampling import bin_numbers
 

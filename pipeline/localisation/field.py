@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, zoom
 
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 
 FloatGrid = NDArray[np.float32]

@@ -6,8 +6,8 @@ A threaded BLAS is slower than this for matrices of tens of rows, and its thread
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 
 

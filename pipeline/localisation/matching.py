@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.localisation.surfaces import Indices
 

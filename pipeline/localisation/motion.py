@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array, wrap
 
 # Below this step the direction of travel is noise and the motion counts as a turn on the spot.

@@ -12,8 +12,8 @@ a wall, speaks against a pose. The likelihood field alone cannot know that.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.localisation.beams import Beams, spread
 from pipeline.localisation.field import DistanceField, FloatGrid

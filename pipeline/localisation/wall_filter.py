@@ -15,9 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.localisation.linear import multiply, solve
 from pipeline.localisation.matching import match_beams

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel
 from pipeline.navigation.sensing import Sight

@@ -13,17 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
 from pipeline.slam.clouds import NOTHING_M, sweep_motion
 
-MAX_CELLS = 400_000_000
+MAX_COUNTED = 400_000_000
+"""Cells to count beams in; most are cut off when the map is trimmed to what is known."""
 # Cells that fewer beams met say little of themselves.
 MIN_MET = 3
 
@@ -90,7 +91,7 @@ def make_checked_grid(
     high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
     corner = np.floor(low / resolution)
     cols, rows = (np.ceil(high / resolution) - corner).astype(int)
-    if rows * cols > MAX_CELLS:
+    if rows * cols > MAX_COUNTED:
         raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
     hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     if motion is None and lidar.time_increment > 0.0:
@@ -193,7 +194,10 @@ def _beside(cells: NDArray[np.int8], row: int, col: int, what: int) -> bool:
 
 
 def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> OccupancyGrid:
-    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first."""
+    """The known part of cells (rows, cols) with a margin; `corner` is in cells, x first.
+
+    InputError when no program could work with a map of that size.
+    """
     known_rows = np.flatnonzero((cells != UNKNOWN).any(axis=1))
     known_cols = np.flatnonzero((cells != UNKNOWN).any(axis=0))
     if len(known_rows) == 0:
@@ -201,8 +205,12 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
     border = math.ceil(config.margin_m / config.resolution_m)
     r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
     c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
+    kept = cells[r0:r1, c0:c1].copy()
+    if kept.size > MAX_CELLS:
+        rows, cols = kept.shape
+        raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
     x, y = (corner + np.array([c0, r0])) * config.resolution_m
-    return OccupancyGrid(cells[r0:r1, c0:c1].copy(), config.resolution_m, SE2.from_xyt(x, y, 0.0))
+    return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
 
 
 @njit(cache=True)

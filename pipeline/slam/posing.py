@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
 from pipeline.slam.clouds import Clouds

@@ -11,11 +11,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
 from pipeline.slam.clouds import Clouds

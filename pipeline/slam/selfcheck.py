@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.kernels import njit
 from datasets.ply import write_ply
 from datasets.se2 import Array
 from pipeline.slam.open3d_loader import open3d

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import Array
-from pipeline.slam.occupancy import MAX_CELLS, OccupancyConfig, classify, trace, trimmed
+from pipeline.slam.occupancy import MAX_COUNTED, OccupancyConfig, classify, trace, trimmed
 
 
 class SliceConfig(BaseModel):
@@ -43,7 +43,7 @@ class SliceGrid:
         self._config, resolution = config, config.grid.resolution_m
         self._corner = np.floor((low - config.grid.margin_m) / resolution)
         extent = np.ceil((high + config.grid.margin_m) / resolution) - self._corner
-        if not np.prod(extent) <= MAX_CELLS:
+        if not np.prod(extent) <= MAX_COUNTED:
             cols, rows = extent.astype(int)
             raise InputError(
                 f"the map would have {rows} x {cols} cells; choose a larger slice.grid.resolution_m"

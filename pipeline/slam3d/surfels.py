@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from datasets import se3
+from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.slam3d.sweeps import deskewed
 

@@ -9,10 +9,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets import se3
+from datasets.kernels import njit
 from datasets.se2 import Array
 from datasets.types import Cloud, Recording3D
 

@@ -10,10 +10,10 @@ import math
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import RobotModel, Twist
 from planners.control.interface import Ramped, ramped

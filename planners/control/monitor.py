@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from pydantic import BaseModel, ConfigDict, Field
 
+from datasets.kernels import njit
 from datasets.se2 import Array
 from datasets.types import RobotModel, Twist
 from planners.footprint import Field32, footprint_clearance, sample_footprint

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from datasets.grid import FREE, OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 
 Mask = NDArray[np.bool_]

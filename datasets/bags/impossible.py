@@ -1,0 +1,94 @@
+"""The doctor's checks for what cannot be: clocks that stand, two sensors in one, millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
+from datasets.bags.survey import Survey
+from datasets.bags.units import ARM_M, driven_in_millimetres, far_away, ranges_in_millimetres, stands_still
+from datasets.se2 import Array
+from datasets.types import Stamps
+
+
+def still_clocks(found: Survey) -> list[Finding]:
+    """Topics and links whose stamps never change."""
+    clocks = {
+        name: topic.stamps for name, topic in found.topics.items() if topic.topic.msgtype not in TRANSFORMS
+    }
+    moving = {link: times for link, times in found.link_stamps.items() if link in found.frames.moving}
+    clocks |= {f"/tf: {parent} -> {child}": times for (parent, child), times in moving.items()}
+    breaks = "tf2 and message filters join nothing by it; here the times of recording are taken"
+    return [
+        Finding("error", "no time", f"{name}: all {len(stamps)} stamps are {stamps[0] * 1e-9:g} s", breaks)
+        for name, stamps in clocks.items()
+        if stands_still(stamps)
+    ]
+
+
+def mixed_frames(found: Survey) -> list[Finding]:
+    """Topics that carry the messages of several sensors or robots."""
+    findings = []
+    for topic in found.of_type(SCAN, ODOMETRY):
+        for frames in (topic.frames, topic.children):
+            if len(frames) > 1:
+                named = ", ".join(f"'{name}' ({count})" for name, count in frames.most_common())
+                what = f"{topic.topic.name}: messages of {len(frames)} frames: {named}"
+                breaks = (
+                    "two sensors or robots in one look like one that jumps; here the most frequent is used"
+                )
+                findings.append(Finding("error", "mixed frames", what, breaks))
+    return findings
+
+
+def places(found: Survey) -> list[Finding]:
+    """Transforms and poses beyond the Earth."""
+    findings = []
+    for parent, child in sorted(found.frames.far):
+        what = f"/tf or /tf_static: {parent} -> {child} is no place on Earth"
+        findings.append(Finding("error", "absurd places", what, "viewers break; here it is left out"))
+    for topic in found.of_type(ODOMETRY):
+        if count := sum(map(far_away, topic.places)):
+            what = f"{topic.topic.name}: {count} poses are no places on Earth"
+            findings.append(Finding("error", "absurd places", what, "here they are left out"))
+    return findings
+
+
+def units(found: Survey) -> list[Finding]:
+    """Readings, poses and places in millimetres."""
+    findings = []
+    for name, scans in found.scans.items():
+        (_, _, _, _, _, _, range_max), _ = scans.geometries.most_common(1)[0][0]
+        if ranges_in_millimetres(np.concatenate(scans.some), range_max):
+            what = f"{name}: the readings are longer than any lidar's"
+            breaks = "every reader takes them for metres; here they are taken for millimetres"
+            findings.append(Finding("error", "millimetres", what, breaks))
+    for name, stamps, places in _driven(found):
+        if driven_in_millimetres(stamps, places):
+            what = f"{name}: the robot would be faster than any"
+            breaks = "every reader takes the poses for metres; here they are taken for millimetres"
+            findings.append(Finding("error", "millimetres", what, breaks))
+    base = found.base()
+    for topic in found.of_type(SCAN):
+        for frame in topic.frames:
+            T = found.frames.lookup(base, frame)
+            if T is not None and (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:
+                what = f"{topic.topic.name}: its frame '{frame}' lies {arm:.4g} m from '{base}'"
+                breaks = "no robot is that large; mapping refuses it, --laser X,Y,YAW tells the place"
+                findings.append(Finding("error", "millimetres", what, breaks))
+    return findings
+
+
+def _driven(found: Survey) -> Iterator[tuple[str, Stamps, Array]]:
+    """Name, stamps (n,) and positions (n, 2) of whatever tells where the robot went."""
+    for topic in found.of_type(ODOMETRY):
+        stamps = topic.log_times if stands_still(topic.stamps) else topic.stamps
+        known = [k for k, place in enumerate(topic.places[: len(stamps)]) if not far_away(place)]
+        places = np.array(topic.places).reshape(-1, 2)[known]
+        yield topic.topic.name, np.array(stamps, dtype=np.int64)[known], places
+    for (parent, child), moving in found.frames.moving.items():
+        if "odom" in parent:
+            times = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
+            yield f"/tf: {parent} -> {child}", times, np.array([transform.xyz[:2] for transform in moving])
