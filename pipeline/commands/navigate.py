@@ -82,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     from pipeline.config import load_config
+    from pipeline.console import say
     from pipeline.navigate import navigate
     from pipeline.navigation.config import NavigateConfig
     from pipeline.navigation.setup import Request
@@ -112,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
         config=load_config(NavigateConfig, args.config, settings),
         force=args.force,
         command_line=args.command_line,
-        say=(lambda line: None) if args.verbosity < 0 else None,
+        say=(lambda line: None) if args.verbosity < 0 else say,
         files={} if args.config is None else {"config": args.config},
     )
 

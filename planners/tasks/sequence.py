@@ -72,6 +72,16 @@ class GoalSequence:
         return not self._active and self.index + 1 >= len(self._queue)
 
     @property
+    def total(self) -> int:
+        """How many goals there are, laps and second tries counted."""
+        return len(self._queue)
+
+    @property
+    def waypoint(self) -> Waypoint:
+        """The entry of the goal that was set last."""
+        return self._queue[self.index]
+
+    @property
     def goal(self) -> SE2 | None:
         """The goal pursued now; None while waiting."""
         return self._queue[self.index].T_map_goal if self._active else None
