@@ -162,12 +162,11 @@ def _takeovers(mission: Mission) -> Iterator[Source | None]:
     if mission.request.takeover != "keyboard":
         yield None
         return
-    from pipeline.keyboard import TakeoverKeys, clock, keys_of, show
+    from pipeline.keyboard import TakeoverKeys, clock, keys_of, redrawn, show
 
     show(TakeoverKeys.TABLE + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys:
-        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), show)
-    show("\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
+        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), redraw)
 
 
 def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:

@@ -90,6 +90,17 @@ def test_a_line_comes_when_a_goal_is_set_and_when_it_ends():
     ]
 
 
+def test_goals_that_end_together_share_a_line():
+    goals = [Waypoint(SE2.from_xyt(1.0, 0.0, 0.0), "", (1.0, 0.0, 0.0))] * 4
+    untold, cut = (GoalSequence(goals, SequenceConfig(initial_wait=0.0)) for _ in range(2))
+    (after,) = told(untold, (0.0, lambda now: untold.reject_all("no initial pose", now), 0.0, False))
+    assert after == ["opening", "goals 1 to 4 of 4: rejected: no initial pose"]
+    after = told(
+        cut, (0.0, cut.update, 0.0, False), (2.0, lambda now: cut.expire("the end", now), 0.0, False)
+    )
+    assert after[1] == ["goal 1 of 4: timeout after 2.0 s: the end", "goals 2 to 4 of 4: timeout: the end"]
+
+
 def test_a_bad_entry_keeps_what_was_written_and_names_the_key():
     assert parse_waypoint({"x": 1.5, "y": 0.5, "ywa": 0.0}).written[:2] == (1.5, 0.5)
     missing = parse_waypoint({"y": 0.5})

@@ -25,6 +25,7 @@ from datasets.types import Recording
 from pipeline.commands.arguments import add_output
 from pipeline.console import log
 from pipeline.play import Player, play
+from pipeline.terminal import terminal_size
 
 EXAMPLE = "turtlebag bag info data/record"
 
@@ -74,6 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 _Parser = argparse.ArgumentParser
+STATUS_ROWS = 3
+"""What is said below the drawing of a player takes two lines of a narrow terminal, and the cursor one."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -139,7 +142,8 @@ def _doctor(args: argparse.Namespace) -> int:
 
 
 def _play(args: argparse.Namespace) -> int:
-    player = Player(args.bag)
+    columns, rows = terminal_size()
+    player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
     _print_notes(player.recording.notes)
     if not sys.stdout.isatty():  # a log line each second instead of a moving picture
         play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / max(args.rate, 1e-9))

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """Drive by keys until Q or Ctrl-C."""
     from datasets.errors import InputError
     from datasets.outputs import check_free
-    from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, show
+    from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, redrawn, show
     from pipeline.record import RecordOptions, Scene, record_drive
 
     if not args.speed > 0.0:
@@ -47,16 +47,15 @@ def run(args: argparse.Namespace) -> int:
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
     check_free(args.out, force=args.force)
     state = KeyState(scene.robot.limits, args.style)
-    show(TABLES[args.style] + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys:
-        code = record_drive(
+    table = TABLES[args.style]
+    show(table + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(args.view) as redraw:
+        return record_drive(
             scene,
             keyboard_driver(state, read_keys, clock(args.speed)),
             f"keyboard:{args.style}",
             args.out,
-            watch=View(scene.robot, state, args.view, show),
+            watch=View(scene.robot, state, args.view, redraw, keys=table),
             force=args.force,
             command=args.command_line,
         )
-    show("\n")
-    return code

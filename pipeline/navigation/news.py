@@ -7,6 +7,7 @@ Where the robot takes a goal to be reached and the truth says otherwise, the wor
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import groupby
 from typing import Any
 
 from pipeline.console import Simulated, length
@@ -35,7 +36,8 @@ class News:
             self._opening = ""
         if owner.owner != self._owner:
             self._owner = owner.owner
-            self._tell(f"{stamp_ns * 1e-9:.1f} s: {owner.owner} has the commands now")
+            does = "takes over" if owner.owner == "teleop" else "hands back"
+            self._tell(f"{stamp_ns * 1e-9:.1f} s: teleop {does}")
         doing = owner.state.replace("_", " ")
         if sequence is not None:
             self._touched |= truth.contact_visible or truth.contact_low
@@ -44,10 +46,12 @@ class News:
         self._clock(stamp_ns, doing)
 
     def _goals(self, sequence: GoalSequence, truth: Truth) -> None:
-        for outcome in sequence.outcomes[self._told :]:
-            self._told += 1
-            ended = _ended(outcome, truth, self._touched)
-            self._tell(f"goal {outcome.index + 1} of {sequence.total}: {ended}")
+        ended = [(o.index + 1, _ended(o, truth, self._touched)) for o in sequence.outcomes[self._told :]]
+        self._told += len(ended)
+        for line, alike in groupby(ended, key=lambda item: item[1]):
+            numbers = [number for number, _ in alike]
+            which = f"goals {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"goal {numbers[0]}"
+            self._tell(f"{which} of {sequence.total}: {line}")
         if sequence.goal is not None and sequence.index != self._heading:
             self._heading, self._touched = sequence.index, False
             place = _place(sequence.waypoint)
@@ -60,10 +64,10 @@ def _place(waypoint: Waypoint) -> str:
 
 
 def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
-    status, after = outcome.status, f" after {outcome.time_s:.1f} s"
+    status, after = outcome.status, f" after {outcome.time_s:.1f} s" if outcome.time_s > 0.0 else ""
     if status != "reached" or outcome.waypoint.T_map_goal is None:
         status = "collided" if touched and status in ("timeout", "unreachable") else status
-        return f"{status}{'' if status == 'rejected' else after}: {outcome.reason}"
+        return f"{status}{after}: {outcome.reason}"
     error, _ = pose_error(truth.T_world_base, outcome.waypoint.T_map_goal)
     if error > THERE_M:
         return f"believed reached{after}, but the robot is {length(error)} away from it"
