@@ -46,12 +46,25 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)")
+        where = self.prog.removeprefix("turtlebag").strip()
+        said = " ".join(message.split())
+        raise InputError(f"{where}{': ' if where else ''}{said} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Prints the version; looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"turtlebag {version('turtlebag')}")
+        parser.exit()
 
 
 def build_parser(verb: str | None) -> argparse.ArgumentParser:
     """The parser; only `verb`'s own arguments are loaded."""
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, (module, summary) in VERBS.items():
         if name != verb:

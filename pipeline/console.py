@@ -109,6 +109,20 @@ def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
         yield tell
 
 
+@contextmanager
+def drawing() -> Iterator[Callable[[str], None]]:
+    """A bar of figures, told the title of each before it is drawn; silent as the others."""
+    if not _shown():
+        yield lambda title: None
+        return
+    from rich.progress import BarColumn, TextColumn
+
+    columns = (TextColumn("figure {task.completed:.0f}"), BarColumn(), TextColumn("{task.description}"))
+    with _bar(*columns) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda title: bar.update(task, advance=1, description=title)
+
+
 def _shown() -> bool:
     return not quiet() and sys.stderr.isatty() and not _above
 

@@ -24,6 +24,12 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def map_file(text: str) -> Path:
+    """A map's YAML file; of a folder that `map` wrote, the one in it."""
+    path = Path(text)
+    return path / "map.yaml" if path.is_dir() else path
+
+
 def seed(text: str) -> int:
     """A seed: a non-negative integer."""
     value = int(text)

@@ -7,25 +7,16 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
-
-from datasets.bags import convert
-from datasets.bags.doctor import examine
-from datasets.bags.reader import BagInfo, bag_info
-from datasets.bags.recover import recover
-from datasets.bags.source import is_bag
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, staged_file, staged_output, write_manifest
-from datasets.recordings import load_recording
-from datasets.types import Recording
 from pipeline.commands.arguments import add_output
 from pipeline.console import log
-from pipeline.play import Player, play
-from pipeline.terminal import terminal_size
+
+if TYPE_CHECKING:
+    from datasets.bags.reader import BagInfo
+    from datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
 
@@ -85,7 +76,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
+    from datasets.bags.reader import bag_info
+
     if _is_log(args.bag):
+        from datasets.recordings import load_recording
+
         _print_log(load_recording(args.bag))
     else:
         _print_info(bag_info(args.bag))
@@ -103,6 +98,9 @@ def _print_log(log_read: Recording) -> None:
 
 
 def _print_info(info: BagInfo) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     console = Console(width=120, highlight=False)
     console.print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
     console.print(
@@ -132,6 +130,8 @@ def _print_notes(notes: list[str] | tuple[str, ...]) -> None:
 
 
 def _doctor(args: argparse.Namespace) -> int:
+    from datasets.bags.doctor import examine
+
     findings = examine(args.bag)
     for finding in findings:
         print(f"{finding.severity}: {finding.check}: {finding.what}")
@@ -142,6 +142,13 @@ def _doctor(args: argparse.Namespace) -> int:
 
 
 def _play(args: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    from pipeline.play import Player, play
+    from pipeline.terminal import terminal_size
+
     columns, rows = terminal_size()
     player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
     _print_notes(player.recording.notes)
@@ -159,6 +166,8 @@ def _play(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
+    from datasets.bags.recover import recover
+
     watch = Stopwatch()
     # Not OUT.partial: that is where the unfinished recording lies that is to be saved.
     with staged_output(args.out, force=args.force, suffix=".recovering") as folder:
@@ -171,6 +180,8 @@ def _recover(args: argparse.Namespace) -> int:
 
 
 def _convert(args: argparse.Namespace) -> int:
+    from datasets.bags import convert
+
     watch = Stopwatch()
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
@@ -193,6 +204,9 @@ def _convert(args: argparse.Namespace) -> int:
 
 
 def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
+    from datasets.bags import convert
+    from datasets.recordings import load_recording
+
     if args.storage == "sqlite3":
         return convert.to_sqlite3(_a_bag(args.bag), folder, exclude=args.exclude)
     if _is_log(args.bag):
@@ -201,6 +215,8 @@ def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
 
 
 def _is_log(path: Path) -> bool:
+    from datasets.bags.source import is_bag
+
     names = path.name.lower().split(".")
     return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(names[1:]))
 

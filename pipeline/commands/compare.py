@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.compare import compare_outputs, write_comparison
-
 EXAMPLE = "turtlebag compare data/maps/a data/maps/b --out data/comparison"
 
 
@@ -20,6 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; the page's path last when one was asked for."""
+    from pipeline.compare import compare_outputs, write_comparison
+
     if args.out is None:
         found = compare_outputs(args.a, args.b)
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
@@ -15,7 +15,13 @@ EXAMPLE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("bag", type=Path, metavar="BAG", help="a record's folder, a bag or a CARMEN log")
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP.yaml", help="map to localise on")
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        required=True,
+        metavar="MAP",
+        help="map to localise on: its YAML file, or a folder that map wrote",
+    )
     parser.add_argument(
         "--initial-pose", metavar="X,Y,YAW|global", help="where the robot starts on the map, or search for it"
     )

@@ -40,6 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scans to map: a LaserScan topic in 2D, a PointCloud2 topic in 3D "
         "(default: /scan or the only LaserScan; without one, the point clouds)",
     )
+    parser.add_argument(
+        "--name", metavar="NAME", help="save the map as NAME.pgm and NAME.yaml too (map_house, say)"
+    )
     add_config(parser)
     parser.add_argument("--no-cache", action="store_true", help="do every step, whatever was done before")
     parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
@@ -61,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
         also=args.also,
         continued=args.continued,
         topic=args.topic,
+        named=args.name,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

@@ -10,7 +10,7 @@ from typing import Literal
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import read_mapping
-from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -43,7 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", help="robot name or file (default: the world's)")
     parser.add_argument("--task", required=True, choices=TASKS)
     parser.add_argument("--seed", type=seed, default=0, metavar="N")
-    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map to navigate on")
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        metavar="MAP",
+        help="map to navigate on: its YAML file, or a folder that map wrote",
+    )
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     parser.add_argument(
         "--initial-pose",

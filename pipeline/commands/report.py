@@ -7,7 +7,6 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from pipeline.commands.arguments import add_output
-from pipeline.report import make_index, make_report
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
@@ -31,6 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
+    from pipeline.report import make_index, make_report
+
     if args.index:
         for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
             if given:

@@ -6,8 +6,6 @@ import argparse
 from pathlib import Path
 
 from datasets.errors import InputError
-from pipeline.campaign.table import query
-from pipeline.sweep import TABLE, sweep
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -35,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("sweep: --out DIR is needed")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: at least one is needed")
+    from pipeline.sweep import sweep
+
     code = sweep(
         args.campaign,
         args.out,
@@ -48,6 +48,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(folder: Path, sql: str) -> int:
+    from pipeline.campaign.table import query
+    from pipeline.sweep import TABLE
+
     if not (folder / TABLE).is_file():
         raise InputError(f"{folder}: has no {TABLE}, so it is no finished sweep")
     names, rows = query(folder / TABLE, sql)

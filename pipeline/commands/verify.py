@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from datasets.errors import InputError
-from pipeline.verify import verify
 
 EXAMPLE = "turtlebag verify data/report"
 
@@ -24,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what differs; exit 1 when anything does."""
+    from pipeline.verify import verify
+
     found = verify(args.report, run_again=not args.quick)
     if args.only is not None:
         matching = [check for check in found.checks if check.key == args.only]

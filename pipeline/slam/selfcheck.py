@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
@@ -129,7 +129,7 @@ def check_map(
 
 
 def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
-    pairs = cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return np.asarray(pairs[:: max(1, len(pairs) // 4000)], dtype=np.int64)
