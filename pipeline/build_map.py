@@ -19,7 +19,7 @@ from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
-from pipeline.console import log, track
+from pipeline.console import log, log_notes, track
 from pipeline.map_lines import tell_map
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
@@ -88,11 +88,10 @@ def build_map(
             source, topic, out, references, config, settings, named, explain, force, command, watch
         )
     resolved = settled()
-    notes = [note for one in recordings for note in one.notes]
+    notes = [note for one in recordings for note in _notes(one, several=bool(also))]
     if continued is not None and earlier is not None:
         notes += require_same_front_end(continued, earlier[1], resolved)
-    for note in notes:
-        log.warning(note)
+    log_notes(notes)
     if earlier is not None:
         result = continue_slam(earlier[0], recordings, resolved, _progress, cache=cache)
     else:
@@ -140,6 +139,11 @@ def _require_name(named: str | None) -> None:
             f"--name {named}: give letters, digits, - and _, without folder or ending, and none of "
             f"{', '.join(TAKEN)}"
         )
+
+
+def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
+    """A recording's notes; among several, each says which it is of."""
+    return (f"{recording.source}: {note}" if several else note for note in recording.notes)
 
 
 def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:

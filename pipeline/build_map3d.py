@@ -16,7 +16,7 @@ from datasets.se2 import Array
 from datasets.trajectories import save_tum_3d
 from pipeline.build_map import References, summary
 from pipeline.config import config_text, load_config
-from pipeline.console import log, track
+from pipeline.console import log_notes, track
 from pipeline.map_lines import tell_map
 from pipeline.slam3d.cloud_map import save_ply
 from pipeline.slam3d.graph import residuals, write_g2o
@@ -45,8 +45,7 @@ def build_map_3d(
     resolved = load_config(Slam3dConfig, config, settings)
     recording = load_clouds(source, topic)
     result = run_slam_3d(recording, resolved, _progress)
-    for note in (*recording.notes, *result.setting.notes):
-        log.warning(note)
+    log_notes((*recording.notes, *result.setting.notes))
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
         for name in ("map", *([] if named is None else [named])):

@@ -16,6 +16,7 @@ from typing import NoReturn
 
 from datasets.errors import InputError
 from datasets.outputs import discard_unfinished
+from pipeline.commands.arguments import epilog
 from pipeline.console import set_verbosity
 from pipeline.missing import missing_package
 
@@ -30,12 +31,12 @@ VERBS: dict[str, tuple[str, str]] = {
     "plan": ("plan", "plan a path over a map"),
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),
-    "sweep": ("sweep", "run a campaign of many cases, resumable, on all cores"),
-    "blame": ("blame", "map a recording with one part replaced by the truth: for the study"),
-    "verify": ("verify", "compute a report's numbers again from the bags"),
-    "bag": ("bag", "look at bags, play, repair and convert them"),
+    "sweep": ("sweep", "run a campaign of many cases on all cores; can be resumed"),
+    "blame": ("blame", "map a recording with parts of the work replaced by the truth"),
+    "verify": ("verify", "recompute a report's numbers from the bags"),
+    "bag": ("bag", "inspect, play, repair and convert bags"),
     "data": ("data", "list and fetch public logs"),
-    "world": ("world", "list the worlds, or draw one"),
+    "world": ("world", "list the built-in worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
 }
 
@@ -75,11 +76,14 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            epilog=f"example: {command.EXAMPLE}",
+            **epilog(command.EXAMPLE),
         )
         noise = sub.add_mutually_exclusive_group()
-        noise.add_argument("-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0)
-        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity")
+        quiet, verbose = ("show results and errors only", "show more")
+        noise.add_argument(
+            "-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0, help=quiet
+        )
+        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity", help=verbose)
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
     return parser

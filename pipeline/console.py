@@ -57,6 +57,12 @@ def quiet() -> bool:
     return log.level >= logging.ERROR
 
 
+def log_notes(notes: Iterable[str]) -> None:
+    """What was repaired or left out on reading, each note once."""
+    for note in dict.fromkeys(notes):
+        log.warning(f"note: {note}")
+
+
 def say(line: str) -> None:
     """A line of the result, on stdout as it comes; above the bar when both share a terminal."""
     if not (sys.stdout.isatty() and _written_above(line)):
@@ -142,3 +148,8 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
 def length(metres: float) -> str:
     """A distance for people."""
     return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def number_of(count: int, what: str) -> str:
+    """`1 error`, `2 errors`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -21,7 +21,7 @@ from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording, Trajectory, seconds
 from datasets.yaml_files import read_mapping
 from pipeline.config import config_text, load_config
-from pipeline.console import length, log, track
+from pipeline.console import length, log, log_notes, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from pipeline.localisation.parameters import AmclConfig
@@ -79,6 +79,7 @@ def localise(
     grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
+    log_notes(recording.notes)
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
     else:

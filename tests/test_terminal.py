@@ -47,7 +47,7 @@ def test_the_help_of_a_verb_has_an_example(capsys, verb):
     with pytest.raises(SystemExit) as ended:
         main([verb, "--help"])
     assert ended.value.code == 0
-    assert "example: turtlebag " + verb in capsys.readouterr().out
+    assert "example:\n  turtlebag " + verb in capsys.readouterr().out
 
 
 def test_a_message_during_a_bar_has_its_own_line_above_it(normal):

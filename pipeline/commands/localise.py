@@ -14,7 +14,7 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a record's folder, a bag or a CARMEN log")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag or CARMEN log")
     parser.add_argument(
         "--map",
         type=map_file,
@@ -23,13 +23,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="map to localise on: its YAML file, or a folder that map wrote",
     )
     parser.add_argument(
-        "--initial-pose", metavar="X,Y,YAW|global", help="where the robot starts on the map, or search for it"
+        "--initial-pose",
+        metavar="X,Y,YAW|global",
+        help="where on the map the robot starts; global: search the whole map",
     )
     parser.add_argument(
-        "--laser", metavar="X,Y,YAW", help="the laser's place on the robot, where the recording does not say"
+        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot; overrides what BAG says"
     )
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
-    parser.add_argument("--seed", type=seed, default=1, help="seed of the particles (default 1)")
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=1,
+        metavar="N",
+        help="seed of the particles (default: 1)",
+    )
     add_config(parser)
     add_output(parser)
 

@@ -23,9 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MAP",
         help="map to plan on: its YAML file, or a folder that map wrote",
     )
-    parser.add_argument("--robot", default="burger", help="robot name or file (default: burger)")
-    parser.add_argument("--start", required=True, metavar="X,Y,YAW")
-    parser.add_argument("--goal", required=True, metavar="X,Y,YAW")
+    parser.add_argument(
+        "--robot",
+        default="burger",
+        metavar="R",
+        help="robot: a name or a YAML file (default: burger)",
+    )
+    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="from here: metres and radians")
+    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="to here")
     names = get_args(PlannerName)
     parser.add_argument(
         "--planner",
@@ -33,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help=f"planner of OMPL: {', '.join(names)} (default: {names[0]})",
     )
-    parser.add_argument("--compare", action="store_true", help="ask every planner, for a comparison")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N")
+    parser.add_argument("--compare", action="store_true", help="run every planner, to compare them")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the planners (default: 0)")
     add_config(parser)
     add_output(parser)
 

@@ -20,11 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="outputs of record, map, localise, plan and navigate",
     )
-    parser.add_argument("--paper", action="store_true", help="each figure as PDF and SVG too")
+    parser.add_argument("--paper", action="store_true", help="also save each figure as PDF and SVG")
     parser.add_argument(
-        "--index", action="store_true", help="a sortable table of all outputs below DIR instead of a report"
+        "--index",
+        action="store_true",
+        help="make a sortable table of all outputs below DIR instead of a report",
     )
-    parser.add_argument("--no-animation", action="store_true", help="leave out the moving pictures: smaller")
+    parser.add_argument(
+        "--no-animation",
+        action="store_true",
+        help="leave out the animations, for a smaller page",
+    )
     add_output(parser)
 
 

@@ -12,13 +12,15 @@ EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag sweep`."""
-    parser.add_argument("campaign", metavar="FILE", help="campaign file or the name of a shipped study")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write the results to")
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler (tcp://...)")
-    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
     parser.add_argument(
-        "--query", metavar="SQL", help="ask the table `runs` of a finished sweep: FILE is its folder"
+        "--query",
+        metavar="SQL",
+        help="run a query on the table `runs` of a finished sweep; FILE is its folder then",
     )
 
 

@@ -13,12 +13,12 @@ EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/m
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a file")
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
     )
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
@@ -26,9 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--style",
         choices=("keys", "turtlebot3"),
         default="keys",
-        help="keys: W A S D; turtlebot3: its own node's",
+        help="keys: W A S D (default); turtlebot3: the keys of its own teleop node",
     )
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="pace, in multiples of real time (default: 1)",
+    )
     add_config(parser)
     add_output(parser)
 

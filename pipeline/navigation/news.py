@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import groupby
 from typing import Any
 
-from pipeline.console import Simulated, length
+from pipeline.console import Simulated, length, number_of
 from pipeline.navigation.takeover import CommandOwner
 from planners.tasks.sequence import GoalOutcome, GoalSequence
 from planners.tasks.waypoints import Waypoint
@@ -93,7 +93,5 @@ def verdict(metrics: dict[str, Any]) -> str:
 def _collisions(visible: int, low: int) -> str:
     if not visible and not low:
         return "no collisions"
-    total = visible + low
-    return (
-        f"{total} collision{'s' * (total > 1)} ({visible} with what the lidar sees, {low} with lower things)"
-    )
+    where = f"{visible} with what the lidar sees, {low} with what it cannot see"
+    return f"{number_of(visible + low, 'collision')} ({where})"

@@ -94,7 +94,7 @@ class GoalSequence:
         if self._resume_ns is None:
             self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
         if self._active and now_ns - self._started_ns - self._postponed_ns >= self.config.timeout * 1e9:
-            late = f"not there within {self.config.timeout:g} s"
+            late = f"not reached within {self.config.timeout:g} s"
             self.close("timeout", f"{late}: {trouble}" if trouble else late, now_ns)
         while (
             not self._active
