@@ -30,7 +30,7 @@ from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics
 
-TAKEN = ("map", "config", "graph", "metrics", "manifest", "trajectory")
+TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
 """Names of our own files in the folder of a map."""
 
 if TYPE_CHECKING:

@@ -79,12 +79,15 @@ def localise(
     grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
-    log_notes(recording.notes)
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
     else:
         result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"))
-        outcome = _metrics(result, true_trajectory)
+        try:
+            outcome = _metrics(result, true_trajectory)
+        except ValueError as error:
+            raise InputError(f"--truth {truth}: {error}") from None
+    log_notes(recording.notes)
     metrics = {"scans": len(recording), "log_s": recording.duration(), **outcome}
     with staged_output(out, force=force) as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
