@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,8 @@ from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
-from pipeline.console import log, track
+from pipeline.console import log, log_notes, track
+from pipeline.map_lines import tell_map
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
@@ -29,6 +31,9 @@ from pipeline.slam.stored import load_session, require_same_front_end, save_sess
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics
+
+TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
+"""Names of our own files in the folder of a map."""
 
 if TYPE_CHECKING:
     from pipeline.slam3d.slam3d import Slam3dResult
@@ -46,6 +51,7 @@ def build_map(
     also: Sequence[Path] = (),
     continued: Path | None = None,
     topic: str | None = None,
+    named: str | None = None,
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
@@ -58,11 +64,13 @@ def build_map(
 
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
-    of an earlier map, whose graph `source` and they join without it being made again. `laser` overrides
+    of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
+    which the map is saved too, as `map_saver -f` would. `laser` overrides
     where the input says the laser sits on the robot. InputError when anything given cannot be used,
     before anything is written. With `cache` only the steps are done whose inputs it does not know.
     """
     check_free(out, force=force, kind="folder")
+    _require_name(named)
     settled = _settings(config, settings)
     references = References(truth, relations)
     watch = Stopwatch()
@@ -78,13 +86,14 @@ def build_map(
         planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
         for option in (option for option, given in planar.items() if given):
             raise InputError(f"{option}: only for planar scans, and {source} is mapped in 3D") from None
-        return build_map_3d(source, topic, out, references, config, settings, explain, force, command, watch)
+        return build_map_3d(
+            source, topic, out, references, config, settings, named, explain, force, command, watch
+        )
     resolved = settled()
-    notes = [note for one in recordings for note in one.notes]
+    notes = [note for one in recordings for note in _notes(one, several=bool(also))]
     if continued is not None and earlier is not None:
         notes += require_same_front_end(continued, earlier[1], resolved)
-    for note in notes:
-        log.warning(note)
+    log_notes(notes)
     if earlier is not None:
         result = continue_slam(earlier[0], recordings, resolved, _progress, cache=cache)
     else:
@@ -92,14 +101,13 @@ def build_map(
     cache.trim()
     recording = result.session.recording
     slam_s = watch.seconds()
+    metrics = {**summary(recording, result), **references.metrics(result.trajectory, result.grid)}
     with staged_output(out, force=force) as folder:
-        save_map(result.grid, folder)
+        for name in ("map", *([] if named is None else [named])):
+            save_map(result.grid, folder, name)
         save_tum(result.trajectory, folder / "trajectory.tum")
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
-        write_json(
-            folder / "metrics.json",
-            {**summary(recording, result), **references.metrics(result.trajectory, result.grid)},
-        )
+        write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
         save_session(folder / GRAPH, result.session, resolved)
@@ -120,12 +128,24 @@ def build_map(
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
             | ({"from_cache": cache.found} if cache.found else {}),
         )
-    for reason in result.check.reasons:
-        log.warning(f"doubtful map: {reason}")
     if cache.found:
-        log.info(f"from the cache: {', '.join(cache.found)}; made: {', '.join(cache.made) or 'nothing'}")
-    log.info(f"{out}: {len(recording)} scans, {len(result.keys)} key scans, {slam_s:.1f} s")
+        log.info(f"from the cache: {', '.join(cache.found)}; made anew: {', '.join(cache.made) or 'nothing'}")
+    tell_map(metrics, out, slam_s)
     return 0
+
+
+def _require_name(named: str | None) -> None:
+    """InputError when a map cannot be saved by this name beside our own files."""
+    if named is not None and (not re.fullmatch(r"[\w][\w.-]*", named) or named in TAKEN):
+        raise InputError(
+            f"--name {named}: give letters, digits, - and _, without folder or ending, and none of "
+            f"{', '.join(TAKEN)}"
+        )
+
+
+def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
+    """A recording's notes; among several, each says which it is of."""
+    return (f"{recording.source}: {note}" if several else note for note in recording.notes)
 
 
 def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:

@@ -16,7 +16,8 @@ from datasets.se2 import Array
 from datasets.trajectories import save_tum_3d
 from pipeline.build_map import References, summary
 from pipeline.config import config_text, load_config
-from pipeline.console import log, track
+from pipeline.console import log_notes, track
+from pipeline.map_lines import tell_map
 from pipeline.slam3d.cloud_map import save_ply
 from pipeline.slam3d.graph import residuals, write_g2o
 from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
@@ -31,6 +32,7 @@ def build_map_3d(
     references: References,
     config: Path | None,
     settings: Sequence[str],
+    named: str | None,
     explain: bool,
     force: bool,
     command: Sequence[str],
@@ -43,19 +45,20 @@ def build_map_3d(
     resolved = load_config(Slam3dConfig, config, settings)
     recording = load_clouds(source, topic)
     result = run_slam_3d(recording, resolved, _progress)
-    for note in (*recording.notes, *result.setting.notes):
-        log.warning(note)
+    log_notes((*recording.notes, *result.setting.notes))
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
-        save_map(result.grid, folder)
+        for name in ("map", *([] if named is None else [named])):
+            save_map(result.grid, folder, name)
         save_ply(folder / "map.ply", result.points)
         save_tum_3d(recording.stamps_ns, result.T_map_base, folder / "trajectory.tum")
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
-        metrics = references.metrics(result.trajectory, result.grid)
-        if "ate_m" in metrics:
-            metrics["out_of_plane"] = _out_of_plane(result.T_map_base)
+        errors = references.metrics(result.trajectory, result.grid)
+        if "ate_m" in errors:
+            errors["out_of_plane"] = _out_of_plane(result.T_map_base)
         cloud = {"points": len(result.points), "voxel_m": result.setting.voxel}
-        write_json(folder / "metrics.json", {**summary(recording, result), "cloud": cloud, **metrics})
+        metrics = {**summary(recording, result), "cloud": cloud, **errors}
+        write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(resolved))
         write_json(folder / "graph.json", loop_record(result))
         if explain:
@@ -69,9 +72,7 @@ def build_map_3d(
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
         )
-    for reason in result.check.reasons:
-        log.warning(f"doubtful map: {reason}")
-    log.info(f"{out}: {len(recording)} clouds, {len(result.keys)} keys, {slam_s:.1f} s")
+    tell_map(metrics, out, slam_s)
     return 0
 
 

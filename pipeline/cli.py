@@ -17,7 +17,7 @@ from typing import NoReturn
 from datasets.claims import claimed, release_all
 from datasets.errors import InputError
 from datasets.files import signatures
-from pipeline.commands.arguments import named_inputs
+from pipeline.commands.arguments import epilog, named_inputs
 from pipeline.console import Words, guarded_streams, set_verbosity
 from pipeline.missing import missing_package
 
@@ -32,12 +32,12 @@ VERBS: dict[str, tuple[str, str]] = {
     "plan": ("plan", "plan a path over a map"),
     "report": ("report", "make a page of stage outputs"),
     "compare": ("compare", "show what differs between two outputs of one stage"),
-    "sweep": ("sweep", "run a campaign of many cases, resumable, on all cores"),
-    "blame": ("blame", "map a recording with one part replaced by the truth: for the study"),
-    "verify": ("verify", "compute a report's numbers again from the bags"),
-    "bag": ("bag", "look at bags, play, repair and convert them"),
+    "sweep": ("sweep", "run a campaign of many cases on all cores; can be resumed"),
+    "blame": ("blame", "map a recording with parts of the work replaced by the truth"),
+    "verify": ("verify", "recompute a report's numbers from the bags"),
+    "bag": ("bag", "inspect, play, repair and convert bags"),
     "data": ("data", "list and fetch public logs"),
-    "world": ("world", "list the worlds, or draw one"),
+    "world": ("world", "list the built-in worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
 }
 
@@ -48,12 +48,25 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        raise InputError(f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)")
+        where = self.prog.removeprefix("turtlebag").strip()
+        said = " ".join(message.split())
+        raise InputError(f"{where}{': ' if where else ''}{said} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Prints the version; looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"turtlebag {version('turtlebag')}")
+        parser.exit()
 
 
 def build_parser(verb: str | None) -> argparse.ArgumentParser:
     """The parser; only `verb`'s own arguments are loaded."""
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, (module, summary) in VERBS.items():
         if name != verb:
@@ -64,11 +77,14 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            epilog=f"example: {command.EXAMPLE}",
+            **epilog(command.EXAMPLE),
         )
         noise = sub.add_mutually_exclusive_group()
-        noise.add_argument("-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0)
-        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity")
+        quiet, verbose = ("show results and errors only", "show more")
+        noise.add_argument(
+            "-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0, help=quiet
+        )
+        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity", help=verbose)
         command.add_arguments(sub)
         sub.set_defaults(run=command.run, inputs=getattr(command, "inputs", named_inputs))
     return parser

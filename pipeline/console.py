@@ -7,20 +7,51 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
 
 from datasets.errors import InputError
 
 Item = TypeVar("Item")
 log = logging.getLogger("turtlebag")
+_above: list[Callable[[str], None]] = []
+"""Writes a line above the bar or status line that is on the terminal now, if any."""
+
+
+class _LineHandler(logging.Handler):
+    """Messages on stderr, above the bar where there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one message as one line."""
+        try:
+            if not _written_above(record.getMessage()):
+                print(record.getMessage(), file=sys.stderr, flush=True)
+        except Exception:
+            self.handleError(record)
+
+
+def _written_above(line: str) -> bool:
+    """Whether there is a bar or status line, and the line was written above it."""
+    for write in _above[-1:]:
+        write(line)
+    return bool(_above)
+
+
+@contextmanager
+def lines_by(write: Callable[[str], None]) -> Iterator[None]:
+    """Something is redrawn on the terminal meanwhile; `write` puts a line above it."""
+    _above.append(write)
+    try:
+        yield
+    finally:
+        _above.remove(write)
 
 
 def set_verbosity(level: int) -> None:
     """-1 quiet, 0 normal, 1 verbose."""
-    logging.basicConfig(stream=sys.stderr, format="%(message)s", force=True)
+    logging.basicConfig(handlers=[_LineHandler()], force=True)
     # Where there is no home it warns, twice, of the temporary folder that it finds by itself.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     log.setLevel({-1: logging.ERROR, 0: logging.INFO}.get(level, logging.DEBUG))
@@ -31,14 +62,102 @@ def quiet() -> bool:
     return log.level >= logging.ERROR
 
 
+def log_notes(notes: Iterable[str]) -> None:
+    """What was repaired or left out on reading, each note once."""
+    for note in dict.fromkeys(notes):
+        log.warning(f"note: {note}")
+
+
+def say(line: str) -> None:
+    """A line of the result, on stdout as it comes; above the bar when both share a terminal."""
+    if not (sys.stdout.isatty() and _written_above(line)):
+        print(line, flush=True)
+
+
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
     """Yield the items behind a progress bar; silent when stderr is not a terminal or -q was given."""
-    if quiet() or not sys.stderr.isatty():
+    if not _shown():
         yield from items
         return
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        yield from progress.track(items, total=total, description=description)
+    with _bar(*columns) as bar:
+        yield from bar.track(items, total=total, description=description)
+
+
+Simulated = Callable[[int, str], None]
+"""Told the stamp [ns] that the simulation has come to, and in a word or two what goes on."""
+
+
+@contextmanager
+def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
+    """A bar of simulated time, with its pace; silent when stderr is not a terminal or -q was given.
+
+    Without `total_s`, the end is not known: the bar then only shows that something moves.
+    """
+    if not _shown():
+        yield lambda stamp_ns, doing: None
+        return
+    from rich.progress import BarColumn, TextColumn
+
+    clock = "{task.completed:.0f} s" + ("" if total_s is None else " of {task.total:.0f} s")
+    columns = (
+        TextColumn(f"{clock} simulated"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[pace]}"),
+        TextColumn("{task.description}"),
+    )
+    with _bar(*columns) as bar:
+        task = bar.add_task("", total=total_s, pace="")
+
+        def tell(stamp_ns: int, doing: str) -> None:
+            seconds = stamp_ns * 1e-9
+            elapsed = bar.tasks[0].elapsed or 0.0
+            pace = f"{seconds / elapsed:.0f} x real time" if elapsed > 1.0 else ""
+            bar.update(task, completed=seconds, description=doing, pace=pace)
+
+        yield tell
+
+
+@contextmanager
+def drawing() -> Iterator[Callable[[str], None]]:
+    """A bar of figures, told the title of each before it is drawn; silent as the others."""
+    if not _shown():
+        yield lambda title: None
+        return
+    from rich.progress import BarColumn, TextColumn
+
+    columns = (TextColumn("figure {task.completed:.0f}"), BarColumn(), TextColumn("{task.description}"))
+    with _bar(*columns) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda title: bar.update(task, advance=1, description=title)
+
+
+def _shown() -> bool:
+    return not quiet() and sys.stderr.isatty() and not _above
+
+
+@contextmanager
+def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
+    """One bar on stderr, gone when done. What is printed is not redirected: stdout may be a file."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
+    with bar, lines_by(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)):
+        yield bar
+
+
+def length(metres: float) -> str:
+    """A distance for people."""
+    return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def number_of(count: int, what: str) -> str:
+    """`1 error`, `2 errors`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 class Words:

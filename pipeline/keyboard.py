@@ -9,15 +9,15 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Literal
 
 import numpy as np
 
 from datasets.se2 import Array
 from datasets.types import Observation, Twist
-from pipeline.console import quiet
-from pipeline.terminal import Canvas
+from pipeline.console import lines_by, quiet
+from pipeline.terminal import Canvas, fitted, in_place, terminal_size
 from sim.robots import Limits, RobotSpec
 from sim.simulator import CONTROL_HZ, Truth
 
@@ -32,13 +32,13 @@ Style = Literal["keys", "turtlebot3"]
 
 TABLES: dict[Style, str] = {
     "keys": (
-        "  W forward +0.01 m/s    A left  +0.1 rad/s    X or space  stop\n"
-        "  S back    -0.01 m/s    D right -0.1 rad/s    Q           end the recording"
+        "  W forward, S back    0.01 m/s   X or space  stop\n"
+        "  A left,    D right   0.1 rad/s  Q           end the recording"
     ),
     "turtlebot3": (
         "  w / x  linear  +/- 0.01 m/s     space or s  stop at once\n"
         "  a / d  angular +/- 0.1 rad/s    q           end the recording\n"
-        "  (the speed follows its target by half a step ten times a second)"
+        "  (the speed follows by half a step, ten times a second)"
     ),
 }
 
@@ -136,19 +136,31 @@ class TakeoverKeys:
         wanted = None if self._keys is None else self._keys.command
         if self._step % VIEW_EVERY == 0:
             whose = "navigation" if wanted is None else f"teleop {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s"
-            self._write(f"\r{stamp_ns * 1e-9:7.1f} s   cmd_vel: {whose}\x1b[K")
+            self._write(f"\r{stamp_ns * 1e-9:7.1f} s  cmd_vel: {whose}\x1b[K")
         self._step += 1
         return wanted
 
 
 class View:
-    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone."""
+    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone.
+
+    `size` tells the columns and rows of the terminal, which a frame with a drawing fills: the drawing, `keys`
+    (what they do) and the speeds.
+    """
 
     def __init__(
-        self, robot: RobotSpec, state: KeyState, drawing: bool, write: Callable[[str], None]
+        self,
+        robot: RobotSpec,
+        state: KeyState,
+        drawing: bool,
+        write: Callable[[str], None],
+        *,
+        keys: str = "",
+        size: Callable[[], tuple[int, int]] = terminal_size,
     ) -> None:
         self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
         self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
+        self._keys, self._size, self._drawn = keys.splitlines(), size, (0, 0)
         self._height = 2.0 * min(robot.lidar.range_max, 5.0)
         self._count = 0
 
@@ -167,16 +179,23 @@ class View:
         """The text of one frame."""
         wanted, odometry = self._state.command, observation.odometry
         x, y, yaw = odometry.T_odom_base.xyt.tolist()
-        line = (
-            f"{observation.stamp_ns * 1e-9:7.1f} s   command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s   "
-            f"odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s   at {x:+.2f}, {y:+.2f}"
+        columns, rows = size = self._size()
+        line = fitted(
+            (
+                f"{observation.stamp_ns * 1e-9:7.1f} s",
+                f"command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s",
+                f"at {x:+.2f}, {y:+.2f}",
+                f"odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s",
+            ),
+            columns - 1,
         )
         if not self._drawing:
             return "\r" + line + "\x1b[K"
-        canvas = Canvas(78, 22, (x, y), self._height)
+        canvas = Canvas(max(columns - 1, 1), max(rows - len(self._keys) - 1, 1), (x, y), self._height)
         canvas.dots(self.map_points)
         canvas.robot(x, y, yaw)
-        return "\x1b[H\x1b[2J" + canvas.text() + "\n" + line + "\n"
+        anew, self._drawn = size != self._drawn, size
+        return in_place([*canvas.text().split("\n"), *self._keys, line], size, anew=anew)
 
     @property
     def map_points(self) -> Array:
@@ -217,6 +236,27 @@ def clock(speed: float) -> Callable[[int], None]:
             time.sleep(left)
 
     return wait
+
+
+@contextmanager
+def redrawn(drawing: bool = False) -> Iterator[Callable[[str], None]]:
+    """Writes the frames of a status line or drawing to the terminal; nothing to a file or with -q.
+
+    Lines of others go above the status line or below the drawing; afterwards a new line begins.
+    """
+
+    def redraw(frame: str) -> None:
+        if sys.stderr.isatty():
+            show(frame)
+
+    above, ended = ("\n{}", "\n") if drawing else ("\r\x1b[K{}\n", "\r\x1b[K")
+    try:
+        with (
+            lines_by(lambda line: redraw(above.replace("{}", line))) if sys.stderr.isatty() else nullcontext()
+        ):
+            yield redraw
+    finally:
+        redraw(ended)
 
 
 def show(text: str) -> None:

@@ -22,10 +22,11 @@ from datasets.trajectories import load_tum, save_tum
 from datasets.types import Recording, Trajectory, seconds
 from datasets.yaml_files import read_mapping
 from pipeline.config import config_text, load_config
-from pipeline.console import log, track
+from pipeline.console import length, log, log_notes, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from pipeline.localisation.parameters import AmclConfig
+from reports.metrics.navigation import THERE_M
 from reports.metrics.trajectory import associate, summary
 
 
@@ -70,6 +71,7 @@ def localise(
 ) -> int:
     """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
+    With a truth, 0 needs `true_success` of the metrics: at the end the robot is where the filter believes.
     `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a truth folder.
     """
     watch = Stopwatch()
@@ -82,7 +84,11 @@ def localise(
         result, outcome = None, _rejected("no initial pose")
     else:
         result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"))
-        outcome = _metrics(result, true_trajectory)
+        try:
+            outcome = _metrics(result, true_trajectory)
+        except ValueError as error:
+            raise InputError(f"--truth {truth}: {error}") from None
+    log_notes(recording.notes)
     metrics = {"scans": len(recording), "log_s": recording.duration(), **outcome}
     with staged_output(out, force=force) as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
@@ -102,16 +108,18 @@ def localise(
         )
     if result is not None:
         _summarise(metrics, out)
-    return 0 if metrics["success"] else 1
+    return 0 if metrics.get("true_success", metrics["success"]) else 1
 
 
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
-    error = metrics["localisation_error_m"]
-    known = f", {error['rmse'] * 100:.1f} cm RMSE from the truth" if error else ""
+    error, status = metrics["localisation_error_m"], metrics["status"]
+    if metrics["success"] and not metrics.get("true_success", True):
+        status = f"believed localised, but {length(metrics['last_error_m'])} off at the end"
+    known = f", {length(error['rmse'])} RMSE from the truth" if error else ""
     reason = f" ({metrics['reason']})" if "reason" in metrics else ""
     log.info(
-        f"{metrics['status']}{reason}: {metrics['scans']} scans over {metrics['log_s']:.1f} s, "
-        f"of the last the map explains {metrics['agreement']:.0%}{known} -> {out}"
+        f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
+        f"the map explains {metrics['agreement']:.0%} of the last ones{known} -> {out}"
     )
 
 
@@ -230,6 +238,8 @@ def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:
         pairs = associate(result.trajectory, truth)
         metrics["localisation_error_m"] = summary(pairs.position_errors())
         metrics["localisation_error_rad"] = summary(pairs.yaw_errors())
+        metrics["last_error_m"] = float(pairs.position_errors()[-1])
+        metrics["true_success"] = metrics["success"] and metrics["last_error_m"] <= THERE_M
     return metrics
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
@@ -15,12 +14,13 @@ from datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, 
 from datasets.places import check_free
 from datasets.trajectories import save_tum
 from pipeline.config import config_text
-from pipeline.console import log
+from pipeline.console import log, say, simulated_time
 from pipeline.navigation.config import NavigateConfig
 from pipeline.navigation.episode import Episode, drive
-from pipeline.navigation.setup import Mission, Request, prepare
+from pipeline.navigation.news import News, verdict
+from pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Request, prepare
 from pipeline.navigation.takeover import Source, script_text
-from pipeline.record import own_files
+from pipeline.record import deferred_interrupt, own_files
 from planners.costmap import polygon_mask
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
@@ -36,12 +36,17 @@ def navigate(
     config: NavigateConfig | None = None,
     force: bool = False,
     command_line: Sequence[str] = (),
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
 ) -> int:
-    """Run a task and write the run outputs to `out`; 0 when it succeeded, 1 when it did not.
+    """Run a task and write the run outputs to `out`; 0 when it truly succeeded, 1 when it did not.
 
-    `files` are inputs that the manifest is to name besides those of the request, the world and the robot.
+    What counts is the truth, `true_success` of the metrics: a robot that believes that it has reached its
+    goal and stands elsewhere has failed. Interrupted at the keyboard of a takeover, 130 or 143: what was
+    driven until then cannot be driven again, and is kept.
+
+    `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
+    besides those of the request, the world and the robot.
 
     Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
     """
@@ -69,7 +74,7 @@ def navigate_in(
     config: NavigateConfig | None = None,
     force: bool = False,
     command_line: Sequence[str] = (),
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
 ) -> int:
     """`navigate` with a world and a robot that are at hand already."""
@@ -84,12 +89,20 @@ def navigate_in(
         "world": arena.name,
         "task": request.task,
     }
+    by_hand = request.takeover == "keyboard"
+    at_once: nullcontext[list[int]] = nullcontext([])
     with (
+        deferred_interrupt() if by_hand else at_once as interrupted,
         Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
         staged_output(out, force=force, save_bag=True) as folder,
     ):
-        with BagWriter(folder / "bag", custom=custom) as bag, _takeovers(mission) as takeovers:
-            episode = drive(simulator, mission, bag, say or _print, takeovers)
+        with (
+            BagWriter(folder / "bag", custom=custom) as bag,
+            _takeovers(mission) as takeovers,
+            simulated_time(_length_s(mission)) as clock,
+        ):
+            news = News(_opening(arena, mission), log.info, clock)
+            episode = drive(simulator, mission, bag, say, takeovers, news=news, interrupted=interrupted)
         metrics, loop_s = episode.metrics, watch.seconds()
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
@@ -115,8 +128,32 @@ def navigate_in(
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
             },
         )
-    _summarise(metrics, mission.config.sim.faults.kidnap, out)
-    return 0 if metrics["success"] else 1
+    for when, x, y, yaw in mission.config.sim.faults.kidnap:
+        if when <= metrics["time_s"]:
+            log.info(f"carried off at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
+    if interrupted:
+        log.warning("interrupted: what was driven until then is kept")
+    log.info(f"{verdict(metrics)} -> {out}")
+    return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
+
+
+def _opening(arena: World, mission: Mission) -> str:
+    """What is going to be done, in one line."""
+    request, laps = mission.request, mission.config.sequence.laps
+    tasks = {
+        "goal": "drive to a goal",
+        "patrol": f"patrol of {len(mission.waypoints)} goals" + (f", {laps} laps" if laps > 1 else ""),
+        "avoid": "drive about and avoid what is in the way",
+        "explore": "explore and map",
+    }
+    return f"{tasks[request.task]}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+
+
+def _length_s(mission: Mission) -> float | None:
+    """How long the run will take [simulated s], where that is known beforehand."""
+    if mission.request.task != "avoid":
+        return None
+    return mission.request.duration_s or DEFAULT_DURATION_S
 
 
 @contextmanager
@@ -125,12 +162,11 @@ def _takeovers(mission: Mission) -> Iterator[Source | None]:
     if mission.request.takeover != "keyboard":
         yield None
         return
-    from pipeline.keyboard import TakeoverKeys, clock, keys_of, show
+    from pipeline.keyboard import TakeoverKeys, clock, keys_of, redrawn, show
 
     show(TakeoverKeys.TABLE + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys:
-        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), show)
-    show("\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
+        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), redraw)
 
 
 def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
@@ -161,24 +197,3 @@ def _refuse_outlines_off(mission: Mission) -> None:
                 f"--keepout {mission.request.keepout_path}: keepout {number}: is off the map "
                 f"{mission.request.map_path}; correct its corners or leave it out"
             )
-
-
-def _print(line: str) -> None:
-    sys.stdout.write(line + "\n")
-
-
-def _summarise(
-    metrics: dict[str, Any], kidnaps: Sequence[tuple[float, float, float, float]], out: Path
-) -> None:
-    for number, goal in enumerate(metrics["goals"], start=1):
-        error = "" if goal["error_m"] is None else f", true error {goal['error_m'] * 100:.1f} cm"
-        reason = f" ({goal['reason']})" if "reason" in goal else ""
-        place = f"({goal['x']:g}, {goal['y']:g}, {goal['yaw']:g})"
-        log.info(f"goal {number} {place}: {goal['status']}{reason}, {goal['time_s']:.1f} s{error}")
-    for when, x, y, yaw in (k for k in kidnaps if k[0] <= metrics["time_s"]):
-        log.info(f"carried off at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
-    counts = metrics["collisions"]
-    log.info(
-        f"{metrics['time_s']:.1f} s simulated, {metrics['distance_m']:.2f} m driven, "
-        f"contacts {counts['visible']} visible {counts['low']} low -> {out}"
-    )

@@ -91,7 +91,7 @@ def plan(
     if found is None:
         log.info(f"no path: {reason}")
         return 1
-    log.info(f"{found.length:.2f} m, {len(found.poses)} poses, {planning_s * 1e3:.0f} ms -> {out}")
+    log.info(f"path of {found.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out}")
     return 0
 
 

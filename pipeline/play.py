@@ -16,9 +16,8 @@ from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.se2 import SE2, Array
 from datasets.types import Stamps
-from pipeline.terminal import Canvas
+from pipeline.terminal import Canvas, Size
 
-COLUMNS, ROWS = 78, 21
 _WIDEST_M = 12.0
 _SPEED_WINDOW_NS = 200_000_000
 
@@ -33,9 +32,10 @@ class Frame:
 
 
 class Player:
-    """A recording that can be looked at at any instant."""
+    """A recording that can be looked at at any instant; drawn in so many columns and rows."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, size: Size = (78, 21)) -> None:
+        self._size = size
         self.recording = recording = load_recording(path)
         self._commands = _commands_of(path)
         # Logs with stamps that go back keep their file order: time is the latest stamp so far.
@@ -51,7 +51,7 @@ class Player:
             SE2.identity() if self.recording.T_odom_base is None else self.recording.T_odom_base[index]
         )
         x, y, yaw = pose.xyt.tolist()
-        canvas = Canvas(COLUMNS, ROWS, (x, y), self._height_m)
+        canvas = Canvas(*self._size, (x, y), self._height_m)
         canvas.dots(scan_pose @ (self.recording.T_base_lidar @ scan.points_lidar()))
         canvas.dots(self._path(index))
         canvas.robot(x, y, yaw)

@@ -20,7 +20,7 @@ from datasets.se2 import SE2
 from datasets.trajectories import save_tum
 from datasets.types import Observation, Trajectory, Twist, seconds
 from pipeline.config import config_text
-from pipeline.console import log
+from pipeline.console import Simulated, log, simulated_time
 from pipeline.replay import is_recording, load_commands
 from sim.driver import Stuck
 from sim.robots import RobotSpec, load_robot
@@ -166,8 +166,9 @@ def record_drive(
         with (
             Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
             BagWriter(folder / "bag", custom=custom) as bag,
+            simulated_time() as clock,
         ):
-            duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, interrupted)
+            duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, clock, interrupted)
         truth.save(folder / "truth", scene.world, scene.robot)
         wall = timer.seconds()
         write_manifest(
@@ -179,7 +180,9 @@ def record_drive(
             wall_s=wall,
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
         )
-    log.info("recorded %.1f s in %.1f s (%.0f x real time): %s", duration, wall, duration / wall, out)
+    if interrupted:
+        log.warning("interrupted: what was recorded until then is kept")
+    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out}")
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
@@ -192,6 +195,7 @@ def _drive(
     bag: BagWriter,
     truth: TruthLog,
     watch: Callable[[Observation], None] | None,
+    clock: Simulated,
     interrupted: list[int],
 ) -> tuple[float, str | None]:
     """Run the driver to its end or to an interrupt: the simulated time [s], and where it got stuck."""
@@ -206,6 +210,7 @@ def _drive(
         truth.add(observation, simulator)
         if watch is not None:
             watch(observation)
+        clock(observation.stamp_ns, "")
         now = simulator.truth
         bag.truth(now.stamp_ns, now.T_world_base, now.twist)
         if interrupted:

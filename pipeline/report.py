@@ -8,7 +8,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
-from pipeline.console import track
+from pipeline.console import drawing
 from reports.content import build_chapter
 from reports.figures.album import Album
 from reports.index import index_lines, shown_outputs
@@ -38,8 +38,9 @@ def make_report(
     watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
     with staged_output(out, force=force, inputs=folders) as partial:
-        album = Album(partial / "figures", animate=animate, paper=paper)
-        chapters = [build_chapter(group, album) for group in track(groups, "draw")]
+        with drawing() as told:
+            album = Album(partial / "figures", animate=animate, paper=paper, told=told)
+            chapters = [build_chapter(group, album) for group in groups]
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")
         stages = [stage for group in groups for stage in group.stages]

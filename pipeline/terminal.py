@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Sequence
+
 import numpy as np
 
 from datasets.se2 import Array
+
+Size = tuple[int, int]
+"""Columns and rows of a terminal."""
 
 _BLANK = 0x2800
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
@@ -54,3 +61,35 @@ class Canvas:
         for (row, column), character in self._marks.items():
             lines[row][column] = character
         return "\n".join("".join(line) for line in lines)
+
+
+def terminal_size() -> Size:
+    """Columns and rows of the terminal on stderr or stdout now; 80 x 24 where neither tells."""
+    for stream in (sys.stderr, sys.stdout):
+        try:
+            columns, rows = os.get_terminal_size(stream.fileno())
+        except (OSError, ValueError):
+            continue
+        if columns > 0 and rows > 0:
+            return columns, rows
+    return 80, 24
+
+
+def fitted(parts: Sequence[str], columns: int) -> str:
+    """The parts in a line, as many from the first on as fit; the first is cut if it has to be."""
+    line = parts[0][:columns]
+    for part in parts[1:]:
+        if len(line) + 2 + len(part) > columns:
+            break
+        line += "  " + part
+    return line
+
+
+def in_place(lines: Sequence[str], size: Size, *, anew: bool) -> str:
+    """What redraws the whole screen without scrolling it; `anew` clears first what else stood there.
+
+    Lines are cut at the right edge; those that are too many go at the top.
+    """
+    columns, rows = size
+    cut = [line[: columns - 1] + "\x1b[K" for line in lines[-rows:]]
+    return ("\x1b[2J" if anew else "") + "\x1b[H" + "\n".join(cut) + "\x1b[J"

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy import ndimage
 
 from datasets.grid import UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
@@ -73,7 +73,7 @@ class Costmap:
 
     def regions(self, radius: float) -> NDArray[np.int32]:
         """Labels (0: blocked) of the parts of the floor that a disc of `radius` can move about in."""
-        labels, _ = ndimage.label(self.clearance > radius, structure=EIGHT_NEIGHBOURS)
+        labels, _ = scipy.ndimage.label(self.clearance > radius, structure=EIGHT_NEIGHBOURS)
         return labels.astype(np.int32)
 
     def with_lethal(self, extra: Mask) -> Costmap:
@@ -104,9 +104,9 @@ def _unknown_without_specks(grid: OccupancyGrid, speck_area: float) -> Mask:
     A patch that touches an occupied cell stays: it may be the inside of a pillar.
     """
     unknown = grid.cells == UNKNOWN
-    labels, count = ndimage.label(unknown, structure=EIGHT_NEIGHBOURS)
+    labels, count = scipy.ndimage.label(unknown, structure=EIGHT_NEIGHBOURS)
     areas = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution**2
-    beside_occupied = ndimage.binary_dilation(grid.cells >= LETHAL_PERCENT, structure=EIGHT_NEIGHBOURS)
+    beside_occupied = scipy.ndimage.binary_dilation(grid.cells >= LETHAL_PERCENT, structure=EIGHT_NEIGHBOURS)
     keep = areas >= speck_area
     keep[np.unique(labels[beside_occupied & unknown])] = True
     return np.asarray(unknown & keep[labels], dtype=bool)
@@ -132,9 +132,10 @@ def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
     reached = mask.copy()
     for start, end in edges:
         _add_passed(reached, start, end)
-    broad = ndimage.binary_dilation(ndimage.binary_opening(mask, np.ones((2, 2))), EIGHT_NEIGHBOURS)
+    opened = scipy.ndimage.binary_opening(mask, np.ones((2, 2)))
+    broad = scipy.ndimage.binary_dilation(opened, EIGHT_NEIGHBOURS)
     narrow = reached & ~broad
-    return np.asarray(mask | reached & ndimage.binary_dilation(narrow, EIGHT_NEIGHBOURS), dtype=bool)
+    return np.asarray(mask | reached & scipy.ndimage.binary_dilation(narrow, EIGHT_NEIGHBOURS), dtype=bool)
 
 
 def _add_passed(mask: Mask, start: Array, end: Array) -> None:

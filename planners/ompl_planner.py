@@ -14,23 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.se2 import Array
 from planners.footprint import Field32, disc_segment_free
+from planners.planner_names import PlannerName
 
-PlannerName = Literal[
-    "RRTConnect",
-    "RRT",
-    "RRTstar",
-    "InformedRRTstar",
-    "SORRTstar",
-    "AORRTC",
-    "BITstar",
-    "FMT",
-    "BFMT",
-    "KPIECE1",
-    "BKPIECE1",
-    "LBKPIECE1",
-    "PRM",
-    "PRMstar",
-]
 ROADMAPS = ("PRM", "PRMstar")
 IMPOSSIBLE = {
     ("AORRTC", "dubins"): "crashes",

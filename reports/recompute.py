@@ -88,6 +88,7 @@ def _localise(stage: Stage, group: Group) -> dict[str, Any]:
         pairs = associate(stage.trajectory, record.truth)
         found["localisation_error_m"] = summary(pairs.position_errors())
         found["localisation_error_rad"] = summary(pairs.yaw_errors())
+        found["last_error_m"] = float(pairs.position_errors()[-1])
     return found
 
 

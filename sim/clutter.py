@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from datasets.errors import InputError
 from datasets.se2 import Array
@@ -87,7 +87,7 @@ class _Floor:
         return rooms
 
     def _reachable(self, rooms: Array) -> NDArray[np.bool_]:
-        regions, _ = ndimage.label(rooms > ROOM_M)
+        regions, _ = scipy.ndimage.label(rooms > ROOM_M)
         col = int(np.argmin(np.abs(self._x - self._spawn[0])))
         row = int(np.argmin(np.abs(self._y - self._spawn[1])))
         near = regions[max(row - 2, 0) : row + 3, max(col - 2, 0) : col + 3]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
@@ -43,12 +43,12 @@ def true_map(
     rr, cc = np.indices((rows, cols))
     centers = grid.center_of(np.stack([rr, cc], axis=-1)).reshape(-1, 2)
     open_floor = ~surface & ~contains(solids, z, centers).reshape(rows, cols)
-    regions, _ = ndimage.label(open_floor)
+    regions, _ = scipy.ndimage.label(open_floor)
     start = grid.cell_of(np.asarray(start_xy))
     region = regions[tuple(start)] if grid.contains(start) else 0
     free = (regions == region) & open_floor if region else np.zeros_like(open_floor)
 
-    seen = ndimage.binary_dilation(free, structure=np.ones((3, 3), dtype=bool))
+    seen = scipy.ndimage.binary_dilation(free, structure=np.ones((3, 3), dtype=bool))
     cells[free] = FREE
     cells[surface & seen] = OCCUPIED
     return grid

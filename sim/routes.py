@@ -11,9 +11,8 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
@@ -46,7 +45,7 @@ class RoutePlanner:
         room, points = roomiest(
             self._x, self._y, CELL_M / 2.0, self._need, self._outlines.segments, self._outlines.circles
         )
-        regions, _ = ndimage.label(room > self._need, structure=np.ones((3, 3)))
+        regions, _ = scipy.ndimage.label(room > self._need, structure=np.ones((3, 3)))
         row, col = self._cell(world.spawn.xy)
         near = regions[max(row - 3, 0) : row + 4, max(col - 3, 0) : col + 4]
         if not np.any(near):
@@ -69,7 +68,7 @@ class RoutePlanner:
         return row, col
 
     @cached_property
-    def _graph(self) -> sparse.csr_matrix:
+    def _graph(self) -> scipy.sparse.csr_matrix:
         """Neighbouring free cells, weighted by distance and discomfort."""
         weight = 1.0 + 2.0 * np.clip((self._need + COMFORT_M - self._room) / COMFORT_M, 0.0, 1.0)
         starts, ends, costs = [], [], []
@@ -82,7 +81,7 @@ class RoutePlanner:
             costs.append((0.5 * (weight[a] + weight[b]) * CELL_M * math.hypot(dr, dc))[both])
         n = len(self.places)
         flat = (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends)))
-        return sparse.csr_matrix(flat, shape=(n, n))
+        return scipy.sparse.csr_matrix(flat, shape=(n, n))
 
     def nearest(self, xy: Array) -> int:
         """Number of the free place nearest to a point."""
@@ -90,7 +89,8 @@ class RoutePlanner:
 
     def ways_from(self, place: int) -> tuple[Array, NDArray[np.int32]]:
         """Cost to every place and the place before it on the way, from one place."""
-        cost, before = csgraph.dijkstra(self._graph, directed=False, indices=place, return_predecessors=True)
+        shortest = scipy.sparse.csgraph.dijkstra
+        cost, before = shortest(self._graph, directed=False, indices=place, return_predecessors=True)
         return cost, before
 
     def way(self, before: NDArray[np.int32], end: int) -> list[int]:

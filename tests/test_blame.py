@@ -42,7 +42,7 @@ def test_only_the_study_may_import_the_truth():
                     names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
                 if "pipeline.campaign.oracle" in names:
                     users.add(path.relative_to(ROOT).as_posix())
-    assert users == {"pipeline/commands/blame.py"}
+    assert users == {"pipeline/blame.py"}
 
 
 @pytest.fixture(scope="module")

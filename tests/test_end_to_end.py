@@ -151,9 +151,9 @@ def test_quiet_stages_print_their_results_and_nothing_else(stages, tmp_path, cap
     record, page = tmp_path / "record", tmp_path / "report"
     commands = {
         "record": ("record", *world, "--teleop", tmp_path / "dash.yaml"),
-        "map": ("map", record, "--explain"),
+        "map": ("map", record, "--explain", "--name", "map_dash"),
         "localise": ("localise", record, *grid, "--initial-pose=-2,-0.5,0"),
-        "plan": ("plan", *grid, "--start=-2,-0.5,0", "--goal=-1.5,-1.5,0"),
+        "plan": ("plan", "--map", stages / "map", "--start=-2,-0.5,0", "--goal=-1.5,-1.5,0"),
         "avoid": ("navigate", *world, "--task", "avoid", "--duration", 1),
         "explore": ("navigate", *world, "--task", "explore", "--duration", 1),
         "report": ("report", "--no-animation", record, tmp_path / "map"),
@@ -163,6 +163,9 @@ def test_quiet_stages_print_their_results_and_nothing_else(stages, tmp_path, cap
     for name, (verb, *words) in commands.items():
         assert turtlebag(verb, "-q", *words, "--out", tmp_path / name) in (0, 1), name
         assert capfd.readouterr() == (f"{page / 'index.html'}\n" if name == "report" else "", ""), name
+    for ending in ("pgm", "yaml"):
+        kept, called = (tmp_path / f"map/{name}.{ending}" for name in ("map", "map_dash"))
+        assert called.read_bytes() == kept.read_bytes().replace(b"image: map.pgm", b"image: map_dash.pgm")
 
 
 def wrong_inputs(stages):

@@ -257,7 +257,7 @@ def test_doctor_names_each_package_that_is_not_there_and_what_to_do(monkeypatch,
         doctor, "CHECKS", {name: doctor.CHECKS[name] for name in ("python", "duckdb", "jinja2")}
     )
     assert main(["doctor"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "all good"
+    assert capsys.readouterr().out.splitlines()[-1] == "everything works"
     monkeypatch.setitem(sys.modules, "jinja2", None)
     assert main(["doctor"]) == 1
     lines = capsys.readouterr().out.splitlines()

@@ -170,7 +170,7 @@ def test_good_entries(entry, yaw):
         ({"x": 1, "y": 2, "yaw": float("nan")}, "yaw is not a finite number"),
         ({"x": "a", "y": 2, "yaw": 0}, "x is not a finite number"),
         ({"x": True, "y": 2, "yaw": 0}, "x is not a finite number"),
-        ({"x": 1, "yaw": 0}, "y is not a finite number"),
+        ({"x": 1, "yaw": 0}, "y is missing"),
         ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "norm is zero"),
         ({"x": 1, "y": 2, "quaternion": [0, 0, float("inf"), 1]}, "not finite"),
         ({"x": 1, "y": 2, "quaternion": [0, 1]}, "expected"),

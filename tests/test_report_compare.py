@@ -64,6 +64,7 @@ def test_the_command_prints_the_differences(tree, capsys):
     out = capsys.readouterr().out
     assert "front.sigma: 0.005 -> 0.02" in out
     assert "trajectory error (ATE), RMSE" in out
+    assert out.splitlines()[1].split() == ["A", "B", "B", "-", "A"]
 
 
 def test_outputs_of_different_stages_are_not_compared(tree, capsys):

@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,39 @@ def test_the_end_of_a_pipe_hands_back():
         load_robot("burger").limits, lambda: next(typed), lambda step: None, lambda text: None
     )
     assert [keys.asked(k) for k in range(3)] == [Twist(0.02, 0.0), None, None]
+
+
+def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
+    def wait(step):
+        if step == 3 * 30:
+            signal.raise_signal(signal.SIGINT)
+
+    reader, writer = os.pipe()
+    os.write(writer, b"w" * 5)
+    out = tmp_path / "run"
+    words = [
+        "navigate",
+        "--world",
+        WORLD,
+        "--task",
+        "patrol",
+        "--map",
+        str(true_map),
+        "--initial-pose",
+        "start",
+    ]
+    with os.fdopen(reader) as stdin, os.fdopen(writer, "wb"):
+        monkeypatch.setattr("sys.stdin", stdin)
+        monkeypatch.setattr("pipeline.keyboard.clock", lambda speed: wait)
+        assert main([*words, "--takeover", "keyboard", "--out", str(out)]) == 130
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["time_s"] == pytest.approx(3.0)
+    assert metrics["takeovers"]["count"] == 1
+    assert {goal["reason"] for goal in metrics["goals"]} == {"the run was interrupted"}
+    assert {"bag/metadata.yaml", "takeover.yaml", "trajectory.tum"} <= set(sha256_tree(out))
+    assert (out / "manifest.json").is_file()
+    assert "what was driven until then is kept" in capfd.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("noise", ["-q", "-v"])

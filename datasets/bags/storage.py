@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
-
-from rosbags.interfaces import Connection, ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2.metadata import dump_qos_v9
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from datasets.bags.mcap_scan import McapChannel, McapScan
 from datasets.bags.ros1_scan import Ros1Connection, Ros1Scan
 from datasets.bags.topics import TOPICS, metadata_text
 from datasets.errors import InputError
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +105,11 @@ class _Rosbag2File:
         self.path = path
 
     def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
+        from rosbags.rosbag2 import Reader  # slow to import, and most bags are mcap
+
         count = 0
         try:
-            with Reader2(self.path) as reader:
+            with Reader(self.path) as reader:
                 topics = {connection.id: self._topic(connection) for connection in reader.connections}
                 chosen = [c for c in reader.connections if wanted is None or wanted(topics[c.id])]
                 for connection, time, data in reader.messages(chosen) if chosen else ():
@@ -124,6 +125,9 @@ class _Rosbag2File:
             _note_problems(self.path, [f"damaged after {count} messages ({what})"], True, notes)
 
     def _topic(self, connection: Connection) -> Topic:
+        from rosbags.interfaces import ConnectionExtRosbag2
+        from rosbags.rosbag2.metadata import dump_qos_v9
+
         qos = ""
         if isinstance(connection.ext, ConnectionExtRosbag2) and connection.ext.offered_qos_profiles:
             qos = metadata_text(dump_qos_v9(connection.ext.offered_qos_profiles))

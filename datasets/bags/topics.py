@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 METADATA_VERSION = 9
 METADATA_FILE = "metadata.yaml"
@@ -81,6 +82,8 @@ class TopicSummary:
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
     """Message definitions of ROS 2 Jazzy."""
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores.ROS2_JAZZY)
 
 

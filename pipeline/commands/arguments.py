@@ -7,22 +7,40 @@ import math
 import os
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from datasets.errors import InputError
 from datasets.se2 import SE2
 
 
+def epilog(example: str) -> dict[str, Any]:
+    """What makes an argument parser end its help with an example, in one line that can be copied."""
+    raw = argparse.RawDescriptionHelpFormatter
+    return {"epilog": f"example:\n  {example}", "formatter_class": raw}
+
+
 def add_output(parser: argparse.ArgumentParser) -> None:
     """--out and --force."""
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder to write the results to",
+    )
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """--config and --set."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with settings")
     parser.add_argument(
-        "--set", dest="settings", action="append", default=[], metavar="KEY=VALUE", help="one setting"
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one setting; may be repeated",
     )
 
 
@@ -45,6 +63,12 @@ def named_inputs(args: argparse.Namespace) -> list[Path]:
         with suppress(InputError):
             found += map_files(given["map"]).values()
     return [path for path in found if os.path.exists(path)]
+
+
+def map_file(text: str) -> Path:
+    """A map's YAML file; of a folder that `map` wrote, the one in it."""
+    path = Path(text)
+    return path / "map.yaml" if path.is_dir() else path
 
 
 def seed(text: str) -> int:

@@ -7,24 +7,16 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
-
-from datasets.bags import convert
-from datasets.bags.doctor import examine
-from datasets.bags.reader import BagInfo, bag_info
-from datasets.bags.recover import recover
-from datasets.bags.source import is_bag
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, staged_file, staged_output, write_manifest
-from datasets.recordings import load_recording
-from datasets.types import Recording
-from pipeline.commands.arguments import add_output
-from pipeline.console import log
-from pipeline.play import Player, play
+from pipeline.commands.arguments import add_output, epilog
+from pipeline.console import log, log_notes, number_of
+
+if TYPE_CHECKING:
+    from datasets.bags.reader import BagInfo
+    from datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
 
@@ -34,46 +26,63 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
     def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> _Parser:
-        sub = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=example)
+        sub = actions.add_parser(
+            name,
+            help=text,
+            description=f"{text[0].upper()}{text[1:]}.",
+            **epilog(example),
+        )
         sub.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag folder or bag file")
         sub.set_defaults(act=act)
         return sub
 
-    action("info", _info, "topics, counts, rates and gaps", "example: turtlebag bag info data/record")
+    action("info", _info, "show topics, counts, rates and gaps", "turtlebag bag info data/record")
     action(
         "doctor",
         _doctor,
-        "find what is wrong with a bag and say what it would break (exit 1 on errors)",
-        "example: turtlebag bag doctor my_robot.bag",
+        "find what is wrong with a bag and what that would break (exit code 1 on errors)",
+        "turtlebag bag doctor my_robot.bag",
     )
     sub = action(
         "play",
         _play,
         "show a recording as it was: clock, speeds, scan and path",
-        "example: turtlebag bag play data/record --rate 4",
+        "turtlebag bag play data/record --rate 4",
     )
-    sub.add_argument("--rate", type=float, default=1.0, metavar="R", help="times the recorded speed")
+    sub.add_argument(
+        "--rate",
+        type=float,
+        default=1.0,
+        metavar="R",
+        help="pace, in multiples of the recorded one (default: 1)",
+    )
     sub = action(
         "recover",
         _recover,
         "save what is intact of a truncated, damaged or unfinished bag",
-        "example: turtlebag bag recover data/record.partial --out data/record",
+        "turtlebag bag recover data/record.partial --out data/record",
     )
     add_output(sub)
     sub = action(
         "convert",
         _convert,
-        "write a bag as another kind; CARMEN logs become bags",
-        "example: turtlebag bag convert intel.clf.bz2 --out data/intel; --out x.bag writes ROS 1",
+        "write a bag as one of another kind, or a CARMEN log as a bag",
+        "turtlebag bag convert data/record --out record.bag",
     )
     add_output(sub)
-    sub.add_argument("--storage", choices=("mcap", "sqlite3"), help="of the rosbag2 folder (default: mcap)")
     sub.add_argument(
-        "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out, may be repeated"
+        "--storage",
+        choices=("mcap", "sqlite3"),
+        help="storage of the rosbag2 folder (default: mcap)",
+    )
+    sub.add_argument(
+        "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out; may be repeated"
     )
 
 
 _Parser = argparse.ArgumentParser
+STATUS_ROWS = 3
+"""What is said below the drawing of a player takes two lines of a narrow terminal, and the cursor one."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,7 +91,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
+    from datasets.bags.reader import bag_info
+
     if _is_log(args.bag):
+        from datasets.recordings import load_recording
+
         _print_log(load_recording(args.bag))
     else:
         _print_info(bag_info(args.bag))
@@ -96,10 +109,13 @@ def _print_log(log_read: Recording) -> None:
     print(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
     print(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
     print(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
-    _print_notes(log_read.notes)
+    log_notes(log_read.notes)
 
 
 def _print_info(info: BagInfo) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     console = Console(width=120, highlight=False)
     console.print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
     console.print(
@@ -120,27 +136,33 @@ def _print_info(info: BagInfo) -> None:
         gap = f"{topic.longest_gap_ns * 1e-9:.3f}" if topic.count > 1 else "-"
         table.add_row(topic.name, topic.msgtype, str(topic.count), rate, gap)
     console.print(table)
-    _print_notes(info.notes)
-
-
-def _print_notes(notes: list[str] | tuple[str, ...]) -> None:
-    for note in notes:
-        log.warning("note: %s", note)
+    log_notes(info.notes)
 
 
 def _doctor(args: argparse.Namespace) -> int:
+    from datasets.bags.doctor import examine
+
     findings = examine(args.bag)
     for finding in findings:
         print(f"{finding.severity}: {finding.check}: {finding.what}")
         print(f"    breaks: {finding.breaks}")
     errors = sum(finding.severity == "error" for finding in findings)
-    print(f"{errors} errors, {len(findings) - errors} warnings" if findings else "no defect found")
+    warnings = number_of(len(findings) - errors, "warning")
+    print(f"{number_of(errors, 'error')}, {warnings}" if findings else "no defect found")
     return 1 if errors else 0
 
 
 def _play(args: argparse.Namespace) -> int:
-    player = Player(args.bag)
-    _print_notes(player.recording.notes)
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    from pipeline.play import Player, play
+    from pipeline.terminal import terminal_size
+
+    columns, rows = terminal_size()
+    player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
+    log_notes(player.recording.notes)
     if not sys.stdout.isatty():  # a log line each second instead of a moving picture
         play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / max(args.rate, 1e-9))
         return 0
@@ -155,17 +177,21 @@ def _play(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
+    from datasets.bags.recover import recover
+
     watch = Stopwatch()
     with staged_output(args.out, force=args.force) as folder:
         saved = recover(args.bag, folder / "bag")
         _manifest(folder, "bag recover", args, watch)
-    _print_notes(saved.notes)
+    log_notes(saved.notes)
     span = (saved.end_ns - saved.start_ns) * 1e-9
-    log.info("saved %d messages, %.2f s: %s", saved.messages, span, args.out)
+    log.info(f"saved {number_of(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
     return 0
 
 
 def _convert(args: argparse.Namespace) -> int:
+    from datasets.bags import convert
+
     watch = Stopwatch()
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
@@ -182,12 +208,15 @@ def _convert(args: argparse.Namespace) -> int:
             count, notes = _to_folder(args, folder / "bag")
             convert.require_messages(args.bag, count, notes)
             _manifest(folder, "bag convert", args, watch)
-    _print_notes(notes)
-    log.info("%d messages: %s", count, args.out)
+    log_notes(notes)
+    log.info(f"{number_of(count, 'message')} -> {args.out}")
     return 0
 
 
 def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
+    from datasets.bags import convert
+    from datasets.recordings import load_recording
+
     if args.storage == "sqlite3":
         return convert.to_sqlite3(_a_bag(args.bag), folder, exclude=args.exclude)
     if _is_log(args.bag):
@@ -196,6 +225,8 @@ def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
 
 
 def _is_log(path: Path) -> bool:
+    from datasets.bags.source import is_bag
+
     names = path.name.lower().split(".")
     return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(names[1:]))
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.compare import compare_outputs, write_comparison
-
 EXAMPLE = "turtlebag compare data/maps/a data/maps/b --out data/comparison"
 
 
@@ -20,6 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; the page's path last when one was asked for."""
+    from pipeline.compare import compare_outputs, write_comparison
+
     if args.out is None:
         found = compare_outputs(args.a, args.b)
     else:
@@ -27,9 +27,11 @@ def run(args: argparse.Namespace) -> int:
     for key, a, b in found.settings:
         print(f"{key}: {a} -> {b}")
     width = max((len(row.label) for row in found.rows), default=0)
+    if found.rows:
+        print(f"{'':{width}}  {'A':>12}  {'B':>12}  {'B - A':>12}")
     for row in found.rows:
         print(f"{row.label:{width}}  {row.a:>12}  {row.b:>12}  {row.difference:>12}  {row.relative}".rstrip())
-    print(f"{len(found.same_bytes)} files the same, {len(found.changed)} different")
+    print(f"{len(found.same_bytes)} files identical, {len(found.changed)} different")
     if args.out is not None:
         print(args.out / "index.html")
     return 0

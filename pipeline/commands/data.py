@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
+from pipeline.commands.arguments import epilog
 
 EXAMPLE = "turtlebag data fetch intel"
 
@@ -12,14 +13,19 @@ EXAMPLE = "turtlebag data fetch intel"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
     actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
-    listing = actions.add_parser("list", help="names, contents, licences and how to cite them")
+    listing = actions.add_parser("list", help="show names, contents, licences and how to cite them")
     listing.set_defaults(act=_list)
     fetching = actions.add_parser(
         "fetch",
-        help=f"verified local files of a log, from {MIRROR_VARIABLE} or downloaded; prints their paths",
-        epilog="example: turtlebag data fetch intel",
+        help=f"get a log from the folder {MIRROR_VARIABLE} or the network, verify it, print its paths",
+        **epilog("turtlebag data fetch intel"),
     )
-    fetching.add_argument("names", nargs="+", metavar="NAME", help="as `data list` shows them")
+    fetching.add_argument(
+        "names",
+        nargs="+",
+        metavar="NAME",
+        help="name of a log, as `turtlebag data list` shows it",
+    )
     fetching.set_defaults(act=_fetch)
 
 

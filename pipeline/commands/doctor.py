@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         except Exception as error:
             failed += 1
             print(f"MISSING {name:<12} {' '.join(str(error).split())}{_hint(error)}")
-    print("all good" if not failed else f"{failed} of {len(checks)} checks failed")
+    print("everything works" if not failed else f"{failed} of {len(checks)} checks failed")
     return 1 if failed else 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
@@ -14,16 +14,30 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a record's folder, a bag or a CARMEN log")
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP.yaml", help="map to localise on")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag or CARMEN log")
     parser.add_argument(
-        "--initial-pose", metavar="X,Y,YAW|global", help="where the robot starts on the map, or search for it"
+        "--map",
+        type=map_file,
+        required=True,
+        metavar="MAP",
+        help="map to localise on: its YAML file, or a folder that map wrote",
     )
     parser.add_argument(
-        "--laser", metavar="X,Y,YAW", help="the laser's place on the robot, where the recording does not say"
+        "--initial-pose",
+        metavar="X,Y,YAW|global",
+        help="where on the map the robot starts; global: search the whole map",
+    )
+    parser.add_argument(
+        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot; overrides what BAG says"
     )
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
-    parser.add_argument("--seed", type=seed, default=1, help="seed of the particles (default 1)")
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=1,
+        metavar="N",
+        help="seed of the particles (default: 1)",
+    )
     add_config(parser)
     add_output(parser)
 

@@ -12,27 +12,37 @@ EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/rec
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `map`."""
-    parser.add_argument("input", type=Path, metavar="INPUT", help="record, bag or CARMEN log")
+    parser.add_argument("input", type=Path, metavar="INPUT", help="record folder, bag or CARMEN log")
     add_output(parser)
-    parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder of a record: adds errors")
-    parser.add_argument("--relations", type=Path, metavar="FILE", help="benchmark relations: adds errors")
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        metavar="DIR",
+        help="truth folder of a record: adds errors to the metrics",
+    )
+    parser.add_argument(
+        "--relations",
+        type=Path,
+        metavar="FILE",
+        help="relations of a benchmark: adds errors to the metrics",
+    )
     parser.add_argument(
         "--also",
         type=Path,
         action="append",
         default=[],
         metavar="INPUT",
-        help="another recording of the same place: joins the same map (repeatable)",
+        help="another recording of the same place, joined into the same map; may be repeated",
     )
     parser.add_argument(
         "--continue",
         dest="continued",
         type=Path,
         metavar="MAP_DIR",
-        help="go on with the graph of an earlier map: INPUT joins it, tracked by the same settings",
+        help="continue an earlier map: INPUT is joined to its graph, tracked with the same settings",
     )
     parser.add_argument(
-        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot, overrides the input"
+        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot; overrides what INPUT says"
     )
     parser.add_argument(
         "--topic",
@@ -40,9 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scans to map: a LaserScan topic in 2D, a PointCloud2 topic in 3D "
         "(default: /scan or the only LaserScan; without one, the point clouds)",
     )
+    parser.add_argument("--name", metavar="NAME", help="also save the map as NAME.pgm and NAME.yaml")
     add_config(parser)
-    parser.add_argument("--no-cache", action="store_true", help="do every step, whatever was done before")
-    parser.add_argument("--explain", action="store_true", help="also write why each loop was (not) closed")
+    parser.add_argument(
+        "--no-cache",
+        action="store_true",
+        help="do every step anew, also what was done before",
+    )
+    parser.add_argument("--explain", action="store_true", help="also write why each loop was closed or not")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         also=args.also,
         continued=args.continued,
         topic=args.topic,
+        named=args.name,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

@@ -10,7 +10,7 @@ from typing import Literal
 from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from datasets.yaml_files import read_mapping
-from pipeline.commands.arguments import add_config, add_output, pose, seed
+from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -39,41 +39,58 @@ ON_A_MAP = ("initial_pose", "wiggle", "keepout")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--world", required=True, help="world name or file")
-    parser.add_argument("--robot", help="robot name or file (default: the world's)")
-    parser.add_argument("--task", required=True, choices=TASKS)
-    parser.add_argument("--seed", type=seed, default=0, metavar="N")
-    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map to navigate on")
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument("--task", required=True, choices=TASKS, help="what to do")
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="seed of all randomness (default: 0)"
+    )
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        metavar="MAP",
+        help="map to navigate on: its YAML file, or a folder that map wrote",
+    )
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     parser.add_argument(
         "--initial-pose",
         metavar="X,Y,YAW|start|global",
         help="what the robot is told: a pose, its true start, or to find out by itself",
     )
-    parser.add_argument("--goal", metavar="X,Y,YAW", help="goal of the task goal")
-    parser.add_argument("--waypoints", type=Path, metavar="FILE", help="waypoints of the task patrol (YAML)")
-    parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol")
+    parser.add_argument("--goal", metavar="X,Y,YAW", help="where the task goal is to go: metres and radians")
+    parser.add_argument(
+        "--waypoints",
+        type=Path,
+        metavar="FILE",
+        help="YAML file with the patrol's waypoints (default: the tutorial's)",
+    )
+    parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol (default: 1)")
     parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
     parser.add_argument(
-        "--duration", type=_positive, metavar="S", help="simulated seconds of avoid, or of explore at most"
+        "--duration",
+        type=_positive,
+        metavar="S",
+        help="simulated seconds: how long avoid lasts, and explore at most",
     )
     parser.add_argument(
         "--mode",
         choices=("guarded", "tutorial"),
-        help="avoid: guarded (default) knows the robot's shape; tutorial is the exact three-tier rule alone",
+        help="of avoid: guarded (default) knows the robot's shape; tutorial is the tutorial's rule alone",
     )
     parser.add_argument(
-        "--wiggle", action="store_true", help="first turn to and fro until the particle cloud has shrunk"
+        "--wiggle", action="store_true", help="turn to and fro first, until the particle cloud has shrunk"
     )
     parser.add_argument(
         "--takeover",
         metavar="keyboard|FILE",
-        help="who may take over cmd_vel and hand it back: your keys, or a YAML list of begin, end, v, w",
+        help="who may take over cmd_vel and hand it back: your keys, or a YAML list of begin, end, v and w",
     )
     parser.add_argument(
         "--keepout",
         metavar="FILE|none",
-        help="YAML with outlines to stay out of under 'keepout' (default: those of the world)",
+        help="YAML file with outlines to keep out of, under 'keepout' (default: the world's own)",
     )
     add_config(parser)
     add_output(parser)
@@ -82,6 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     from pipeline.config import load_config
+    from pipeline.console import say
     from pipeline.navigate import navigate
     from pipeline.navigation.config import NavigateConfig
     from pipeline.navigation.setup import Request
@@ -112,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
         config=load_config(NavigateConfig, args.config, settings),
         force=args.force,
         command_line=args.command_line,
-        say=(lambda line: None) if args.verbosity < 0 else None,
+        say=(lambda line: None) if args.verbosity < 0 else say,
         files={} if args.config is None else {"config": args.config},
     )
 

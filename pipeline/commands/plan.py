@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import get_args
 
-from pipeline.commands.arguments import add_config, add_output, pose, seed
-from planners.ompl_planner import PlannerName
+from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
+from planners.planner_names import PlannerName
 
 EXAMPLE = (
     "turtlebag plan --map data/maps/map_world.yaml --robot burger --start=-2,-0.5,0 --goal 1.5,1.5,0 "
@@ -17,13 +16,30 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--map", type=Path, required=True, metavar="MAP.yaml", help="map to plan on")
-    parser.add_argument("--robot", default="burger", help="robot name or file (default: burger)")
-    parser.add_argument("--start", required=True, metavar="X,Y,YAW")
-    parser.add_argument("--goal", required=True, metavar="X,Y,YAW")
-    parser.add_argument("--planner", choices=get_args(PlannerName), help="planner of OMPL, by its name")
-    parser.add_argument("--compare", action="store_true", help="ask every planner, for a comparison")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N")
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        required=True,
+        metavar="MAP",
+        help="map to plan on: its YAML file, or a folder that map wrote",
+    )
+    parser.add_argument(
+        "--robot",
+        default="burger",
+        metavar="R",
+        help="robot: a name or a YAML file (default: burger)",
+    )
+    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="from here: metres and radians")
+    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="to here")
+    names = get_args(PlannerName)
+    parser.add_argument(
+        "--planner",
+        choices=names,
+        metavar="P",
+        help=f"planner of OMPL: {', '.join(names)} (default: {names[0]})",
+    )
+    parser.add_argument("--compare", action="store_true", help="run every planner, to compare them")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the planners (default: 0)")
     add_config(parser)
     add_output(parser)
 

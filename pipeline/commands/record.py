@@ -13,7 +13,7 @@ EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --ou
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML file")
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="script: a name, a YAML file, or a bag whose /cmd_vel is driven again",
     )
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
     )
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     add_config(parser)

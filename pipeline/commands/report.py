@@ -7,7 +7,6 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from pipeline.commands.arguments import add_output
-from pipeline.report import make_index, make_report
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
@@ -21,11 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="outputs of record, map, localise, plan and navigate",
     )
-    parser.add_argument("--paper", action="store_true", help="each figure as PDF and SVG too")
+    parser.add_argument("--paper", action="store_true", help="also save each figure as PDF and SVG")
     parser.add_argument(
-        "--index", action="store_true", help="a sortable table of all outputs below DIR instead of a report"
+        "--index",
+        action="store_true",
+        help="make a sortable table of all outputs below DIR instead of a report",
     )
-    parser.add_argument("--no-animation", action="store_true", help="leave out the moving pictures: smaller")
+    parser.add_argument(
+        "--no-animation",
+        action="store_true",
+        help="leave out the animations, for a smaller page",
+    )
     add_output(parser)
 
 
@@ -36,6 +41,8 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Make the page and print where it is."""
+    from pipeline.report import make_index, make_report
+
     if args.index:
         for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
             if given:

@@ -6,21 +6,21 @@ import argparse
 from pathlib import Path
 
 from datasets.errors import InputError
-from pipeline.campaign.table import query
-from pipeline.sweep import TABLE, sweep
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag sweep`."""
-    parser.add_argument("campaign", metavar="FILE", help="campaign file or the name of a shipped study")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write the results to")
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler (tcp://...)")
-    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
     parser.add_argument(
-        "--query", metavar="SQL", help="ask the table `runs` of a finished sweep: FILE is its folder"
+        "--query",
+        metavar="SQL",
+        help="run a query on the table `runs` of a finished sweep; FILE is its folder then",
     )
 
 
@@ -35,6 +35,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("sweep: --out DIR is needed")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: at least one is needed")
+    from pipeline.sweep import sweep
+
     code = sweep(
         args.campaign,
         args.out,
@@ -48,6 +50,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(folder: Path, sql: str) -> int:
+    from pipeline.campaign.table import query
+    from pipeline.sweep import TABLE
+
     if not (folder / TABLE).is_file():
         raise InputError(f"{folder}: has no {TABLE}, so it is no finished sweep")
     names, rows = query(folder / TABLE, sql)

@@ -13,12 +13,12 @@ EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/m
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a file")
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
     parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default 1)"
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
     )
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
@@ -26,9 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--style",
         choices=("keys", "turtlebot3"),
         default="keys",
-        help="keys: W A S D; turtlebot3: its own node's",
+        help="keys: W A S D (default); turtlebot3: the keys of its own teleop node",
     )
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="pace, in multiples of real time (default: 1)",
+    )
     add_config(parser)
     add_output(parser)
 
@@ -36,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Drive by keys until Q or Ctrl-C."""
     from datasets.errors import InputError
-    from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, show
+    from pipeline.keyboard import TABLES, KeyState, View, clock, keyboard_driver, keys_of, redrawn, show
     from pipeline.record import RecordOptions, Scene, record_drive
 
     if not args.speed > 0.0:
@@ -45,16 +51,15 @@ def run(args: argparse.Namespace) -> int:
     start = pose(args.start, "--start") if args.start else None
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
     state = KeyState(scene.robot.limits, args.style)
-    show(TABLES[args.style] + "\n")
-    with keys_of(sys.stdin.fileno()) as read_keys:
-        code = record_drive(
+    table = TABLES[args.style]
+    show(table + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(args.view) as redraw:
+        return record_drive(
             scene,
             keyboard_driver(state, read_keys, clock(args.speed)),
             f"keyboard:{args.style}",
             args.out,
-            watch=View(scene.robot, state, args.view, show),
+            watch=View(scene.robot, state, args.view, redraw, keys=table),
             force=args.force,
             command=args.command_line,
         )
-    show("\n")
-    return code

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from datasets.errors import InputError
-from pipeline.verify import verify
 
 EXAMPLE = "turtlebag verify data/report"
 
@@ -14,16 +13,22 @@ EXAMPLE = "turtlebag verify data/report"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag verify`."""
     parser.add_argument("report", type=Path, metavar="REPORT", help="folder that report wrote")
-    parser.add_argument("--only", metavar="KEY", help="show one number: WORLD/STAGE:PATH as on the page")
+    parser.add_argument(
+        "--only",
+        metavar="KEY",
+        help="show one number, by its name on the page: WORLD/STAGE:PATH",
+    )
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="do not run map, localise and plan again for the numbers their files do not hold",
+        help="leave out the numbers for which map, localise or plan would have to run again",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what differs; exit 1 when anything does."""
+    from pipeline.verify import verify
+
     found = verify(args.report, run_again=not args.quick)
     if args.only is not None:
         matching = [check for check in found.checks if check.key == args.only]
@@ -41,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     for note in found.notes:
         print(note)
     agreeing = sum(check.agrees for check in found.checks)
-    print(f"{agreeing} of {len(found.checks)} numbers computed again and equal, {found.files} files hashed")
+    print(f"{agreeing} of {len(found.checks)} recomputed numbers agree, {found.files} files hashed")
     if found.unchecked and args.only is None:
-        print(f"{len(found.unchecked)} not computed again: {', '.join(found.unchecked)}")
+        print(f"{len(found.unchecked)} not recomputed: {', '.join(found.unchecked)}")
     return 1 if found.problems else 0

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from datasets.errors import InputError
+from pipeline.commands.arguments import epilog
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 
@@ -13,10 +14,19 @@ EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
-    actions.add_parser("list", help="names of the built-in worlds, robots and teleop scripts")
-    show = actions.add_parser("show", help="draw a world to a PNG")
-    show.add_argument("world", metavar="W", help="world: a name or a file")
-    show.add_argument("--robot", metavar="R", help="whose lidar height to cut at (default: the world's own)")
+    actions.add_parser("list", help="show the names of the built-in worlds, robots and teleop scripts")
+    show = actions.add_parser(
+        "show",
+        help="draw a world as a PNG",
+        description="Draw a world as a PNG.",
+        **epilog(EXAMPLE),
+    )
+    show.add_argument("world", metavar="W", help="world: a name or a YAML or SDF file")
+    show.add_argument(
+        "--robot",
+        metavar="R",
+        help="robot at whose lidar height the world is cut (default: the world's own)",
+    )
     show.add_argument("--out", type=Path, required=True, metavar="PNG", help="picture to write")
     show.add_argument("--force", action="store_true", help="replace --out if it exists")
 

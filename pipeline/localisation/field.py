@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, zoom
 
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.kernels import njit
@@ -52,7 +52,7 @@ class DistanceField:
             factor //= 2
         if factor == 1:
             return self.distance, 1
-        fine = zoom(self.distance, factor, order=1, mode="nearest", grid_mode=True)
+        fine = scipy.ndimage.zoom(self.distance, factor, order=1, mode="nearest", grid_mode=True)
         return np.ascontiguousarray(fine, dtype=np.float32), factor
 
     @property
@@ -68,7 +68,7 @@ def distance_field(grid: OccupancyGrid, max_dist: float) -> DistanceField:
     if not occupied.any():
         raise ValueError("the map has no occupied cell")
     pad = int(np.ceil(max_dist / grid.resolution))
-    distance = distance_transform_edt(~np.pad(occupied, pad)) * grid.resolution
+    distance = scipy.ndimage.distance_transform_edt(~np.pad(occupied, pad)) * grid.resolution
     corner = (0.5 - pad) * grid.resolution
     T_map_field = grid.T_map_grid @ SE2.from_xyt(corner, corner, 0.0)
     return DistanceField(

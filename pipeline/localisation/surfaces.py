@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.kernels import njit
@@ -64,7 +64,7 @@ def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
     shift, normals, rough = fit_cells(cells, index, towards_free, WINDOW_CELLS)
     points = cells[:, ::-1] + 0.5 + shift
     patch = grow_patches(cells, index, points, normals)
-    distance, (rows, cols) = distance_transform_edt(~occupied, return_indices=True)
+    distance, (rows, cols) = scipy.ndimage.distance_transform_edt(~occupied, return_indices=True)
     nearest = np.where(distance <= REACH_CELLS, index[rows, cols], -1).astype(np.int32)
     corner = -MARGIN_CELLS * grid.resolution
     return Surfaces(
@@ -80,7 +80,7 @@ def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
 
 def _towards_free(free: NDArray[np.bool_]) -> Array:
     """Direction of more free space at each cell, (rows, cols, 2) as x, y; short where both sides are free."""
-    smooth = gaussian_filter(free.astype(np.float64), 0.8)
+    smooth = scipy.ndimage.gaussian_filter(free.astype(np.float64), 0.8)
     along_y, along_x = np.gradient(smooth)
     return np.stack([along_x, along_y], axis=-1)
 

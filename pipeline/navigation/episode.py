@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from datasets.types import Trajectory
 from pipeline.navigation.driver import Driver
 from pipeline.navigation.explore import ExploreDriver
 from pipeline.navigation.metrics import run_metrics
+from pipeline.navigation.news import News
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
@@ -44,11 +45,13 @@ def drive(
     say: Callable[[str], None],
     takeovers: Source | None = None,
     make: DriverMaker = make_driver,
+    news: News | None = None,
+    interrupted: Sequence[int] = (),
 ) -> Episode:
-    """Observe, decide, log, act, until the driver is done.
+    """Observe, decide, log, act, until the driver is done or there is something in `interrupted`.
 
     `takeovers` says when someone else has the commands; without it, the script of the configuration does.
-    `make` makes the driver.
+    `make` makes the driver; `news` is shown every tick.
     """
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
@@ -58,11 +61,12 @@ def drive(
     while True:
         command = owner.step(observation)
         recorder.tick(observation, owner, command)
-        if owner.finished:
-            break
-        if observation.stamp_ns > MAX_SIMULATED_S * 1e9:
-            if sequence is not None:
-                sequence.expire(f"the run ended after {MAX_SIMULATED_S:g} s", observation.stamp_ns)
+        ended = _cut_short(observation.stamp_ns, interrupted)
+        if ended and sequence is not None and not owner.finished:
+            sequence.expire(ended, observation.stamp_ns)
+        if news is not None:
+            news.tick(observation.stamp_ns, owner, sequence, simulator.truth)
+        if owner.finished or ended:
             break
         observation = simulator.step(command)
     estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
@@ -81,6 +85,13 @@ def drive(
         # no map is what it was sent for
         metrics |= {"success": False, "true_success": False}
     return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
+
+
+def _cut_short(stamp_ns: int, interrupted: Sequence[int]) -> str:
+    """Why the run ends here though the driver is not done; empty when it does not."""
+    if interrupted:
+        return "the run was interrupted"
+    return f"the run ended after {MAX_SIMULATED_S:g} s" if stamp_ns > MAX_SIMULATED_S * 1e9 else ""
 
 
 def _owner(driver: Driver, mission: Mission, takeovers: Source | None) -> CommandOwner:

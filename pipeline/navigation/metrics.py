@@ -11,6 +11,7 @@ from datasets.runlog import RunLog
 from datasets.types import Trajectory
 from planners.tasks.sequence import GoalOutcome
 from reports.metrics.navigation import (
+    THERE_M,
     collision_episodes,
     collisions,
     distance_driven,
@@ -19,9 +20,6 @@ from reports.metrics.navigation import (
     pose_error,
     takeovers,
 )
-
-THERE_M = 0.25
-"""A robot that is farther from its goal than this is not there, whatever it believes."""
 
 
 def run_metrics(

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
@@ -97,8 +96,8 @@ class Chain:
         found = []
         for weights in (self.drift_m, self.length_m):
             values = [*(weights + 1e-6).tolist(), *[1e-3] * len(anchors)]
-            graph = coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
-            found.append(np.asarray(dijkstra(graph, directed=False, indices=queries)))
+            graph = scipy.sparse.coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
+            found.append(np.asarray(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=queries)))
         return found[0], found[1]
 
 

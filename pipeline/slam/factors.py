@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import gtsam
-
 from datasets.se2 import Array
 
 Kind = Literal["step", "odometry", "steady", "loop", "pair"]
@@ -34,6 +32,8 @@ class Constraint:
 
 def noise(constraint: Constraint, floor: Array) -> Any:
     """GTSAM's noise model of a constraint; `floor` is added to keep its information positive definite."""
+    import gtsam  # takes a quarter of a second, and most runs need no graph
+
     gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
     if constraint.soft == 0.0:
         return gaussian
@@ -43,6 +43,8 @@ def noise(constraint: Constraint, floor: Array) -> Any:
 
 def solved(graph: Any, values: Any, iterations: int, tolerance: float) -> Any:
     """The values that Levenberg-Marquardt ends at; `tolerance` is the relative decrease it stops at."""
+    import gtsam
+
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(iterations)
     parameters.setRelativeErrorTol(tolerance)

@@ -13,10 +13,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import Alignment, align, observable, without_direction
@@ -203,8 +202,8 @@ class LoopFinder:
         rows = [k for k in range(n - 1)] + [i for _, i in anchors]
         cols = [k + 1 for k in range(n - 1)] + [j for j, _ in anchors]
         lengths = list(np.diff(self.path[:n])) + [0.1] * len(anchors)
-        graph = coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
-        return dijkstra(graph, directed=False, indices=i)
+        graph = scipy.sparse.coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
+        return scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=i)
 
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
         """Search, align and judge key i (with its predecessors) against the place around key j."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from datasets.se2 import SE2, Array
@@ -47,6 +46,8 @@ def write_g2o(path: Path, T_map_keys: SE2, constraints: Sequence[Constraint]) ->
 
 
 def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Any:
+    import gtsam
+
     graph = gtsam.NonlinearFactorGraph()
     fixed = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-6, 1e-6, 1e-6]))
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T_map_keys.xyt[0]), fixed))
@@ -56,6 +57,8 @@ def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Any:
 
 
 def _values(T_map_keys: SE2) -> Any:
+    import gtsam
+
     values = gtsam.Values()
     for k, (x, y, yaw) in enumerate(T_map_keys.xyt.tolist()):
         values.insert(k, gtsam.Pose2(x, y, yaw))

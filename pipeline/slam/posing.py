@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
@@ -60,7 +60,8 @@ def pose_all_scans(
         return carried
     poses = carried.xyt.copy()
     count = min(config.neighbours, len(track.keys))
-    near = np.atleast_2d(cKDTree(T_map_keys.xy).query(carried.xy, k=count)[1]).reshape(len(poses), count)
+    _, nearest = scipy.spatial.cKDTree(T_map_keys.xy).query(carried.xy, k=count)
+    near = np.atleast_2d(nearest).reshape(len(poses), count)
     information = np.diag([config.carried_m**-2, config.carried_m**-2, (0.5 * config.carried_m) ** -2])
     is_key = np.zeros(len(poses), dtype=bool)
     is_key[track.keys] = True

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align, observable
@@ -285,7 +285,7 @@ def _laid_out(
         place = stretch[int(np.argmin(to_i[:, k]))]
         at_place = SE2(poses[place.j]) @ SE2(place.T_j_i)
         moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
-    near = cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
+    near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
     pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
     if len(pairs) == 0:
         return np.zeros(0)

@@ -11,9 +11,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
@@ -74,7 +74,7 @@ def overlapping_pairs(T_map_keys: SE2, radius: float, neighbours: int) -> NDArra
     """Pairs (n, 2), i < j, of keys near each other: for each key the two beside it in time and its
     nearest ones, spread over the visits to the place rather than taken from the last one only."""
     n = len(T_map_keys)
-    tree = cKDTree(T_map_keys.xy)
+    tree = scipy.spatial.cKDTree(T_map_keys.xy)
     found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}
     for i, near in enumerate(tree.query_ball_point(T_map_keys.xy, radius)):
         others = np.array([k for k in near if k != i], dtype=np.int64)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align
@@ -88,15 +88,16 @@ def _peaks(clouds: Clouds, map_keys: NDArray[np.int64], T_map_keys: Array, point
     field = make_field(clouds, map_keys, T_map_keys, RESOLUTION_M, SIGMA_M)
     reach = int(np.ceil(np.linalg.norm(points, axis=1).max() / RESOLUTION_M)) + 1
     rows, cols = field.values.shape
-    shape = (fft.next_fast_len(rows + 2 * reach, True), fft.next_fast_len(cols + 2 * reach, True))
-    spectrum = fft.rfft2(field.values.astype(np.float32), shape)
+    shape = (scipy.fft.next_fast_len(rows + 2 * reach, True), scipy.fft.next_fast_len(cols + 2 * reach, True))
+    spectrum = scipy.fft.rfft2(field.values.astype(np.float32), shape)
     candidates: list[tuple[float, Array]] = []
     for yaw in np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS):
         cells = np.floor((SE2.from_xyt(0.0, 0.0, yaw) @ points) / RESOLUTION_M).astype(int)
         image = np.zeros(shape, dtype=np.float32)
         # each cell counts once: near walls are hit by many beams and would drown the rest
         image[cells[:, 1] % shape[0], cells[:, 0] % shape[1]] = 1.0
-        score = fft.irfft2(spectrum * np.conj(fft.rfft2(image)), shape)[:rows, :cols] / image.sum()
+        hits = scipy.fft.irfft2(spectrum * np.conj(scipy.fft.rfft2(image)), shape)[:rows, :cols]
+        score = hits / image.sum()
         best = np.argpartition(score.ravel(), -PEAKS)[-PEAKS:]
         for index in best.tolist():
             row, col = divmod(index, cols)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
@@ -129,7 +129,7 @@ def check_map(
 
 
 def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
-    pairs = cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return np.asarray(pairs[:: max(1, len(pairs) // 4000)], dtype=np.int64)

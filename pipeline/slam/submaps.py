@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
@@ -99,7 +99,8 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
         cells = _cells(SE2.from_xyt(0.0, 0.0, yaw) @ inner)
         image = np.zeros((CELLS, CELLS), dtype=np.float32)
         image[cells[:, 1] % CELLS, cells[:, 0] % CELLS] = 1.0
-        score = fft.irfft2(other.spectrum * np.conj(fft.rfft2(image)), (CELLS, CELLS)) / image.sum()
+        product = other.spectrum * np.conj(scipy.fft.rfft2(image))
+        score = scipy.fft.irfft2(product, (CELLS, CELLS)) / image.sum()
         for value, dx, dy in _best_shifts(score, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
@@ -132,7 +133,7 @@ def _spectrum(points: Array) -> NDArray[np.complex64]:
             weight = np.float32(np.exp(-0.5 * (dx * dx + dy * dy)))
             row, col = (cells[:, 1] + dy) % CELLS, (cells[:, 0] + dx) % CELLS
             image[row, col] = np.maximum(image[row, col], weight)
-    return np.asarray(fft.rfft2(image))
+    return np.asarray(scipy.fft.rfft2(image))
 
 
 def _signature(points: Array, normals: Array) -> Array:
@@ -150,7 +151,7 @@ def _signature(points: Array, normals: Array) -> Array:
 
 def _headings(query: Array, other: Array) -> list[int]:
     """Turns of the query (in bins) at which the histograms of normals agree best, and their neighbours."""
-    match = fft.irfft(fft.rfft(other) * np.conj(fft.rfft(query)), HEADINGS)
+    match = scipy.fft.irfft(scipy.fft.rfft(other) * np.conj(scipy.fft.rfft(query)), HEADINGS)
     smooth = match + 0.5 * (np.roll(match, 1) + np.roll(match, -1))
     peaks = np.flatnonzero((smooth >= np.roll(smooth, 1)) & (smooth > np.roll(smooth, -1)))
     peaks = peaks[np.argsort(-smooth[peaks], kind="stable")][:HEADING_PEAKS]

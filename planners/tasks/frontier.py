@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy import ndimage
 
 from datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
@@ -33,8 +33,8 @@ class FrontierConfig(BaseModel):
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
     """Frontier number of each cell, (rows, cols), 0 for none: free cells beside unknown ones, connected."""
-    beside = ndimage.binary_dilation(grid.cells == UNKNOWN, structure=EIGHT_NEIGHBOURS)
-    labels, count = ndimage.label((grid.cells == FREE) & beside, structure=EIGHT_NEIGHBOURS)
+    beside = scipy.ndimage.binary_dilation(grid.cells == UNKNOWN, structure=EIGHT_NEIGHBOURS)
+    labels, count = scipy.ndimage.label((grid.cells == FREE) & beside, structure=EIGHT_NEIGHBOURS)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution
     sizes[0] = 0.0
     return np.where(sizes[labels] >= least_length, labels, 0).astype(np.int32)
@@ -58,7 +58,7 @@ def next_view(
     if start is None or not labels.any():
         return None
     ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
-    away, (rows, cols) = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    away, (rows, cols) = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
     candidates = np.isfinite(ways) & (away * grid.resolution <= config.view_distance)
     cells = np.argwhere(candidates)
     places = grid.center_of(cells)

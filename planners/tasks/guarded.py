@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from datasets.se2 import SE2, Array
 from datasets.spans import Seconds
@@ -84,7 +84,7 @@ class SlipWatch:
             if abs(yaw) > 0.6:
                 self._pose, self._points = T_odom_base, points
             return False
-        tree = cKDTree(self._points)
+        tree = scipy.spatial.cKDTree(self._points)
         still = _misfit(tree, SE2.from_xyt(0.0, 0.0, yaw) @ points)
         moved = _misfit(tree, SE2.from_xyt(x, y, yaw) @ points)
         stood = _misfit(tree, points)
@@ -92,7 +92,7 @@ class SlipWatch:
         return min(still, stood) < self.config.slip_ratio * moved
 
 
-def _misfit(tree: cKDTree, points: Array) -> float:
+def _misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
     """Mean distance of points to their nearest neighbours, far ones cut at 0.2 m."""
     distance, _ = tree.query(points, distance_upper_bound=0.2)
     return float(np.minimum(distance, 0.2).mean())

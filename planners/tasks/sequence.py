@@ -72,6 +72,16 @@ class GoalSequence:
         return not self._active and self.index + 1 >= len(self._queue)
 
     @property
+    def total(self) -> int:
+        """How many goals there are, laps and second tries counted."""
+        return len(self._queue)
+
+    @property
+    def waypoint(self) -> Waypoint:
+        """The entry of the goal that was set last."""
+        return self._queue[self.index]
+
+    @property
     def goal(self) -> SE2 | None:
         """The goal pursued now; None while waiting."""
         return self._queue[self.index].T_map_goal if self._active else None
@@ -84,7 +94,7 @@ class GoalSequence:
         if self._resume_ns is None:
             self._resume_ns = now_ns + round(self.config.initial_wait * 1e9)
         if self._active and now_ns - self._started_ns - self._postponed_ns >= self.config.timeout * 1e9:
-            late = f"not there within {self.config.timeout:g} s"
+            late = f"not reached within {self.config.timeout:g} s"
             self.close("timeout", f"{late}: {trouble}" if trouble else late, now_ns)
         while (
             not self._active

@@ -16,6 +16,7 @@ from datasets.se2 import SE2, Array
 from datasets.yaml_files import parsed
 
 KEYS = {"waypoints", "keepout"}
+ENTRY_KEYS = ("x", "y", "yaw", "quaternion")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +79,10 @@ def parse_waypoint(entry: Any) -> Waypoint:
         entry = dict(zip(("x", "y", "yaw"), entry, strict=False))
     if not isinstance(entry, Mapping):
         return Waypoint(None, "not an entry with x, y and yaw")
-    if unknown := sorted(str(key) for key in set(entry) - {"x", "y", "yaw", "quaternion"}):
-        return Waypoint(None, f"unknown key {unknown[0]}")
     x, y = _number(entry.get("x")), _number(entry.get("y"))
+    if unknown := sorted(str(key) for key in set(entry) - set(ENTRY_KEYS)):
+        known = ", ".join(ENTRY_KEYS)
+        return Waypoint(None, f"unknown key {unknown[0]} (known: {known})", (x, y, math.nan))
     if "quaternion" in entry:
         if "yaw" in entry:
             return Waypoint(None, "both yaw and quaternion are given", (x, y, math.nan))
@@ -90,6 +92,8 @@ def parse_waypoint(entry: Any) -> Waypoint:
         reason = "" if math.isfinite(yaw) else "yaw is not a finite number"
     written = (x, y, yaw)
     for name, value in (("x", x), ("y", y)):
+        if name not in entry:
+            return Waypoint(None, f"{name} is missing", written)
         if not math.isfinite(value):
             return Waypoint(None, f"{name} is not a finite number", written)
     if reason:

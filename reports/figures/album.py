@@ -31,18 +31,20 @@ class Picture:
 class Album:
     """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG.
 
-    Without a folder nothing is drawn: titles and captions only.
+    Without a folder nothing is drawn: titles and captions only. `told` hears what is being drawn.
     """
 
     folder: Path | None
     animate: bool = True
     paper: bool = False
     pictures: list[Picture] = field(default_factory=list)
+    told: Callable[[str], None] = lambda title: None
 
     def add(self, name: str, title: str, caption: str, draw: Callable[[], Figure]) -> Picture:
         """Draw, save `name.png` and keep the SVG; names are unique within a report."""
         if any(picture.name == name for picture in self.pictures):
             raise ValueError(f"two pictures are called {name}")
+        self.told(title)
         svg = "" if self.folder is None else self._saved(self.folder, name, draw)
         picture = Picture(name, title, caption, svg)
         self.pictures.append(picture)
@@ -64,6 +66,7 @@ class Album:
 
     def add_animation(self, name: str, title: str, caption: str, draw: Callable[[], bytes]) -> Picture:
         """Save `name.gif` and carry it in the page."""
+        self.told(title)
         picture = Picture(name, title, caption)
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)

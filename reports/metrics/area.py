@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from datasets.grid import FREE, OccupancyGrid
 from datasets.kernels import njit
@@ -54,8 +54,8 @@ def floor_seen(grid: OccupancyGrid, places: Array, reach: float) -> Mask:
 
 def _stands(grid: OccupancyGrid, free: Mask, xy: Array, radius: float) -> Array:
     """Places (n, 2) on a lattice where the disc can be, joined to the place nearest to `xy`."""
-    room = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.resolution > radius
-    labels, _ = ndimage.label(room, structure=EIGHT)
+    room = scipy.ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.resolution > radius
+    labels, _ = scipy.ndimage.label(room, structure=EIGHT)
     cells = np.argwhere(room)
     if len(cells) == 0:
         return np.zeros((0, 2))

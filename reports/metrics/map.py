@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from datasets.grid import FREE, OccupancyGrid
 from datasets.se2 import Array
@@ -45,7 +44,7 @@ def occupied(grid: OccupancyGrid) -> NDArray[np.bool_]:
 def visible_surface(true_grid: OccupancyGrid, grid: OccupancyGrid) -> NDArray[np.bool_]:
     """True occupied cells a robot in the mapped free space could see, (rows, cols) of `true_grid`."""
     solid = occupied(true_grid)
-    rooms, count = ndimage.label(~solid)
+    rooms, count = scipy.ndimage.label(~solid)
     if count == 0:
         return solid
     free = np.argwhere((grid.cells >= FREE) & (grid.cells < OCCUPIED_FROM))
@@ -54,7 +53,7 @@ def visible_surface(true_grid: OccupancyGrid, grid: OccupancyGrid) -> NDArray[np
     votes = np.bincount(rooms[cells[:, 0], cells[:, 1]], minlength=count + 1)
     votes[0] = 0
     room = rooms == np.argmax(votes) if votes.any() else rooms > 0
-    return solid & ndimage.binary_dilation(room, EIGHT)
+    return solid & scipy.ndimage.binary_dilation(room, EIGHT)
 
 
 def map_error(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapError:
@@ -67,7 +66,7 @@ def map_error(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapError:
 def _nearest(points: Array, targets: Array) -> Array:
     if len(targets) == 0:
         return np.full(len(points), np.inf)
-    return np.asarray(cKDTree(targets).query(points)[0], dtype=np.float64)
+    return np.asarray(scipy.spatial.cKDTree(targets).query(points)[0], dtype=np.float64)
 
 
 def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> dict[str, object]:

@@ -14,6 +14,8 @@ from reports.metrics.trajectory import associate, summary
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
+THERE_M = 0.25
+"""A robot that is farther than this from where it believes to be is not there."""
 
 
 def localisation_error(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
