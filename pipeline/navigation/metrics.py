@@ -18,10 +18,8 @@ from reports.metrics.navigation import (
     min_clearance,
     pose_error,
     takeovers,
+    truly_reached,
 )
-
-THERE_M = 0.25
-"""A robot that is farther from its goal than this is not there, whatever it believes."""
 
 
 def run_metrics(
@@ -46,7 +44,7 @@ def run_metrics(
     return {
         "task": task,
         "success": success,
-        "true_success": success and max(misses, default=0.0) <= THERE_M,
+        "true_success": success and all(truly_reached(goal) for goal in goals),
         "goals": goals,
         "goal_error_m": {"mean": float(np.mean(misses)), "max": max(misses)} if misses else None,
         "collisions": counts,

@@ -1,4 +1,4 @@
-"""Two outputs in one picture: A orange and below, B blue and above."""
+"""Two outputs in one picture: A purple, wide and below, B blue and above."""
 
 from __future__ import annotations
 
