@@ -57,7 +57,7 @@ class Part:
         counts = {"goal": len(self.goals), "planner": len(self.planners), "number": len(self.numbers)}
         told = [f"{more} more picture{'s' * (more != 1)}"] if more > 0 else []
         told += [f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count]
-        return "Unfold: " + (", ".join(told) or "details")
+        return ", ".join(told) or "details"
 
     @property
     def sections(self) -> list[tuple[Section, list[Number]]]:
@@ -189,7 +189,7 @@ def _run_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
     believed = bool(metrics.get("success", hits == 0))
     good = believed and bool(metrics.get("true_success", True)) and not _elsewhere(goals)
-    sentence = ", ".join(what)
+    sentence = ("; " if _elsewhere(goals) else ", ").join(what)
     return GOOD if good else BAD, f"{sentence[0].upper()}{sentence[1:]}."
 
 

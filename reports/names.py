@@ -29,7 +29,7 @@ TELLING = {
     "goal": "at {}",
     "waypoints": "by {}",
     "start": "from {}",
-    "initial-pose": "told {}",
+    "initial-pose": "initial pose {}",
     "mode": "{}",
     "laps": "{} laps",
     "duration": "{} s",
