@@ -64,7 +64,7 @@ class Stage:
         words = self.command
         return [
             following if word == f"--{name}" else word.partition("=")[2]
-            for word, following in zip(words, [*words[1:], ""], strict=True)
+            for word, following in zip(words, [*words, ""][1:], strict=True)
             if word == f"--{name}" or word.startswith(f"--{name}=")
         ]
 
