@@ -253,10 +253,16 @@ def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
 
 def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     error = lookup(metrics, "localisation_error_m.rmse")
-    known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
+    known = f"; error {shown(error, 'cm')} RMSE" if error is not None else ""
+    believed = bool(metrics.get("success", True))
+    good = believed and bool(metrics.get("true_success", True))
     status = str(metrics.get("status", "localised"))
+    if believed and not good:
+        status = (
+            f"not localised: it believed so, but was {shown(metrics.get('last_error_m'), 'm')} off at the end"
+        )
     reason = f": {metrics['reason']}" if metrics.get("reason") else ""
-    return (GOOD if metrics.get("success", True) else BAD), f"{status.capitalize()}{reason}{known}."
+    return (GOOD if good else BAD), f"{status[0].upper()}{status[1:]}{reason}{known}."
 
 
 def collision_count(metrics: Mapping[str, Any]) -> int:

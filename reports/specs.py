@@ -212,6 +212,26 @@ LOCALISE = (
         "",
         (
             Spec(
+                "true_success",
+                "localised, by the truth",
+                "yes",
+                "At the end the filter was settled and within 25 cm of the truth.",
+                TRAJECTORY,
+            ),
+            Spec(
+                "success",
+                "localised, as the filter believed",
+                "yes",
+                "At the end the filter was settled and the scans agreed with the map.",
+            ),
+            Spec(
+                "last_error_m",
+                "error at the end",
+                "cm",
+                "Distance between the estimate and the true position at the last scan.",
+                TRAJECTORY,
+            ),
+            Spec(
                 "localisation_error_m.rmse",
                 "localisation error, RMSE",
                 "cm",

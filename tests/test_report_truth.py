@@ -155,3 +155,15 @@ def test_maps_of_several_recordings_say_whose_they_are(tmp_path):
         "Mapping, of recording seed 1",
         "Mapping, of recording seed 2",
     ]
+
+
+def test_a_localisation_that_only_believes_it_is_there_is_bad():
+    stage = Stage(Path("nowhere"), "localise", "localise", {})
+    metrics = {"success": True, "true_success": False, "status": "localised", "last_error_m": 3.98}
+    assert verdict(stage, metrics) == (
+        "bad",
+        "Not localised: it believed so, but was 3.98\u202fm off at the end.",
+    )
+    assert verdict(stage, metrics | {"true_success": True})[0] == "good"
+    del metrics["true_success"]
+    assert verdict(stage, metrics)[0] == "good"

@@ -16,7 +16,7 @@ from reports.metrics.trajectory import associate, summary
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
 THERE_M = 0.25
-"""A robot that is farther from its goal than this is not there, whatever it believes."""
+"""A robot that is farther than this from where it believes to be is not there."""
 
 
 def outcome(goal: Mapping[str, Any]) -> str:
