@@ -16,7 +16,7 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import Trajectory
-from reports.content import stage_metrics
+from reports.content import stage_metrics, verdict
 from reports.draw_localise import given_map, read_path
 from reports.figures import comparison
 from reports.figures.album import Album
@@ -56,9 +56,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two outputs of one kind."""
+    """What differs between two outputs of one kind; `verdicts` are (mood, sentence) of each."""
 
     kind: str
+    verdicts: tuple[tuple[str, str], tuple[str, str]]
     rows: list[Row]
     settings: list[tuple[str, str, str]]
     same_bytes: list[str]
@@ -85,7 +86,10 @@ def compare(a: Stage, b: Stage) -> Comparison:
     commands = command_of(a, "A"), command_of(b, "B")
     known = all("source" in stage.manifest.get("inputs", {}) for stage in (a, b))
     source = same_input(a, b) if known else None
-    return Comparison(a.kind, rows, settings, same, sorted(set(files) - set(same)), commands, source)
+    verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
+    return Comparison(
+        a.kind, verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source
+    )
 
 
 def command_of(stage: Stage, name: str) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from report_fakes import fake_map, fake_record, fake_run
 
+from pipeline.compare import write_comparison
 from pipeline.report import make_index, make_report
 from pipeline.verify import verify, words_of
 from reports.content import verdict
@@ -167,3 +168,12 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
     assert verdict(stage, metrics | {"true_success": True})[0] == "good"
     del metrics["true_success"]
     assert verdict(stage, metrics)[0] == "good"
+
+
+def test_a_comparison_says_of_both_how_they_truly_went(folders):
+    write_comparison(folders / "lost", folders / "there", folders / "comparison")
+    text = (folders / "comparison/index.html").read_text()
+    lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
+    assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]
+    assert re.search(r"success, by the truth</td><td[^>]*>no</td><td[^>]*>yes</td>", text)
+    assert re.search(r"success, as the robot believed</td><td[^>]*>yes</td><td[^>]*>yes</td>", text)
