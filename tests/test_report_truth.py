@@ -54,6 +54,12 @@ def test_what_the_robot_said_and_what_was_true_stand_in_columns_of_their_own(pag
     assert '<td class="status elsewhere">elsewhere</td>' in row
 
 
+def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folders, page):
+    text = make_report([folders / "map", folders / "lost"], folders / "alone", animate=False).read_text()
+    assert re.findall(r'<circle class="(good|bad)"', text) == ["good", "good", "bad"]
+    assert re.findall(r'<circle class="(good|bad)"', page.read_text()) == ["good", "good", "good"]
+
+
 def test_a_page_that_contradicts_the_robot_verifies(page):
     found = verify(page.parent, run_again=False)
     assert found.problems == []
