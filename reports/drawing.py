@@ -279,8 +279,8 @@ def _particle_pictures(
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
     caption = (
-        "Each green stroke is one guess of where the robot is, the black arrow the truth. Every picture is "
-        "zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. More "
+        "Each green stroke is one guess of where the robot is, the arrow with a dot the truth. Every picture "
+        "is zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. More "
         "pictures are from the start of the run."
     )
     draw = partial(particles, world, snapshots, truth)

@@ -23,8 +23,8 @@ RECORD = (
         ),
     ),
     Section(
-        "How far the wheels were wrong",
-        "Wheel odometry adds up its errors: these are what mapping has to put right.",
+        "How far off the wheels were",
+        "Errors of the wheel odometry add up. These are what mapping has to put right.",
         (
             Spec(
                 "odometry_ate_m.rmse",
@@ -65,7 +65,7 @@ RECORD = (
 RUN = (
     Section(
         "What it did",
-        "Contacts and clearance were counted by the simulator as the run was made: a bag holds neither.",
+        "Contacts and clearance come from the simulator, in the run log: a bag holds neither.",
         (
             Spec(
                 "true_success",
@@ -103,7 +103,7 @@ RUN = (
                 "goal_error_m.mean",
                 "distance from the goals, mean",
                 "cm",
-                "Where the robot truly stood when it took a goal to be reached, against that goal.",
+                "Distance of the robot's true position from a goal when it took that goal to be reached.",
                 BAG,
                 TRUTH,
             ),
@@ -143,8 +143,7 @@ RUN = (
                 "takeovers.count",
                 "takeovers",
                 "count",
-                "Times that someone took the commands over from navigation, by the run log's owner of each "
-                "tick.",
+                "How many times someone took over from navigation.",
                 LOG,
                 seldom=True,
             ),
@@ -152,7 +151,7 @@ RUN = (
                 "takeovers.time_s",
                 "time taken over",
                 "s",
-                "Simulated time that navigation did not drive.",
+                "Simulated time that someone other than navigation drove.",
                 LOG,
                 seldom=True,
             ),
@@ -256,7 +255,7 @@ LOCALISE = (
         ),
     ),
     Section(
-        "How the filter stood",
+        "State of the filter",
         "",
         (
             Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),

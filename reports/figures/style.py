@@ -21,7 +21,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#e1e5ea"
-TRUTH, ODOMETRY, SLAM, AMCL = "#9ccbee", "#aa4499", "#0072b2", "#009e73"
+TRUTH, ODOMETRY, SLAM, AMCL = "#9ccbee", "#b455a0", "#0072b2", "#009e73"
 GOOD, BAD = "#009e73", "#d55e00"
 # Series of no meaning of their own. None is BAD: orange is what went wrong, in every figure.
 SERIES = (SLAM, GOOD, ODOMETRY, "#56b4e9", INK, "#8a7f1f")
