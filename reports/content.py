@@ -253,7 +253,7 @@ def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
 
 def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     error = lookup(metrics, "localisation_error_m.rmse")
-    known = f"; error {shown(error, 'cm')} RMSE" if error is not None else ""
+    known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
     believed = bool(metrics.get("success", True))
     good = believed and bool(metrics.get("true_success", True))
     status = str(metrics.get("status", "localised"))

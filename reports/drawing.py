@@ -280,8 +280,8 @@ def _particle_pictures(
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
     caption = (
         "Each green stroke is one guess of where the robot is, the arrow with a dot the truth. Every picture "
-        "is zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. More "
-        "pictures are from the start of the run."
+        "is zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. "
+        "More pictures are from the start of the run."
     )
     draw = partial(particles, world, snapshots, truth)
     return [album.add(f"{prefix}-particles", "Particles", caption, draw)]

@@ -18,7 +18,7 @@ const reveal = () => {
   if (!target) return;
   for (let box = target.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
   for (const box of target.querySelectorAll(":scope > details.rest, :scope.chapter > details.more")) box.open = true;
-  target.scrollIntoView();
+  target.scrollIntoView({ behavior: "instant" });
 };
 addEventListener("hashchange", reveal);
 reveal();
