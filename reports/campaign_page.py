@@ -7,10 +7,10 @@ from functools import partial
 from typing import Any
 
 from reports.campaign import LevelSummary, PairedSummary, levels_of
-from reports.content import slug
 from reports.figures.album import Album, Picture
 from reports.figures.campaign import result_over_factor, words
 from reports.metrics.statistics import Interval
+from reports.names import slug
 from reports.numbers import DASH, shown
 from reports.page import fill
 

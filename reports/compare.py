@@ -16,18 +16,26 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2
 from datasets.types import Trajectory
-from reports.content import stage_metrics
+from reports.content import stage_metrics, verdict
 from reports.draw_localise import given_map, read_path
 from reports.figures import comparison
 from reports.figures.album import Album
 from reports.metrics.map import occupied
 from reports.metrics.trajectory import associate
-from reports.numbers import leaves, lookup, shown
+from reports.numbers import DASH, leaves, lookup, shown
 from reports.provenance import rename
 from reports.specs import SPECS
 from reports.stages import Group, Stage
 
-MORE_IS_BETTER = ("iou", "iou_one_cell", "coverage", "within_one_cell", "goals_reached", "min_clearance_m")
+MORE_IS_BETTER = (
+    "iou",
+    "iou_one_cell",
+    "coverage",
+    "within_one_cell",
+    "true_success",
+    "goals_truly_reached",
+    "min_clearance_m",
+)
 PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}
 LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
 
@@ -48,9 +56,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two outputs of one kind."""
+    """What differs between two outputs of one kind; `verdicts` are (mood, sentence) of each."""
 
     kind: str
+    verdicts: tuple[tuple[str, str], tuple[str, str]]
     rows: list[Row]
     settings: list[tuple[str, str, str]]
     same_bytes: list[str]
@@ -77,7 +86,10 @@ def compare(a: Stage, b: Stage) -> Comparison:
     commands = command_of(a, "A"), command_of(b, "B")
     known = all("source" in stage.manifest.get("inputs", {}) for stage in (a, b))
     source = same_input(a, b) if known else None
-    return Comparison(a.kind, rows, settings, same, sorted(set(files) - set(same)), commands, source)
+    verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
+    return Comparison(
+        a.kind, verdicts, rows, settings, same, sorted(set(files) - set(same)), commands, source
+    )
 
 
 def command_of(stage: Stage, name: str) -> str:
@@ -95,6 +107,10 @@ def _number(value: Any) -> float | None:
 
 def _row(path: str, label: str, unit: str, a: float | None, b: float | None) -> Row:
     difference, relative, mood = "", "", "neutral"
+    if unit == "yes":
+        texts = [DASH if value is None else shown(bool(value), unit) for value in (a, b)]
+        mood = _mood(path, b - a) if a is not None and b is not None and a != b else "neutral"
+        return Row(path, label, texts[0], texts[1], "=" if a == b else "\u2260", "", mood, (a, b))
     if a is not None and b is not None:
         change = b - a
         difference = "=" if change == 0.0 else shown(change, unit)
@@ -130,8 +146,8 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
     if a.map is not None and b.map is not None:
         both, only_a, only_b = map_overlap(a.map, b.map)
         caption = (
-            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Look for colour "
-            "away from the grey: one of the two has a wall there that the other has not."
+            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Colour away "
+            "from the grey is a wall that only one of the two has."
         )
         album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
     path_a, path_b = driven(a), driven(b)
@@ -140,7 +156,7 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
         ground = next((grid for grid in grids if grid is not None), None)
         figure = partial(comparison.paths, ground, path_a, path_b)
         caption = PATHS.get(a.kind, "True paths")
-        caption += ": A below, B above it; where A shows beside B they part."
+        caption += ": A wide, B thin on top of it."
         album.add("paths", "Paths", caption, figure)
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,20 +10,15 @@ from typing import Any
 from reports.draw_localise import draw_localise, draw_plan, given_map
 from reports.drawing import draw_map, draw_record, draw_run
 from reports.figures.album import Album, Picture
+from reports.metrics.navigation import outcome, truly_reached
 from reports.metrics.recording import recording_metrics
-from reports.numbers import Number, files_of, lookup, numbers_of, other_values, sections_of, shown
+from reports.names import slug
+from reports.numbers import DASH, Number, files_of, lookup, numbers_of, other_values, sections_of, shown
 from reports.pointer import PointerMap, pointer_map
 from reports.spec import Section
 from reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
 from reports.stages import Group, Stage
 
-TITLES = {
-    "record": "Recording",
-    "map": "Mapping",
-    "localise": "Localisation",
-    "plan": "Planning",
-    "navigate": "Navigation",
-}
 DRAW = {
     "record": draw_record,
     "map": draw_map,
@@ -42,7 +36,7 @@ class Part:
     """One stage on the page."""
 
     stage: Stage
-    title: str
+    about: str
     verdict: tuple[str, str]
     metrics: Mapping[str, Any]
     numbers: list[Number]
@@ -50,6 +44,20 @@ class Part:
     pictures: list[Picture]
     goals: list[Mapping[str, Any]]
     planners: list[Mapping[str, Any]]
+
+    @property
+    def believed(self) -> bool:
+        """Whether the stage itself took itself for a success."""
+        return bool(self.metrics.get("success", self.verdict[0] == GOOD))
+
+    @property
+    def contents(self) -> str:
+        """What the stage unfolds to."""
+        more = len(self.pictures) - 1
+        counts = {"goal": len(self.goals), "planner": len(self.planners), "number": len(self.numbers)}
+        told = [f"{more} more picture{'s' * (more != 1)}"] if more > 0 else []
+        told += [f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count]
+        return ", ".join(told) or "details"
 
     @property
     def sections(self) -> list[tuple[Section, list[Number]]]:
@@ -72,7 +80,6 @@ class Chapter:
     """One world (or log) on the page."""
 
     name: str
-    robot: str
     pointer: PointerMap | None
     parts: list[Part] = field(default_factory=list)
 
@@ -82,23 +89,17 @@ class Chapter:
         return slug(self.name)
 
 
-def slug(text: str) -> str:
-    """A text as a name for files and anchors."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
-
-
 def build_chapter(
     group: Group, album: Album, measured: Mapping[str, Mapping[str, Any]] | None = None
 ) -> Chapter:
     """Draw and describe every stage of a group; `measured` by label takes the place of its metrics."""
-    robots = [robot for stage in group.stages if (robot := stage.fact("robot")) is not None]
-    chapter = Chapter(group.name, robots[0] if robots else "", pointer_of(group))
+    chapter = Chapter(group.name, pointer_of(group))
     for stage in group.stages:
         metrics = stage_metrics(stage) if measured is None else dict(measured[stage.label])
         chapter.parts.append(
             Part(
                 stage,
-                _title(stage),
+                _about(stage, group),
                 verdict(stage, metrics, odometry_error(chapter, group.record_of(stage))),
                 metrics,
                 numbers_of(stage, metrics, group.name),
@@ -109,6 +110,13 @@ def build_chapter(
             )
         )
     return chapter
+
+
+def _about(stage: Stage, group: Group) -> str:
+    """Robot and world: `burger in turtlebot3_world`."""
+    record = group.record_of(stage)
+    robot = stage.fact("robot") or (record.fact("robot") if record is not None else None)
+    return f"{robot} in {group.name}" if robot else group.name
 
 
 def pointer_of(group: Group) -> PointerMap | None:
@@ -127,7 +135,7 @@ def pointer_of(group: Group) -> PointerMap | None:
         return pointer_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
     believed = "estimate" if with_goals.metrics.get("localisation_error_m") else "odometry"
     paths = {
-        f"true path of {with_goals.label}": ("truth", with_goals.truth),
+        f"true path ({with_goals.title})": ("truth", with_goals.truth),
         believed: ("estimate", with_goals.trajectory),
     }
     return pointer_map(grid, paths, with_goals.metrics["goals"])
@@ -146,14 +154,9 @@ def stage_metrics(stage: Stage) -> dict[str, Any]:
         return {**metrics, **recording_metrics(stage.folder / "bag", stage.truth)}
     goals = metrics.get("goals")
     if isinstance(goals, list) and goals:
+        metrics["goals_truly_reached"] = sum(truly_reached(goal) for goal in goals)
         metrics["goals_reached"] = sum(goal.get("status") == "reached" for goal in goals)
     return metrics
-
-
-def _title(stage: Stage) -> str:
-    if stage.kind != "navigate":
-        return TITLES[stage.kind] + stage.label.removeprefix(stage.kind).replace("-", " ")
-    return f"{TITLES['navigate']}: {stage.label}"
 
 
 def odometry_error(chapter: Chapter, record: Stage | None) -> float | None:
@@ -165,7 +168,7 @@ def odometry_error(chapter: Chapter, record: Stage | None) -> float | None:
 def verdict(stage: Stage, metrics: Mapping[str, Any], odometry_m: float | None = None) -> tuple[str, str]:
     """(good, bad or neutral; one sentence); `odometry_m` is the error that a map had to put right."""
     if stage.kind == "navigate":
-        return _run_verdict(stage.label, metrics)
+        return _run_verdict(metrics)
     if stage.kind == "map":
         return _map_verdict(metrics, odometry_m)
     if stage.kind == "localise":
@@ -178,25 +181,42 @@ def verdict(stage: Stage, metrics: Mapping[str, Any], odometry_m: float | None =
     return NEUTRAL, f"{sentence}; the wheel odometry drifted by up to {shown(drift, 'cm')}."
 
 
-def _run_verdict(label: str, metrics: Mapping[str, Any]) -> tuple[str, str]:
+def _run_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
+    """By the truth where it is known; what the robot took to be so stands beside it where it differs."""
     goals = metrics.get("goals") or []
     hits = collision_count(metrics)
-    what = []
-    if goals:
-        what.append(f"{metrics.get('goals_reached', 0)} of {len(goals)} goals reached{_misses(goals)}")
+    what = [_goals_sentence(goals)] if goals else []
     what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
-    good = bool(metrics.get("success", hits == 0))
-    return GOOD if good else BAD, f"{label.capitalize()}: {', '.join(what)}."
+    believed = bool(metrics.get("success", hits == 0))
+    good = believed and bool(metrics.get("true_success", True)) and not _elsewhere(goals)
+    sentence = ("; " if _elsewhere(goals) else ", ").join(what)
+    return GOOD if good else BAD, f"{sentence[0].upper()}{sentence[1:]}."
 
 
-def _misses(goals: Sequence[Mapping[str, Any]]) -> str:
-    """How the others ended, in brackets: ` (2 timeout, 1 rejected: no initial pose)`."""
+def _elsewhere(goals: Sequence[Mapping[str, Any]]) -> list[float]:
+    """How far the robot truly was [m] from each goal that it took to be reached and was not at."""
+    return [float(goal["error_m"]) for goal in goals if outcome(goal) == "elsewhere"]
+
+
+def _goals_sentence(goals: Sequence[Mapping[str, Any]]) -> str:
+    """`7 of 8 goals reached (1 timeout)`; what the robot believed and the truth denies is said too."""
+    reached = sum(truly_reached(goal) for goal in goals)
+    away = _elsewhere(goals)
     ends = Counter(
         f"{goal.get('status')}{f': {reason}' if (reason := goal.get('reason')) else ''}"
         for goal in goals
         if goal.get("status") != "reached"
     )
-    return f" ({', '.join(f'{count} {end}' for end, count in ends.items())})" if ends else ""
+    asides = [f"{count} {end}" for end, count in ends.items()]
+    if len(goals) == 1:
+        if away:
+            return f"goal not reached: the robot believed it was there, but it was {shown(away[0], 'm')} away"
+        return "goal reached" if reached else f"goal not reached ({', '.join(asides).removeprefix('1 ')})"
+    if away:
+        asides.insert(
+            0, f"the robot believed {reached + len(away)}, but was up to {shown(max(away), 'm')} away"
+        )
+    return f"{reached} of {len(goals)} goals reached" + (f" ({'; '.join(asides)})" if asides else "")
 
 
 def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[str, str]:
@@ -205,7 +225,7 @@ def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[
     ate = lookup(metrics, "ate_m.rmse")
     relations = lookup(metrics, "relations.trans_m.mean")
     if near is not None and ate is not None:
-        alone = f", by odometry alone {shown(odometry_m, 'cm')}" if odometry_m is not None else ""
+        alone = f" (odometry alone: {shown(odometry_m, 'cm')})" if odometry_m is not None else ""
         sentence = (
             f"{shown(near, 'percent')} of the wall cells lie within one cell of a true surface; "
             f"trajectory error {shown(ate, 'cm')} RMSE{alone}."
@@ -234,9 +254,15 @@ def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
 def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     error = lookup(metrics, "localisation_error_m.rmse")
     known = f", {shown(error, 'cm')} RMSE from the truth" if error is not None else ""
+    believed = bool(metrics.get("success", True))
+    good = believed and bool(metrics.get("true_success", True))
     status = str(metrics.get("status", "localised"))
+    if believed and not good:
+        status = (
+            f"not localised: it believed so, but was {shown(metrics.get('last_error_m'), 'm')} off at the end"
+        )
     reason = f": {metrics['reason']}" if metrics.get("reason") else ""
-    return (GOOD if metrics.get("success", True) else BAD), f"{status.capitalize()}{reason}{known}."
+    return (GOOD if good else BAD), f"{status[0].upper()}{status[1:]}{reason}{known}."
 
 
 def collision_count(metrics: Mapping[str, Any]) -> int:
@@ -272,6 +298,8 @@ def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
                 "number": number,
                 "pose": f"{shown(x, 'm')}, {shown(y, 'm')}, {shown(yaw, 'deg')}",
                 "status": str(goal.get("status")),
+                "outcome": outcome(goal),
+                "truth": {"reached": "there", "elsewhere": "elsewhere"}.get(outcome(goal), DASH),
                 "reason": goal.get("reason") or "",
                 "numbers": [
                     (key, goal.get(key), shown(goal.get(key), unit)) for key, unit in GOAL_UNITS.items()

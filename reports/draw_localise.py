@@ -57,16 +57,18 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     record = group.record_of(stage)
     truth = record.truth if record is not None else None
     if stage.metrics.get("status") == "rejected":
-        caption = "Nobody told it where it was: in place of an estimate stands the odometry."
+        caption = "The robot was not told where it was. The odometry is shown in place of an estimate."
         draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": estimate})
         return [album.add(f"{prefix}-path", "Not localised", caption, draw)]
-    caption = "Where the particle filter (AMCL) took the robot to be"
-    caption += "; it should hide the truth beneath it." if truth is not None else "."
+    caption = "Where the particle filter (AMCL) believed the robot was"
+    caption += (
+        "; the thin line should run along the middle of the wide pale one." if truth is not None else "."
+    )
     draw = partial(maps.trajectories, grid, {"truth": truth, "amcl": estimate})
     pictures = [album.add(f"{prefix}-path", "Localised path", caption, draw)]
     if truth is not None:
         draw = partial(series.localisation, associate(estimate, truth), int(truth.stamps_ns[0]), [], [])
-        caption = "How far the estimate was from the truth at each scan; it should stay low."
+        caption = "Distance between the estimate and the truth at each scan. It should stay low."
         pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, draw))
     return pictures
 
@@ -80,8 +82,8 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
     rivals = rival_paths(stage)
     if rivals:
         caption = (
-            "Every planner's way from the same start to the same goal. Look for the ways that are shorter at "
-            "the price of room, and for those that take another way altogether."
+            "Each planner's path from the same start to the same goal. Look for paths that are shorter but "
+            "keep less room, and for those that take another route altogether."
         )
         draw = partial(maps.plans, grid, rivals)
         return [album.add(f"{prefix}-path", "Planners compared", caption, draw)]
@@ -89,7 +91,7 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
         return []
     plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
     draw = partial(maps.trajectories, grid, {"plan": plan})
-    return [album.add(f"{prefix}-path", "Plan", "The planned path; the arrow is the start.", draw)]
+    return [album.add(f"{prefix}-path", "Plan", "The planned path.", draw)]
 
 
 def read_path(path: Path) -> SE2:

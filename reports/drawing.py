@@ -17,10 +17,11 @@ from datasets.runlog import RunLog
 from datasets.se2 import SE2
 from datasets.types import Recording, Trajectory
 from reports.draw_localise import given_map
-from reports.figures import animation, maps, series
+from reports.figures import animation, maps, runs, series
 from reports.figures.album import Album, Picture
 from reports.figures.cloud import cloud_from_above
 from reports.figures.graph import pose_graph, shown_edges
+from reports.figures.particles import particles
 from reports.g2o import read_g2o, read_loops
 from reports.metrics.navigation import collision_episodes
 from reports.metrics.trajectory import associate
@@ -36,8 +37,8 @@ def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[P
         return []
     paths = {"truth": stage.truth, "odometry": read_poses(stage.folder / "bag", "/odom")}
     caption = (
-        "Where the robot really went, and where its wheels say it went: the further apart, the more mapping "
-        "has to put right. The arrow is the start."
+        "Where the robot went (truth), and where its wheels say it went (odometry). The further apart, the "
+        "more mapping has to put right."
     )
     draw = partial(maps.trajectories, stage.true_map, paths)
     return [album.add(f"{prefix}-drive", "The drive", caption, draw)]
@@ -54,22 +55,25 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     pictures = []
     if grid is not None and true_map is not None:
         caption = (
-            "Every wall cell of the map, coloured by how far it is from a true surface (grey). Blue lies on "
-            "it, grey-brown one cell beside; look for orange: a wall that is not there."
+            "Every wall cell of the map, coloured by its distance from the nearest true surface (grey). Blue "
+            "is on the surface, grey-brown one cell away; orange is a wall that does not exist."
         )
         draw = partial(maps.map_over_truth, grid, true_map)
         pictures.append(album.add(f"{prefix}-error", "Map over truth", caption, draw))
     if slam is not None and truth is not None:
-        caption = "SLAM should hide the truth beneath it; the odometry alone wanders off."
+        caption = (
+            "SLAM's path should run along the middle of the wide pale band, which is the truth. The odometry "
+            "alone drifts away from it."
+        )
         draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": odometry, "slam": slam})
         pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
         pictures.append(_error_picture(album, prefix, slam, odometry, truth))
     elif grid is not None:
-        caption = "The map, with the path of the robot. Look for walls drawn twice: there is no truth to ask."
+        caption = "The map and the robot's path. No truth is known here: look for walls that appear twice."
         draw = partial(maps.plain_map, grid, {"slam": slam})
         pictures.append(album.add(f"{prefix}-map", "Map", caption, draw))
         if odometry is not None and slam is not None:
-            caption = "The path by odometry alone and after SLAM."
+            caption = "The path by odometry alone, and after SLAM."
             draw = partial(maps.trajectories, grid, {"odometry": odometry, "slam": slam})
             pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
     if stage.has("map.ply"):
@@ -84,8 +88,8 @@ def _cloud_picture(stage: Stage, album: Album, prefix: str) -> list[Picture]:
     if len(points) == 0:
         return []
     caption = (
-        "The 3D map from above, the highest point in each place. Walls should be thin lines, the floor one "
-        "colour: a floor that changes colour bends, a wall drawn twice was not recognised."
+        "The 3D map from above, showing the highest point at each place. Walls should be thin lines and the "
+        "floor one colour. A floor that changes colour is bent; a wall that appears twice was not recognised."
     )
     draw = partial(cloud_from_above, points)
     return [album.add(f"{prefix}-cloud", "Point cloud", caption, draw)]
@@ -102,8 +106,8 @@ def _mapping_animation(
         return animation.gif(animation.mapping(recording, slam, odometry, grid))
 
     caption = (
-        "Scans where SLAM puts them; its path blue, the odometry's orange. Walls drawn again on a later "
-        "visit should fall on those drawn before."
+        "The scans as SLAM places them, with its path in blue and the odometry's in purple. Walls seen again "
+        "on a later visit should fall on those seen before."
     )
     return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, draw)]
 
@@ -122,13 +126,13 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     pairs, residual_m = shown_edges(graph, record)
     what = "loops" if record is not None else "edges between distant keys"
     caption = (
-        "Dots are key scans; lines between them are places recognised again, blue where they agree with the "
-        f"map, orange where they pull against it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges, "
-        f"the {len(pairs)} {what} drawn"
+        "Dots are key scans. Lines join places that were recognised again: blue where they agree with the "
+        f"map, orange where they pull against it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges; "
+        f"the {len(pairs)} {what} are drawn"
     )
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
-        caption += f"; what is left of a loop's error: median {middle}, largest {worst}"
+        caption += f". What remains of a loop's error: median {middle}, largest {worst}"
     draw = partial(pose_graph, graph, grid, record)
     return album.add(f"{prefix}-graph", "Pose graph", caption + ".", draw)
 
@@ -143,8 +147,9 @@ def _error_picture(
         return series.error_over_time(associate(slam, truth), at_scans, truth)
 
     caption = (
-        "Above: how far off SLAM and the odometry were. Below: what the robot did then. SLAM's error should "
-        "come back down after every turn; the odometry's stays. Linear up to 1, logarithmic beyond."
+        "Top: the errors of SLAM and of the odometry. Bottom: how the robot moved at the time. SLAM's error "
+        "should fall again after every turn; the odometry's does not. An axis that goes beyond 3 is "
+        "logarithmic above 1."
     )
     return album.add(f"{prefix}-time", "Error over time", caption, draw)
 
@@ -180,34 +185,33 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     episodes = collision_episodes(log.t_ns, contact)
     first = contact & ~np.concatenate([[False], contact[:-1]])
     estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
-    caption = (
-        "True path, and above it where the robot believed to be" if estimate is not None else "True path"
-    )
-    caption += "; goals numbered in their order, coloured and shaped by how they ended." if goals else "."
-    draw = partial(maps.patrol, world, truth, estimate, goals, log.T_world_base.xy[first])
+    decisions = decisions_of(log) if not goals and stage.fact("task") == "avoid" else None
+    draw = partial(runs.run, world, truth, estimate, goals, log.T_world_base.xy[first], decisions)
+    caption = _run_caption(estimate is not None, bool(goals), decisions)
     pictures = [album.add(f"{prefix}-path", "The run", caption, draw)]
     ends = goal_ends(log)
     if estimate is not None:
         caption = (
-            "How far the robot's belief was from the truth: it should stay low and come back down. Dotted "
-            "lines: a goal ended; bands: contact."
+            "Distance between where the robot believed it was and where it was. It should stay low. Dotted "
+            "lines mark the end of a goal, orange bands contact."
         )
         pairs = associate(estimate, truth)
         draw = partial(series.localisation, pairs, int(log.t_ns[0]), episodes, ends)
         pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, draw))
     caption = (
-        "Room between the footprint and the nearest surface (0 is touch), above what the controller "
-        "commanded then: smooth while it is sure, ragged where it had to dodge."
+        "Top: the distance from the footprint to the nearest surface (0 is contact). Bottom: the commands "
+        "of the controller at the time, smooth in the open and ragged where it had to dodge."
     )
     commands = np.stack([log.v, log.w], axis=1)
     draw = partial(series.clearance, log.t_ns, log.clearance_m, commands, episodes, ends)
     pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, draw))
-    caption = "The true path coloured by that room: orange is where it was tight, \u25bc where tightest."
-    draw = partial(maps.clearance_on_map, world, truth, log.clearance_m)
+    caption = "The true path, coloured by clearance: orange where it was tight, \u25bc where it was least."
+    draw = partial(runs.clearance_on_map, world, truth, log.clearance_m)
     pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, draw))
     if stage.map is not None and stage.true_map is not None:
         caption = (
-            "What it mapped on its way, every wall cell coloured by how far it is from a true surface (grey)."
+            "The map made on the way: every wall cell, coloured by its distance from the nearest true "
+            "surface (grey)."
         )
         draw = partial(maps.map_over_truth, stage.map, stage.true_map)
         pictures.append(album.add(f"{prefix}-map", "The map it made", caption, draw))
@@ -215,6 +219,24 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     if album.animate:
         pictures.append(_run_animation(stage, world, truth, estimate, log, album, prefix))
     return pictures
+
+
+def decisions_of(log: RunLog) -> runs.Decisions:
+    """Where the driver's word changed."""
+    changed = [k for k in range(len(log)) if k == 0 or log.state[k] != log.state[k - 1]]
+    return runs.Decisions(log.T_world_base[np.array(changed)], [log.state[k] for k in changed])
+
+
+def _run_caption(localised: bool, goals: bool, decisions: runs.Decisions | None) -> str:
+    caption = "The true path"
+    if localised:
+        caption = "The true path (wide, pale), and on it where the robot believed it was (thin)"
+    if goals:
+        return f"{caption}. Goals are numbered in order; colour and shape say how they truly ended."
+    if decisions is None:
+        return f"{caption}."
+    turns = sum(word in runs.DECISIONS for word in decisions.words)
+    return f"{caption}. An arrow marks each of the {turns} places where it decided to turn or back off."
 
 
 def _run_animation(
@@ -233,8 +255,11 @@ def _run_animation(
         recording = read_again(stage.folder)
         return animation.gif(animation.run(world, truth, log.goal_index, goals, recording, scans_at))
 
-    caption = "The true path, the scan where the robot believes it is: it should lie on the walls"
-    caption += "; goals orange while pursued, green once reached." if goals else "."
+    caption = (
+        "The true path (pale), and the scan (green) drawn from where the robot believes it is: it should lie "
+        "on the walls."
+    )
+    caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
     return album.add_animation(f"{prefix}-animation", "The run, moving", caption, draw)
 
 
@@ -254,10 +279,11 @@ def _particle_pictures(
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
     caption = (
-        "Each stroke is one guess of where the robot is; the cloud should close in on the true pose, the "
-        "black arrow. More often at the start."
+        "Each green stroke is one guess of where the robot is, the arrow with a dot the truth. Every picture "
+        "is zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. "
+        "More pictures are from the start of the run."
     )
-    draw = partial(maps.particles, world, snapshots, truth)
+    draw = partial(particles, world, snapshots, truth)
     return [album.add(f"{prefix}-particles", "Particles", caption, draw)]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from datasets.errors import InputError
 from reports.content import collision_count, stage_metrics, verdict
+from reports.metrics.navigation import truly_reached
 from reports.numbers import lookup, shown
 from reports.specs import SPECS
 from reports.stages import KINDS, Stage, load_stage, read_json
@@ -122,7 +123,7 @@ def _result(stage: Stage, metrics: dict[str, Any]) -> str:
     if stage.kind != "navigate":
         return f"{metrics['scans']} scans" if "scans" in metrics else ""
     goals = metrics.get("goals") or []
-    reached = sum(goal.get("status") == "reached" for goal in goals)
+    reached = sum(truly_reached(goal) for goal in goals)
     hits = collision_count(metrics)
     parts = [f"{reached} of {len(goals)} goals"] if goals else []
     if hits or not goals:

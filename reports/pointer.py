@@ -14,6 +14,7 @@ from PIL import Image
 from datasets.grid import FREE, OccupancyGrid
 from datasets.types import Trajectory
 from reports.metrics.map import occupied
+from reports.metrics.navigation import truly_reached
 
 PIXELS = {"occupied": 28, "unknown": 224, "free": 254}
 SPACING_M = 0.02
@@ -21,7 +22,9 @@ SPACING_M = 0.02
 
 @dataclass(frozen=True)
 class PointerMap:
-    """What the template needs: image, its place, the view and the lines drawn over it."""
+    """What the template needs: image, its place, the view, the lines drawn over it, and goals with how they
+    truly ended.
+    """
 
     image: str
     columns: int
@@ -31,7 +34,7 @@ class PointerMap:
     view: str
     width_m: float
     lines: list[tuple[str, str, str]]
-    goals: list[tuple[float, float, int]]
+    goals: list[tuple[float, float, int, str]]
 
 
 def pointer_map(
@@ -48,7 +51,7 @@ def pointer_map(
         if path is not None and len(path)
     ]
     marks = [
-        (float(goal["x"]), float(goal["y"]), number)
+        (float(goal["x"]), float(goal["y"]), number, "good" if truly_reached(goal) else "bad")
         for number, goal in enumerate(goals, start=1)
         if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float))
     ]

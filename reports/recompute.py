@@ -24,6 +24,7 @@ from reports.metrics.navigation import (
     min_clearance,
     pose_error,
     takeovers,
+    truly_reached,
 )
 from reports.metrics.recording import recording_metrics
 from reports.metrics.relations import relations_metrics
@@ -147,19 +148,30 @@ def _run(stage: Stage) -> dict[str, Any]:
         found["localisation_error_m"] = localisation_error(stage.trajectory, stage.truth)
     goals = stage.metrics.get("goals") or []
     if goals:
-        sent = _goal_poses(stage)
-        found["goals"] = [
-            _goal(number, goal, log, truth) | _sent(goal, sent) for number, goal in enumerate(goals)
-        ]
-        reached = {int(i) for i, state in zip(log.goal_index, log.state, strict=True) if state == "reached"}
-        found["goals_reached"] = len(reached - {-1})
-        misses = [
-            again["error_m"]
-            for goal, again in zip(goals, found["goals"], strict=True)
-            if goal["status"] == "reached" and "error_m" in again
-        ]
-        if misses:
-            found["goal_error_m"] = {"mean": float(np.mean(misses)), "max": max(misses)}
+        found |= _goals(stage, goals, log, truth)
+    done = found.get("goals_reached", 0) == len(goals) and not any(found["collisions"].values())
+    # What an exploration is sent for is the map.
+    found["success"] = done and (stage.metrics.get("task") != "explore" or stage.map is not None)
+    found["true_success"] = found["success"] and found.get("goals_truly_reached", 0) == len(goals)
+    return found
+
+
+def _goals(stage: Stage, goals: list[dict[str, Any]], log: RunLog, truth: Trajectory) -> dict[str, Any]:
+    sent = _goal_poses(stage)
+    again = [_goal(number, goal, log, truth) | _sent(goal, sent) for number, goal in enumerate(goals)]
+    reached = {int(i) for i, state in zip(log.goal_index, log.state, strict=True) if state == "reached"}
+    found: dict[str, Any] = {
+        "goals": again,
+        "goals_reached": len(reached - {-1}),
+        "goals_truly_reached": sum(truly_reached(a | b) for a, b in zip(goals, again, strict=True)),
+    }
+    misses = [
+        mine["error_m"]
+        for goal, mine in zip(goals, again, strict=True)
+        if goal["status"] == "reached" and "error_m" in mine
+    ]
+    if misses:
+        found["goal_error_m"] = {"mean": float(np.mean(misses)), "max": max(misses)}
     return found
 
 

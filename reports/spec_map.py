@@ -6,9 +6,9 @@ from reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
 
 WALLS = Section(
     "The walls",
-    "Trust the two marked ones, together: nothing is drawn that is not there, and nothing is missing. "
-    "The others serve to compare maps drawn on the same grid. Distances are between cell centres: 0, one "
-    "cell, ...",
+    "Judge a map by the two marked numbers together: the first says that no wall was invented, the second "
+    "that none is missing. The others are for comparing maps drawn on the same grid. Distances are between "
+    "cell centres.",
     (
         Spec(
             "map.occupied_error_m.within_one_cell",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, SEEN, TRAJECTORY, TRUTH, Section, Spec
-from reports.spec_map import MAP, WALLS
+from reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, TRAJECTORY, TRUTH, Section, Spec
+from reports.spec_map import MAP
+from reports.spec_run import RUN
 
 RECORD = (
     Section(
@@ -23,8 +24,8 @@ RECORD = (
         ),
     ),
     Section(
-        "How far the wheels were wrong",
-        "Wheel odometry adds up its errors: these are what mapping has to put right.",
+        "How far off the wheels were",
+        "Errors of the wheel odometry add up. These are what mapping has to put right.",
         (
             Spec(
                 "odometry_ate_m.rmse",
@@ -62,124 +63,31 @@ RECORD = (
     ),
 )
 
-RUN = (
-    Section(
-        "What it did",
-        "Contacts and clearance were counted by the simulator as the run was made: a bag holds neither.",
-        (
-            Spec("goals_reached", "goals reached", "count", "Goals the goal checker accepted in time.", LOG),
-            Spec(
-                "goal_error_m.mean",
-                "distance from the goals, mean",
-                "cm",
-                "Where the robot truly stood when it took a goal to be reached, against that goal.",
-                BAG,
-                TRUTH,
-            ),
-            Spec(
-                "goal_error_m.max",
-                "distance from the goals, largest",
-                "cm",
-                "The same, at the worst of the goals.",
-                BAG,
-                TRUTH,
-            ),
-            Spec(
-                "collisions.visible",
-                "collisions with visible things",
-                "count",
-                "Episodes of contact with something that crosses the lidar plane, from the run log.",
-                LOG,
-            ),
-            Spec(
-                "collisions.low",
-                "contacts with low things",
-                "count",
-                "Episodes of contact with something below the lidar plane, which no lidar sees, from the run "
-                "log.",
-                LOG,
-            ),
-            Spec(
-                "min_clearance_m",
-                "least clearance",
-                "cm",
-                "Footprint to the nearest surface up to the robot's height, at the worst moment, from the "
-                "run log; verify checks that the true path on the true map leaves no less room than that.",
-                LOG,
-            ),
-            Spec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
-            Spec(
-                "takeovers.count",
-                "takeovers",
-                "count",
-                "Times that someone took the commands over from navigation, by the run log's owner of each "
-                "tick.",
-                LOG,
-                seldom=True,
-            ),
-            Spec(
-                "takeovers.time_s",
-                "time taken over",
-                "s",
-                "Simulated time that navigation did not drive.",
-                LOG,
-                seldom=True,
-            ),
-            Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
-        ),
-    ),
-    Section(
-        "The floor it saw",
-        "For runs without a goal: how much of the world came into view.",
-        (
-            Spec(
-                "area.share",
-                "floor seen, of what can be seen",
-                "percent",
-                "Of the true free floor in line of sight from anywhere the robot can get to.",
-                SEEN,
-                trusted=True,
-            ),
-            Spec(
-                "area.seen_m2",
-                "floor seen",
-                "m2",
-                "True free floor in line of sight of the lidar, within its range, at one of the true poses.",
-                SEEN,
-            ),
-        ),
-    ),
-    Section(
-        "How well it knew where it was",
-        "The robot's own estimate (AMCL on the map) against the truth, at each scan.",
-        (
-            Spec(
-                "localisation_error_m.rmse",
-                "localisation error, RMSE",
-                "cm",
-                "Distance between the estimate and the true position at the estimate's stamps.",
-                ("trajectory.tum", "bag/"),
-                TRUTH,
-                trusted=True,
-            ),
-            Spec(
-                "localisation_error_m.max",
-                "localisation error, largest",
-                "cm",
-                "Largest of those distances.",
-                ("trajectory.tum", "bag/"),
-                TRUTH,
-            ),
-        ),
-    ),
-    WALLS,
-)
-
 LOCALISE = (
     Section(
         "Where it was",
         "",
         (
+            Spec(
+                "true_success",
+                "localised, by the truth",
+                "yes",
+                "At the end the filter was settled and within 25 cm of the truth.",
+                TRAJECTORY,
+            ),
+            Spec(
+                "success",
+                "localised, as the filter believed",
+                "yes",
+                "At the end the filter was settled and the scans agreed with the map.",
+            ),
+            Spec(
+                "last_error_m",
+                "error at the end",
+                "cm",
+                "Distance between the estimate and the true position at the last scan.",
+                TRAJECTORY,
+            ),
             Spec(
                 "localisation_error_m.rmse",
                 "localisation error, RMSE",
@@ -205,7 +113,7 @@ LOCALISE = (
         ),
     ),
     Section(
-        "How the filter stood",
+        "State of the filter",
         "",
         (
             Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from datasets.runlog import RunLog
 from datasets.trajectories import load_tum, stamp_text
 from datasets.types import Trajectory
 from datasets.yaml_files import checked
+from reports.names import names_of, unique_names
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}
@@ -32,12 +32,13 @@ DRIVEN = (".mcap", ".tum")
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One stage output: `kind` is one of KINDS; `label` names it within its group."""
+    """One stage output: `kind` is one of KINDS; `label` names it within its group, `title` for people."""
 
     folder: Path
     kind: str
     label: str
     manifest: dict[str, Any]
+    title: str = ""
 
     @property
     def command(self) -> list[str]:
@@ -56,13 +57,16 @@ class Stage:
 
     def option(self, name: str) -> str | None:
         """Value of `--name` in its command line."""
+        return next(iter(self.options(name)), None)
+
+    def options(self, name: str) -> list[str]:
+        """Every value of `--name` in its command line."""
         words = self.command
-        for word, following in zip(words, [*words[1:], ""], strict=True):
-            if word == f"--{name}":
-                return following
-            if word.startswith(f"--{name}="):
-                return word.partition("=")[2]
-        return None
+        return [
+            following if word == f"--{name}" else word.partition("=")[2]
+            for word, following in zip(words, [*words, ""][1:], strict=True)
+            if word == f"--{name}" or word.startswith(f"--{name}=")
+        ]
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -294,19 +298,14 @@ def _group(members: list[Stage]) -> Group:
     worlds = [world for stage in members if (world := stage.fact("world")) is not None]
     name = Path(worlds[0]).stem if worlds else _source_name(members[0])
     ordered = sorted(members, key=lambda stage: KINDS.index(stage.kind))
-    bases = [(stage.fact("task") or "run") if stage.kind == "navigate" else stage.kind for stage in ordered]
-    labels = unique_names(bases)
-    return Group(name, tuple(replace(s, label=label) for s, label in zip(ordered, labels, strict=True)))
-
-
-def unique_names(names: Sequence[str]) -> list[str]:
-    """The names, with -2, -3 ... added to those that came before."""
-    seen: Counter[str] = Counter()
-    out = []
-    for name in names:
-        seen[name] += 1
-        out.append(name if seen[name] == 1 else f"{name}-{seen[name]}")
-    return out
+    names = names_of(ordered, Group(name, tuple(ordered)).record_of)
+    return Group(
+        name,
+        tuple(
+            replace(stage, label=label, title=title)
+            for stage, (label, title) in zip(ordered, names, strict=True)
+        ),
+    )
 
 
 def _source_name(stage: Stage) -> str:

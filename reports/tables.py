@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from reports.content import Chapter, Part, slug
+from reports.content import Chapter, Part
+from reports.names import slug
 from reports.numbers import SI
 from reports.specs import GOAL_MEANINGS, GOAL_UNITS
 
@@ -41,17 +42,18 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
             if rows:
                 (folder / f"{name}.tex").write_text(latex_table(("number", "value"), rows, "lr"))
             if part.goals:
-                head = ("\\#", "goal", "result", "time", "true error", "turn error")
+                head = ("\\#", "goal", "robot's word", "truth", "time", "true error", "turn error")
                 goals = [
                     (
                         str(goal["number"]),
                         goal["pose"],
                         goal["status"],
+                        goal["truth"],
                         *(text for _, _, text in goal["numbers"]),
                     )
                     for goal in part.goals
                 ]
-                (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rllrrr"))
+                (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rlllrrr"))
 
 
 def _rows(part: Part) -> Iterator[list[Any]]:

@@ -87,7 +87,7 @@ def test_every_fragment_points_to_something_and_ids_are_unique(tags):
 def test_the_page_says_what_happened(tags):
     text = " ".join(tags.text)
     assert "0 of 1 task succeeded" in text
-    assert "Patrol: 2 of 3 goals reached (1 timeout), 1 collision." in text
+    assert "2 of 3 goals reached (1 timeout), 1 collision." in text
     assert "% of the wall cells lie within one cell of a true surface" in text
     assert "timeout" in text
 
@@ -153,6 +153,7 @@ def test_stages_are_grouped_by_shared_files_and_labelled_uniquely(stages, tmp_pa
     groups = group_stages([load_stage(folder) for folder in [stages[2], other, stages[1], stages[2]]])
     labels = {group.name: [stage.label for stage in group.stages] for group in groups}
     assert labels == {"room": ["map", "patrol", "patrol-2"], "hall": ["record"]}
+    assert [stage.title for stage in groups[0].stages] == ["Mapping", "Patrol", "Patrol, no. 2"]
 
 
 def test_the_command_prints_the_page_and_refuses_to_overwrite(stages, tmp_path, capsys):

@@ -4,13 +4,25 @@ import io
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 from report_fakes import mapped_room
 
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
-from reports.figures.animation import FRAMES, beam_poses, gif, last_frame, mapping, run
+from reports.figures.animation import (
+    FRAMES,
+    STRIP_PX,
+    SUPER,
+    Canvas,
+    beam_poses,
+    gif,
+    last_frame,
+    mapping,
+    run,
+)
+from reports.figures.maps import length_text, scale_length
 
+GREEN, BAD_RGB, PALE = (0, 158, 115), (213, 94, 0), (156, 203, 238)
 LIDAR = LidarSpec(90, 0.0, 2 * np.pi / 90, 0.12, 3.5, time_increment=0.2 / 90)
 
 
@@ -40,7 +52,7 @@ def test_the_last_frame_shows_the_whole_drive(drive):
     data = last_frame(gif(run(mapped_room(), path, index, goals, recording, path)))
     with Image.open(io.BytesIO(data)) as image:
         colours = {colour for _, colour in image.convert("RGB").getcolors(100_000)}
-    assert {(0, 158, 115), (217, 140, 0), (86, 180, 233)} <= colours
+    assert {GREEN, BAD_RGB, PALE} <= colours
 
 
 def test_a_run_without_map_scans_or_goals_still_moves(drive):
@@ -55,3 +67,22 @@ def test_beams_of_a_turning_lidar_are_put_where_the_robot_was(drive):
     np.testing.assert_allclose(poses.x[45], 0.5 * (path.poses.x[3] + path.poses.x[4]))
     still = beam_poses(LIDAR, path, 39)
     np.testing.assert_allclose(still.x, path.poses.x[39])
+
+
+def test_a_clock_below_the_picture_tells_the_simulated_time(drive):
+    path, recording = drive
+    first, *_, last = mapping(recording, path, path, mapped_room())
+    clocks = [np.asarray(frame)[-SUPER * STRIP_PX :, : frame.width // 3] for frame in (first, last)]
+    assert all((clock != clock[0, 0]).any() for clock in clocks)
+    assert (clocks[0] != clocks[1]).any()
+
+
+def test_the_scale_bar_is_as_long_as_it_says():
+    canvas = Canvas.over((-3.0, 3.0, -2.0, 2.0))
+    image = canvas.blank()
+    canvas.caption(ImageDraw.Draw(image), 1.5)
+    row = np.asarray(image)[canvas.size[1] + SUPER * STRIP_PX // 2]
+    dark = np.flatnonzero(row == 3)
+    bar = dark[dark > dark.max() - 1.05 * canvas.scale]
+    assert length_text(scale_length(6.0)) == "1 m"
+    assert len(bar) == pytest.approx(canvas.scale, abs=2)

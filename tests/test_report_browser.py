@@ -1,11 +1,15 @@
 """The page in a real browser: nothing overflows, every picture is there, the map answers the mouse."""
 
+from urllib.parse import unquote
+
 import pytest
 from browser import Browser, find_browser
 from report_fakes import fake_map, fake_record, fake_run
 
+from pipeline.commands.arguments import pose
 from pipeline.compare import write_comparison
 from pipeline.report import make_index, make_report
+from planners.tasks.waypoints import load_waypoints
 
 pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM"
@@ -16,6 +20,7 @@ OVERFLOW = """[...document.querySelectorAll("body *")].filter((element) => {
   return box.right > innerWidth + 1 && !element.closest(".scroll, .recipe, svg, details:not([open])");
 }).map((element) => element.tagName + "." + element.className)"""
 CENTRE = """(() => {
+  document.querySelector("details.pick").open = true;
   const svg = document.querySelector(".pointer svg");
   svg.scrollIntoView({block: "center", behavior: "instant"});
   const p = (x, y) => {
@@ -32,6 +37,15 @@ COPIED = """(async () => {
   return false;
 })()"""
 READOUT = 'document.querySelector(".pointer output").textContent'
+ARRIVED = """(async () => {
+  for (let k = 0; k < 100; k++) {
+    const top = document.getElementById("word-odometry").getBoundingClientRect().top;
+    if (top >= 0 && top < innerHeight) return true;
+    await new Promise((done) => setTimeout(done, 20));
+  }
+  return false;
+})()"""
+UNFOLD = "for (const box of document.querySelectorAll('details')) box.open = true"
 
 
 @pytest.fixture(scope="module")
@@ -52,16 +66,64 @@ def browser(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("width", "dark"), [(400, False), (1400, False), (1400, True)])
-def test_the_page_fits_and_complains_of_nothing(browser, address, width, dark):
+@pytest.mark.parametrize("unfolded", [False, True])
+def test_the_page_fits_and_complains_of_nothing(browser, address, width, dark, unfolded):
     browser.open(address, width, dark=dark)
+    if unfolded:
+        browser.evaluate(UNFOLD)
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
     assert browser.evaluate(OVERFLOW) == []
     assert browser.problems() == []
     assert browser.requests() == [address]
 
 
+def test_the_outcome_is_one_screen_and_each_stage_a_verdict_and_one_picture(browser, address):
+    browser.open(address, 1280)
+    assert browser.evaluate("document.querySelector('main').getBoundingClientRect().top") < 720
+    assert browser.evaluate("document.documentElement.scrollHeight") < 1600
+    seen = """[...document.querySelectorAll(".stage")].map((stage) =>
+      [...stage.querySelectorAll("h3, .verdict, .drawing, .animation, .section, figcaption")]
+        .filter((part) => part.checkVisibility()).map((part) => part.className || part.tagName))"""
+    assert [parts[0::2] for parts in browser.evaluate(seen)] == [["H3", "drawing"]] * 3
+
+
+def test_a_link_unfolds_what_it_leads_to(browser, address):
+    for anchor, part in (
+        ("room-patrol", ".section"),
+        ("room/map:ate_m.max", ".value"),
+        ("word-odometry", "dd"),
+    ):
+        browser.open(address, 1400)
+        browser.evaluate(f"location.hash = {anchor!r}")
+        shown = f"document.getElementById({anchor!r}).querySelector({part!r}).checkVisibility()"
+        browser.evaluate("new Promise((done) => setTimeout(done, 50))")
+        assert browser.evaluate(shown) is True
+    assert browser.evaluate(ARRIVED) is True
+
+
+def test_one_button_unfolds_every_stage_and_folds_it_again(browser, address):
+    browser.open(address, 1400)
+    count = "document.querySelectorAll('.rest[open]').length"
+    press = "document.querySelector('button.unfold').click()"
+    found = [browser.evaluate(count)]
+    for _ in range(2):
+        browser.evaluate(press)
+        found.append(browser.evaluate(count))
+    assert found == [0, 3, 0]
+
+
+def test_paper_has_every_stage_unfolded_and_the_screen_has_not_afterwards(browser, address):
+    browser.open(address, 1400)
+    count = "document.querySelectorAll('.rest[open]').length"
+    browser.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert browser.evaluate(count) == 3
+    browser.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert browser.evaluate(count) == 0
+
+
 def test_every_picture_is_there(browser, address):
     browser.open(address, 1400)
+    browser.evaluate(UNFOLD)
     drawn = '[...document.querySelectorAll(".drawing svg, .pointer svg")]'
     sizes = browser.evaluate(drawn + ".map((svg) => svg.getBoundingClientRect().height)")
     assert len(sizes) == 11
@@ -133,6 +195,62 @@ def test_what_is_clicked_is_in_the_clipboard(browser, address):
     browser.mouse("mouseReleased", *places["room"])
     assert browser.evaluate(COPIED) is True
     assert goal(browser.clipboard()) == pytest.approx((-1.0, 1.0, 0.0), abs=0.03)
+
+
+def pick(browser, mode):
+    browser.evaluate(f"document.querySelector('.modes input[value={mode}]').click()")
+
+
+def click(browser, place):
+    browser.mouse("mousePressed", *place)
+    browser.mouse("mouseReleased", *place)
+
+
+def test_a_click_copies_an_initial_pose_instead_when_that_is_chosen(browser, address):
+    browser.open(address, 1400)
+    places = browser.evaluate(CENTRE)
+    pick(browser, "initial-pose")
+    click(browser, places["room"])
+    option, text = browser.evaluate(READOUT).split()[0].split("=")
+    assert option == "--initial-pose"
+    assert pose(text, option).xyt.tolist() == pytest.approx([-1.0, 1.0, 0.0], abs=0.03)
+
+
+WAYPOINTS = """({
+  text: document.querySelector(".waypoints pre").textContent,
+  file: document.querySelector(".waypoints .save").href,
+  name: document.querySelector(".waypoints .save").download,
+  marks: document.querySelectorAll(".picked circle").length,
+  shown: document.querySelector(".waypoints").checkVisibility(),
+})"""
+
+
+def test_clicks_collect_into_a_waypoints_file_that_the_patrol_reads(browser, address, tmp_path):
+    browser.open(address, 1400)
+    assert browser.evaluate(WAYPOINTS)["shown"] is False
+    pick(browser, "waypoints")
+    places = browser.evaluate(CENTRE)
+    click(browser, places["room"])
+    browser.evaluate(
+        "document.querySelector('.pointer svg').scrollIntoView({block: 'center', behavior: 'instant'})"
+    )
+    places = browser.evaluate(CENTRE)
+    browser.mouse("mousePressed", *places["right"])
+    browser.mouse("mouseMoved", *places["room"], pressed=True)
+    browser.mouse("mouseReleased", *places["room"])
+    click(browser, places["wall"])
+    assert browser.evaluate(READOUT).startswith("not added (occupied")
+    found = browser.evaluate(WAYPOINTS)
+    assert (found["name"], found["marks"], found["shown"]) == ("waypoints.yaml", 2, True)
+    assert unquote(found["file"]).partition(",")[2] == found["text"]
+    file = tmp_path / "waypoints.yaml"
+    file.write_text(found["text"])
+    first, second = load_waypoints(file).waypoints
+    assert first.T_map_goal.xyt.tolist() == pytest.approx([-1.0, 1.0, 0.0], abs=0.03)
+    assert second.T_map_goal.xyt.tolist() == pytest.approx([0.0, 1.0, 3.14], abs=0.03)
+    browser.evaluate("document.querySelector('.waypoints .undo').click()")
+    assert browser.evaluate(WAYPOINTS)["marks"] == 1
+    assert browser.problems() == []
 
 
 def test_a_click_into_a_wall_says_that_nobody_can_go_there(browser, address):

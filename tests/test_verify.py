@@ -67,6 +67,8 @@ LIES = [
     ("run", "room/patrol:collisions.visible", lambda m: m["collisions"].update(visible=0)),
     ("run", "room/patrol:goals.2.error_m", lambda m: m["goals"][2].update(error_m=0.01)),
     ("run", "room/patrol:goals.1.x", lambda m: m["goals"][1].update(x=0.5)),
+    ("run", "room/patrol:success", lambda m: m.update(success=True)),
+    ("run", "room/patrol:true_success", lambda m: m.update(true_success=True)),
     ("run", "room/patrol:goals_reached", lambda m: m["goals"][1].update(status="reached")),
 ]
 
@@ -98,7 +100,7 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
         ("0 of 1 task succeeded</h1>", "1 of 1 task succeeded</h1>"),
         ("<dd>Heading, counted", "<dd>Heading, not counted"),
         ("2 of 3 goals reached (1 timeout), 1 collision.", "3 of 3 goals reached, no collision."),
-        ("2 edges, the", "3 edges, the"),
+        ("2 edges; the", "3 edges; the"),
     ],
 )
 def test_a_tile_a_verdict_and_a_caption_changed_on_the_page_are_named(tree, said, lie):

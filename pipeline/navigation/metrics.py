@@ -19,6 +19,7 @@ from reports.metrics.navigation import (
     min_clearance,
     pose_error,
     takeovers,
+    truly_reached,
 )
 
 
@@ -44,7 +45,7 @@ def run_metrics(
     return {
         "task": task,
         "success": success,
-        "true_success": success and max(misses, default=0.0) <= THERE_M,
+        "true_success": success and all(truly_reached(goal) for goal in goals),
         "goals": goals,
         "goal_error_m": {"mean": float(np.mean(misses)), "max": max(misses)} if misses else None,
         "collisions": counts,

@@ -1,4 +1,7 @@
-"""Small animations, drawn straight into palette images: a map growing, a robot on its way."""
+"""Small animations, drawn straight into palette images: a map growing, a robot on its way.
+
+Below each picture a strip with the simulated time and a scale bar.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from datasets.grid import UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.types import LidarSpec, Recording, Trajectory
-from reports.figures.maps import view_box
+from reports.figures.maps import length_text, scale_length, view_box
+from reports.metrics.navigation import truly_reached
 
-WIDTH_PX, HEIGHT_PX = 380, 380
+WIDTH_PX, HEIGHT_PX, STRIP_PX = 380, 376, 22
 FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
 SCANS = 1000
 """No more than about this many scans are drawn."""
@@ -24,29 +28,34 @@ FAN_M = 30.0
 SUPER = 2
 """Drawn this much larger, then averaged: smooth lines from plain ones."""
 
-UNSEEN, FREE, WALL, INK, BLUE, ORANGE, GREEN, RED, SKY, GREY = range(10)
+UNSEEN, FREE, WALL, INK, BLUE, PURPLE, GREEN, ORANGE, SKY, GREY = range(10)
 COLOURS = (
     (218, 223, 229),
     (254, 254, 254),
     (60, 68, 77),
     (28, 32, 36),
     (0, 114, 178),
-    (217, 140, 0),
+    (180, 85, 160),
     (0, 158, 115),
     (213, 94, 0),
-    (86, 180, 233),
+    (156, 203, 238),
     (150, 158, 168),
 )
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """World metres to pixels of the enlarged frame."""
+    """World metres to pixels of the enlarged frame; `size` is that of the picture above the strip."""
 
     x0: float
     y1: float
     scale: float
     size: tuple[int, int]
+
+    @property
+    def sheet(self) -> tuple[int, int]:
+        """Size with the strip."""
+        return self.size[0], self.size[1] + SUPER * STRIP_PX
 
     @staticmethod
     def over(box: tuple[float, float, float, float]) -> Canvas:
@@ -62,8 +71,22 @@ class Canvas:
         return [(float(x), float(y)) for x, y in places]
 
     def blank(self) -> Image.Image:
-        """An enlarged frame of unseen ground."""
-        return Image.new("P", self.size, UNSEEN)
+        """An enlarged frame of unseen ground, and the empty strip."""
+        image = Image.new("P", self.sheet, UNSEEN)
+        ImageDraw.Draw(image).rectangle((0, self.size[1], *self.sheet), fill=FREE)
+        return image
+
+    def caption(self, draw: ImageDraw.ImageDraw, seconds: float) -> None:
+        """The clock and the scale bar, in the strip."""
+        left, middle = 6 * SUPER, self.size[1] + SUPER * STRIP_PX // 2
+        draw.rectangle((0, self.size[1], *self.sheet), fill=FREE)
+        font = ImageFont.load_default(13 * SUPER)
+        draw.text((left, middle), f"{seconds:.1f} s", fill=INK, font=font, anchor="lm")
+        length = scale_length(self.size[0] / self.scale)
+        right = self.size[0] - left
+        bar = (right - length * self.scale, middle - 2 * SUPER, right, middle + SUPER)
+        draw.rectangle(bar, fill=INK)
+        draw.text((bar[0] - left, middle), length_text(length), fill=INK, font=font, anchor="rm")
 
 
 def palette() -> list[int]:
@@ -74,7 +97,7 @@ def palette() -> list[int]:
 def mapping(
     recording: Recording, slam: Trajectory, odometry: Trajectory | None, grid: OccupancyGrid
 ) -> Iterator[Image.Image]:
-    """Frames of a map that grows scan by scan; SLAM's path blue, the odometry's orange."""
+    """Frames of a map that grows scan by scan; SLAM's path blue, the odometry's purple."""
     canvas = Canvas.over(view_box(grid))
     free, walls = canvas.blank(), canvas.blank()
     steps = np.linspace(0, len(recording) - 1, FRAMES).astype(int)
@@ -89,9 +112,10 @@ def mapping(
         draw = ImageDraw.Draw(frame)
         if odometry is not None:
             until = int(np.searchsorted(odometry.stamps_ns, slam.stamps_ns[last], side="right"))
-            _path(draw, canvas, odometry.poses.xy[:until][:: max(1, until // 2000)], ORANGE, 2)
+            _path(draw, canvas, odometry.poses.xy[:until][:: max(1, until // 2000)], PURPLE, 2)
         _path(draw, canvas, slam.poses.xy[: last + 1], BLUE, 3)
         _robot(draw, canvas, slam.poses[int(last)], INK)
+        canvas.caption(draw, float(slam.stamps_ns[last] - slam.stamps_ns[0]) * 1e-9)
         yield frame
 
 
@@ -145,31 +169,33 @@ def run(
     for row in np.linspace(0, len(truth) - 1, FRAMES).astype(int):
         frame = ground.copy()
         draw = ImageDraw.Draw(frame)
-        _path(draw, canvas, truth.poses.xy[: row + 1][::5], SKY, 5)
+        _path(draw, canvas, truth.poses.xy[: row + 1][::5], SKY, 7)
         if recording is not None and scans_at is not None:
             _scan(draw, canvas, recording, scans_at, int(truth.stamps_ns[row]))
         so_far = int(goal_index[: row + 1].max())
+        pursued = int(goal_index[row]) if row < len(truth) - 1 else -1
         for number, goal in enumerate(goals):
             if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float)):
-                colour = _goal_colour(number, int(goal_index[row]), so_far, goal.get("status"))
+                colour = _goal_colour(number, pursued, so_far, truly_reached(goal))
                 _disc(draw, canvas, np.array([[goal["x"], goal["y"]]]), 0.02 * canvas.size[0], colour)
         _robot(draw, canvas, truth.poses[int(row)], INK)
+        canvas.caption(draw, float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
         yield frame
 
 
-def _goal_colour(number: int, pursued: int, so_far: int, status: object) -> int:
-    """Orange while it is pursued, then green or red; grey before."""
+def _goal_colour(number: int, pursued: int, so_far: int, reached: bool) -> int:
+    """Blue while it is pursued, then green, or orange when the robot was not there; grey before."""
     if number == pursued:
-        return ORANGE
+        return BLUE
     if number > so_far:
         return GREY
-    return GREEN if status == "reached" else RED
+    return GREEN if reached else ORANGE
 
 
 def _ground(canvas: Canvas, grid: OccupancyGrid | None) -> Image.Image:
     """The map in the canvas: each pixel takes the cell under it."""
     if grid is None:
-        return Image.new("P", canvas.size, FREE)
+        return Image.new("P", canvas.sheet, FREE)
     columns, rows = canvas.size
     x = canvas.x0 + (np.arange(columns) + 0.5) / canvas.scale
     y = canvas.y1 - (np.arange(rows) + 0.5) / canvas.scale
@@ -177,7 +203,9 @@ def _ground(canvas: Canvas, grid: OccupancyGrid | None) -> Image.Image:
     values = grid.value_at(points)
     shades = np.where(values == UNKNOWN, UNSEEN, FREE)
     shades[values >= 65] = WALL
-    return Image.fromarray(shades.astype(np.uint8), mode="P")
+    frame = canvas.blank()
+    frame.paste(Image.fromarray(shades.astype(np.uint8), mode="P"))
+    return frame
 
 
 def _scan(

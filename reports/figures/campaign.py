@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from reports.campaign import interval, is_share, levels_of
-from reports.figures.style import ACCENT, AMCL, BAD, INK, MUTED, ODOMETRY, SLAM, new_figure
+from reports.figures.style import MUTED, SERIES, new_figure
 from reports.numbers import DISPLAY
 
 Row = Mapping[str, Any]
 COLUMNS = 3
 WRAP = 32
 """Characters of a label in a line."""
-COLOURS = (SLAM, BAD, AMCL, ODOMETRY, ACCENT, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
@@ -121,7 +120,7 @@ def _draw_group(
     joined: bool,
     dots: bool,
 ) -> None:
-    colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+    colour, marker = SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)]
     centres: list[tuple[float, float, float, float]] = []
     for level, place in zip(levels, places, strict=True):
         here = [row for row in rows if row[x] == level]

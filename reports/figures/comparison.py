@@ -1,4 +1,4 @@
-"""Two outputs in one picture: A orange and below, B blue and above."""
+"""Two outputs in one picture: A purple, wide and below, B blue and above."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def errors(a: tuple[Array, Array], b: tuple[Array, Array]) -> Figure:
     figure, axes = _time_axes()
     axes.plot(a[0], 100.0 * a[1], **{**LINE_A, "linewidth": 1.6})
     axes.plot(b[0], 100.0 * b[1], **LINE_B)
-    axes.legend(loc="upper left", ncol=2)
+    legend_above(axes)
     axes.set_ylabel("position error [cm]")
     axes.set_ylim(bottom=0.0)
     return figure

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datasets.grid import OccupancyGrid
 from datasets.se2 import Array
 from datasets.types import Trajectory
-from reports.figures.maps import draw_grid, map_figure, view_box
+from reports.figures.maps import ERROR_SCALE_M, draw_grid, map_figure, view_box
 from reports.figures.style import FINE_TO_BAD, MUTED
 from reports.g2o import LoopRecord, PoseGraph
 
@@ -46,8 +46,7 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord 
     order = np.argsort(residual_m, kind="stable")
     residual_cm = 100.0 * residual_m
     segments = keys.poses.xy[pairs[order]]
-    worst = float(residual_cm[order].max()) if len(order) else 1.0
-    norm = Normalize(0.0, max(worst, 0.5))
+    norm = Normalize(0.0, 100.0 * ERROR_SCALE_M)
     lines = LineCollection(
         list(segments),
         cmap=FINE_TO_BAD,
@@ -59,7 +58,9 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord 
     lines.set_rasterized(len(order) > 1500)
     lines.set_array(residual_cm[order])
     axes.add_collection(lines)
-    scale = figure.colorbar(ScalarMappable(norm, FINE_TO_BAD), ax=axes, shrink=0.7, pad=0.02, aspect=28)
+    scale = figure.colorbar(
+        ScalarMappable(norm, FINE_TO_BAD), ax=axes, shrink=0.7, pad=0.02, aspect=28, extend="max"
+    )
     scale.set_label("residual of the loop [cm]")
     scale.outline.set_visible(False)  # type: ignore[operator]
     return figure

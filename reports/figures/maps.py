@@ -11,43 +11,28 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.offsetbox import AnchoredText
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from datasets.grid import UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2
 from datasets.types import Trajectory
 from reports.figures.style import (
-    ACCENT,
-    BAD,
     FINE_TO_BAD,
-    GOOD,
     GROUND,
     INK,
     LINES,
-    MUTED,
     PAPER,
-    RULE,
-    SLAM,
-    WARN,
+    SERIES,
     WIDTH_IN,
     bare,
     new_figure,
 )
 from reports.metrics.map import map_error, occupied
 
-RIVALS = (SLAM, BAD, GOOD, WARN, ACCENT, INK)
 Box = tuple[float, float, float, float]
 ERROR_SCALE_M = 0.10
 MARGIN_M = 0.3
-STATUS = {
-    "reached": (GOOD, "o"),
-    "timeout": (WARN, "s"),
-    "unreachable": (BAD, "X"),
-    "rejected": (MUTED, "X"),
-    "collided": (BAD, "P"),
-}
 
 
 def view_box(grid: OccupancyGrid | None, trajectories: Sequence[Trajectory | None] = ()) -> Box:
@@ -148,8 +133,7 @@ def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | No
         draw_grid(axes, grid, faint=True)
     for kind, trajectory in shown.items():
         draw_path(axes, trajectory, kind)
-    start = next(iter(shown.values())).poses[0]
-    draw_pose(axes, start, INK)
+    draw_start(axes, next(iter(shown.values())).poses[0])
     legend_above(axes)
     return figure
 
@@ -161,11 +145,11 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     if grid is not None:
         draw_grid(axes, grid, faint=True)
     for number, (name, track) in enumerate(tracks.items()):
-        colour = RIVALS[number % len(RIVALS)]
-        dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(RIVALS) % 3]
+        colour = SERIES[number % len(SERIES)]
+        dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(SERIES) % 3]
         axes.plot(track.poses.x, track.poses.y, color=colour, linestyle=dashes, linewidth=1.5, label=name)
     first = next(iter(tracks.values())).poses
-    draw_pose(axes, first[0], INK)
+    draw_start(axes, first[0])
     axes.plot(first.x[-1], first.y[-1], "o", color=INK, markersize=6, zorder=5)
     figure.legend(loc="outside lower center", ncol=3, fontsize=8.5)
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(tracks) // 3))
@@ -198,136 +182,31 @@ def draw_pose(axes: Axes, T_map_base: SE2, colour: str, length_m: float = 0.3) -
     )
 
 
-def patrol(
-    grid: OccupancyGrid | None,
-    truth: Trajectory | None,
-    estimate: Trajectory | None,
-    goals: Sequence[Mapping[str, Any]],
-    contacts_xy: Array,
-) -> Figure:
-    """What a run drove: true and estimated path on the map, goals numbered and coloured by status."""
-    box = view_box(grid, [truth, estimate])
-    figure, axes = map_figure(box)
-    if grid is not None:
-        draw_grid(axes, grid)
-    draw_path(axes, truth, "truth", color="#56b4e9", linewidth=2.6, label="true path")
-    draw_path(axes, estimate, "amcl", linewidth=1.0)
-    used = _draw_goals(axes, goals)
-    handles = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
-    handles += [_marker(status) for status in STATUS if status in used]
-    if len(contacts_xy):
-        marks = axes.plot(*contacts_xy.T, "*", color=BAD, markersize=9, label="contact", zorder=6)
-        handles += marks
-    legend_above(axes, handles)
-    return figure
-
-
-def _draw_goals(axes: Axes, goals: Sequence[Mapping[str, Any]]) -> set[str]:
-    used = set()
-    for number, goal in enumerate(goals, start=1):
-        x, y = goal.get("x"), goal.get("y")
-        if not isinstance(x, (int, float)) or not isinstance(y, (int, float)):
-            continue
-        status = str(goal.get("status"))
-        colour, marker = STATUS.get(status, (MUTED, "o"))
-        used.add(status)
-        axes.plot(x, y, marker, color=colour, markersize=13, markeredgecolor=PAPER, zorder=5)
-        axes.annotate(
-            str(number), (x, y), color=PAPER, fontsize=7.5, ha="center", va="center", weight="bold", zorder=6
-        )
-    return used
-
-
-def _marker(status: str) -> Line2D:
-    colour, marker = STATUS[status]
-    return Line2D([], [], linestyle="none", marker=marker, color=colour, markersize=8, label=status)
-
-
-def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m: Array) -> Figure:
-    """The true path coloured by the footprint's clearance; the nearest place is named."""
-    figure, axes = map_figure(view_box(grid, [truth]), bar=True)
-    if grid is not None:
-        draw_grid(axes, grid, faint=True)
-    finite = np.where(np.isfinite(clearance_m), clearance_m, np.nan)
-    points = axes.scatter(
-        truth.poses.x,
-        truth.poses.y,
-        c=100.0 * finite,
-        s=5,
-        cmap=FINE_TO_BAD.reversed(),
-        vmin=0.0,
-        zorder=3,
-        rasterized=True,
+def draw_start(axes: Axes, T_map_base: SE2) -> None:
+    """Where a robot set out: an arrow with the word."""
+    draw_pose(axes, T_map_base, INK)
+    left = np.cos(float(T_map_base.yaw)) > 0.0
+    axes.annotate(
+        "start",
+        (float(T_map_base.x), float(T_map_base.y)),
+        xytext=(-5 if left else 5, 0),
+        textcoords="offset points",
+        ha="right" if left else "left",
+        va="center",
+        fontsize=8.5,
+        color=INK,
+        zorder=6,
+        path_effects=[withStroke(linewidth=2.5, foreground=PAPER)],
     )
-    bar = figure.colorbar(points, ax=axes, shrink=0.7, pad=0.02, aspect=28)
-    bar.set_label("clearance [cm]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
-    if np.isfinite(finite).any():
-        nearest = int(np.nanargmin(finite))
-        axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=BAD, markersize=8, zorder=5)
-        note = AnchoredText(
-            f"▼ least: {100.0 * finite[nearest]:.1f} cm", "lower left", frameon=False, pad=0.2
-        )
-        axes.add_artist(note)
-    return figure
 
 
-def particles(
-    grid: OccupancyGrid | None, clouds: Sequence[tuple[float, SE2]], truth: Trajectory | None
-) -> Figure:
-    """Snapshots of the particle cloud (seconds since the start, poses), each zoomed to its own spread."""
-    whole = view_box(grid, [])
-    columns = min(3, len(clouds))
-    rows = -(-len(clouds) // columns)
-    figure = new_figure((WIDTH_IN / columns + 0.25) * rows)
-    for index, (time_s, cloud) in enumerate(clouds):
-        axes = figure.add_subplot(rows, columns, index + 1)
-        T_world_base = None
-        if truth is not None:
-            T_world_base = truth.at(np.array([round(time_s * 1e9) + int(truth.stamps_ns[0])]))[0]
-        box = zoom_box(cloud, T_world_base, whole)
-        frame(axes, box)
-        axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
-        for spine in axes.spines.values():
-            spine.set(visible=True, color=RULE)
-        if grid is not None:
-            draw_grid(axes, grid, faint=True)
-        _draw_cloud(axes, cloud, box)
-        if T_world_base is not None:
-            draw_pose(axes, T_world_base, INK, 0.12 * (box[1] - box[0]))
-            axes.plot(T_world_base.x, T_world_base.y, "o", color=INK, markersize=4, zorder=4)
-        axes.set_title(f"{time_s:.0f} s · view {box[1] - box[0]:.1f} m wide", fontsize=8.5)
-    return figure
+def scale_length(width_m: float) -> float:
+    """The longest of 1, 2, 5, 10 ... that is at most 0.3 of a width [m]."""
+    most = 0.3 * width_m
+    decade = 10.0 ** np.floor(np.log10(most))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most * (1.0 + 1e-9)))
 
 
-def zoom_box(cloud: SE2, T_world_base: SE2 | None, whole: Box) -> Box:
-    """A square around cloud and true pose, at least 1.6 m wide and at most as wide as the whole map."""
-    xy = cloud.xy if T_world_base is None else np.concatenate([cloud.xy, T_world_base.xy[None]])
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    widest = max(whole[1] - whole[0], whole[3] - whole[2])
-    half = 0.5 * float(np.clip(1.3 * (high - low).max(), 1.6, max(widest, 1.6)))
-    x, y = (low + high) / 2.0
-    if 2.0 * half >= widest:
-        x, y = (whole[0] + whole[1]) / 2.0, (whole[2] + whole[3]) / 2.0
-    return float(x - half), float(x + half), float(y - half), float(y + half)
-
-
-def _draw_cloud(axes: Axes, cloud: SE2, box: Box) -> None:
-    """Particles as dots with a tail of heading, at most 300 of them."""
-    few = cloud[:: max(1, len(cloud) // 300)]
-    length = 0.03 * (box[1] - box[0])
-    colour = LINES["amcl"]["color"]
-    axes.quiver(
-        few.x,
-        few.y,
-        length * np.cos(few.yaw),
-        length * np.sin(few.yaw),
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.004,
-        color=colour,
-        alpha=0.6,
-        zorder=3,
-        rasterized=True,
-    )
+def length_text(metres: float) -> str:
+    """A length of a scale bar: `5 cm`, `2 m`."""
+    return f"{100.0 * metres:g} cm" if metres < 1.0 else f"{metres:g} m"

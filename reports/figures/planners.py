@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import ACCENT, INK, SLAM, WIDTH_IN, new_figure
+from reports.figures.style import INK, ODOMETRY, SLAM, WIDTH_IN, new_figure
 
 PANELS = (
     ("time_ms", "CPU time of a query [ms]", 100.0),
@@ -32,7 +32,7 @@ def planner_boxes(rows: Sequence[Mapping[str, Any]]) -> Figure:
         boxes(axis, [[r[column] for r in rows if r["planner"] == n and r["solved"]] for n in names])
         axis.set_xlabel(label)
         if target is not None:
-            axis.axvline(target, color=ACCENT, linestyle=(0, (4, 2)), linewidth=1.2)
+            axis.axvline(target, color=ODOMETRY, linestyle=(0, (4, 2)), linewidth=1.2)
     axes[0].set_xscale("log")
     axes[0].set_xticks([1, 3, 10, 30, 100, 300, 1000], minor=False)
     axes[0].xaxis.set_major_formatter("{x:g}")

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
 
 from datasets.se2 import Array, wrap
 from datasets.types import Stamps, Trajectory
-from reports.figures.style import AMCL, BAD, INK, LINES, ODOMETRY, new_figure
+from reports.figures.style import AMCL, BAD, INK, LINES, new_figure
 from reports.metrics.trajectory import PosePairs
 
 Span = tuple[int, int]
+LINEAR_TO = 3.0
+"""Errors [cm, degrees] up to this have a linear axis."""
 
 
 def time_axis(stamps_ns: Stamps, start_ns: int) -> Array:
@@ -49,9 +51,7 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
         axes[0].plot(t, 100.0 * pairs.position_errors()[order], **LINES[kind])
         axes[1].plot(t, np.degrees(pairs.yaw_errors()[order]), **LINES[kind])
     for axis in axes[:2]:
-        axis.set_yscale("symlog", linthresh=1.0)
-        axis.yaxis.set_major_formatter(ScalarFormatter())
-        axis.set_ylim(bottom=0.0)
+        error_axis(axis)
     axes[0].set_ylabel("position\nerror [cm]")
     axes[1].set_ylabel("yaw\nerror [°]")
     axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=2, borderaxespad=0.2)
@@ -62,6 +62,20 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
     axes[3].set_ylabel("yaw rate\n[rad/s]")
     figure.align_ylabels(axes)
     return figure
+
+
+def error_axis(axis: Axes) -> None:
+    """From 0 up, with ticks: linear for small errors, else linear up to 1 and logarithmic beyond."""
+    most = max((float(np.max(line.get_ydata())) for line in axis.get_lines()), default=0.0)
+    if most <= LINEAR_TO:
+        axis.yaxis.set_major_locator(MaxNLocator(4))
+    else:
+        axis.set_yscale("symlog", linthresh=1.0)
+        decades = [step * 10.0**k for k in range(8) for step in (1.0, 3.0)]
+        axis.yaxis.set_major_locator(FixedLocator([0.0, *(tick for tick in decades if tick <= most)]))
+        axis.yaxis.set_minor_locator(NullLocator())
+        axis.yaxis.set_major_formatter(ScalarFormatter())
+    axis.set_ylim(0.0, 1.1 * max(most, 1e-3))
 
 
 def localisation(
@@ -75,7 +89,7 @@ def localisation(
     axes[1].plot(t, np.degrees(pairs.yaw_errors()), color=AMCL, linewidth=1.2)
     axes[1].set_ylabel("yaw\nerror [°]")
     for axis in axes:
-        axis.set_ylim(bottom=0.0)
+        error_axis(axis)
         mark_events(axis, start_ns, contacts, goals_s)
     figure.align_ylabels(axes)
     return figure
@@ -102,9 +116,9 @@ def clearance(
     axes[0].set_ylabel("clearance\n[cm]")
     axes[0].set_ylim(bottom=0.0)
     axes[0].axhline(0.0, color=BAD, linewidth=1.0)
-    axes[1].plot(t, commands[:, 0], color=AMCL, linewidth=0.9)
+    axes[1].plot(t, commands[:, 0], color=INK, linewidth=0.9)
     axes[1].set_ylabel("command\n[m/s]")
-    axes[2].plot(t, commands[:, 1], color=ODOMETRY, linewidth=0.9)
+    axes[2].plot(t, commands[:, 1], color=INK, linewidth=0.9)
     axes[2].set_ylabel("command\n[rad/s]")
     for axis in axes:
         mark_events(axis, start, contacts, goals_s)

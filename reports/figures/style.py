@@ -21,12 +21,15 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 INK, MUTED, RULE, PAPER, GROUND = "#1c2024", "#5f6873", "#d5dae0", "#fefefe", "#e1e5ea"
-TRUTH, ODOMETRY, SLAM, AMCL = INK, "#d98c00", "#0072b2", "#009e73"
-GOOD, BAD, WARN, ACCENT = "#009e73", "#d55e00", "#d98c00", "#cc79a7"
+TRUTH, ODOMETRY, SLAM, AMCL = "#9ccbee", "#b455a0", "#0072b2", "#009e73"
+GOOD, BAD = "#009e73", "#d55e00"
+# Series of no meaning of their own. None is BAD: orange is what went wrong, in every figure.
+SERIES = (SLAM, GOOD, ODOMETRY, "#56b4e9", INK, "#8a7f1f")
 
+# The truth is wide and pale beneath the thin lines of estimates: both are seen where they agree.
 LINES: dict[str, dict[str, Any]] = {
-    "truth": {"color": TRUTH, "linewidth": 1.8, "linestyle": "-", "label": "truth"},
-    "odometry": {"color": ODOMETRY, "linewidth": 1.3, "linestyle": (0, (4, 2)), "label": "odometry"},
+    "truth": {"color": TRUTH, "linewidth": 4.6, "linestyle": "-", "label": "truth"},
+    "odometry": {"color": ODOMETRY, "linewidth": 1.2, "linestyle": (0, (4, 2)), "label": "odometry"},
     "slam": {"color": SLAM, "linewidth": 1.3, "linestyle": "-", "label": "SLAM"},
     "amcl": {"color": AMCL, "linewidth": 1.3, "linestyle": "-", "label": "estimate"},
     "plan": {"color": SLAM, "linewidth": 1.6, "linestyle": "-", "label": "plan"},

@@ -12,6 +12,7 @@ from matplotlib.patches import Circle, Polygon
 
 from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
+from reports.figures.style import INK, ODOMETRY, SLAM
 
 
 def draw_world(
@@ -39,18 +40,18 @@ def draw_world(
     )
     for outline, center, radius in hidden:
         patch = Circle(center, radius) if radius > 0.0 else Polygon(outline)
-        patch.set(facecolor="tab:orange", edgecolor="tab:red", alpha=0.7)
+        patch.set(facecolor=ODOMETRY, edgecolor=ODOMETRY, alpha=0.7)
         axes.add_patch(patch)
     for outline in keepout:
-        axes.add_patch(Polygon(outline, fill=False, edgecolor="tab:red", linestyle="--"))
+        axes.add_patch(Polygon(outline, fill=False, edgecolor=INK, linestyle="--"))
     x, y, yaw = spawn.xyt.tolist()
-    axes.plot(x, y, "o", color="tab:blue")
+    axes.plot(x, y, "o", color=SLAM)
     axes.annotate(
         "spawn",
         (x + 0.6 * np.cos(yaw), y + 0.6 * np.sin(yaw)),
         (x, y),
-        arrowprops={"arrowstyle": "->", "color": "tab:blue"},
-        color="tab:blue",
+        arrowprops={"arrowstyle": "->", "color": SLAM},
+        color=SLAM,
         va="top",
     )
     axes.set(title=title, xlabel="x [m]", ylabel="y [m]")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,22 @@ MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
 THERE_M = 0.25
 """A robot that is farther than this from where it believes to be is not there."""
+
+
+def outcome(goal: Mapping[str, Any]) -> str:
+    """A goal's status by the truth: `elsewhere` where the robot took it to be reached and was not there.
+
+    Where no truth is known, the robot's own word.
+    """
+    error_m = goal.get("error_m")
+    if goal.get("status") == "reached" and error_m is not None and error_m > THERE_M:
+        return "elsewhere"
+    return str(goal.get("status"))
+
+
+def truly_reached(goal: Mapping[str, Any]) -> bool:
+    """Whether the robot was at a goal that it took to be reached."""
+    return outcome(goal) == "reached"
 
 
 def localisation_error(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:

@@ -12,12 +12,36 @@ const copy = async (text) => {
   field.remove();
   return done;
 };
-// Maps that answer the mouse: coordinates under it, a click as --goal, a drag as a pose with heading.
+// What a link leads to is unfolded first, and everything for print.
+const reveal = () => {
+  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (!target) return;
+  for (let box = target.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
+  for (const box of target.querySelectorAll(":scope > details.rest, :scope.chapter > details.more")) box.open = true;
+  target.scrollIntoView({ behavior: "instant" });
+};
+addEventListener("hashchange", reveal);
+reveal();
+const stages = [...document.querySelectorAll("details.rest")];
+const unfold = document.querySelector("button.unfold");
+unfold?.addEventListener("click", () => {
+  const open = !stages.every((box) => box.open);
+  for (const box of stages) box.open = open;
+  unfold.textContent = open ? "Fold all stages" : "Unfold all stages";
+});
+let folded = [];
+addEventListener("beforeprint", () => {
+  folded = [...stages, ...document.querySelectorAll(".chapter > details.more")].filter((box) => !box.open);
+  for (const box of folded) box.open = true;
+});
+addEventListener("afterprint", () => { for (const box of folded) box.open = false; });
+// Maps that answer the mouse: coordinates under it, a click as a pose, a drag as a pose with heading.
 for (const box of document.querySelectorAll(".pointer")) {
   const svg = box.querySelector("svg"), out = box.querySelector("output"), arrow = box.querySelector(".aim");
   const data = svg.dataset, size = Number(data.resolution), columns = Number(data.columns), rows = Number(data.rows);
   const [ox, oy, yaw] = data.origin.split(",").map(Number);
   const image = new Image();
+  const picked = box.querySelector(".picked"), list = box.querySelector(".waypoints"), waypoints = [];
   let pixels = null, start = null, kept = "";
   image.onload = () => {
     const canvas = document.createElement("canvas");
@@ -49,6 +73,32 @@ for (const box of document.querySelectorAll(".pointer")) {
     arrow.style.visibility = "visible";
   };
 
+  // The list as a file for --waypoints, with a mark on the map for each entry.
+  const written = () => "waypoints:\n" + waypoints.map((w) => `- {x: ${w.x}, y: ${w.y}, yaw: ${w.yaw}}\n`).join("");
+  const mark = (w, place) => {
+    const size = Number(picked.dataset.size), x = Number(w.x), y = -Number(w.y), yaw = Number(w.yaw);
+    const add = (name, facts, text = "") => {
+      const part = document.createElementNS("http://www.w3.org/2000/svg", name);
+      for (const [key, value] of Object.entries(facts)) part.setAttribute(key, value);
+      part.textContent = text;
+      picked.append(part);
+    };
+    add("line", { x1: x, y1: y, x2: x + 2.2 * size * Math.cos(yaw), y2: y - 2.2 * size * Math.sin(yaw) });
+    add("circle", { cx: x, cy: y, r: size });
+    add("text", { x, y, "font-size": 1.4 * size }, String(place + 1));
+  };
+  const listed = () => {
+    picked.replaceChildren();
+    waypoints.forEach(mark);
+    list.hidden = !waypoints.length;
+    list.querySelector("pre").textContent = written();
+    list.querySelector(".save").href = "data:text/yaml;charset=utf-8," + encodeURIComponent(written());
+  };
+  list.querySelector(".undo").addEventListener("click", () => { waypoints.pop(); listed(); });
+  list.querySelector(".copy").addEventListener("click", async () => {
+    if (await copy(written())) show(`${waypoints.length} waypoints   copied`);
+  });
+
   svg.addEventListener("pointermove", (event) => {
     const p = world(event);
     if (start) { aim(start, p); show(`${number(start.x)}, ${number(start.y)}, yaw ${number(heading(start, p))}`); return; }
@@ -67,11 +117,20 @@ for (const box of document.querySelectorAll(".pointer")) {
     const p = world(event), turn = heading(start, p);
     const tip = { x: start.x + 0.4 * Math.cos(turn), y: start.y + 0.4 * Math.sin(turn) };
     aim(start, tip);
-    kept = `--goal=${number(start.x)},${number(start.y)},${number(turn)}`;
-    const where = place(start), goal = kept;
+    const mode = box.querySelector(".modes input:checked").value, where = place(start);
+    const pose = { x: number(start.x), y: number(start.y), yaw: number(turn) };
     start = null;
-    show(`${goal}   (${where}${where === "free" ? "" : ": not a place to go"})`);
-    if (await copy(goal) && kept === goal) show(`${out.textContent}   copied`);
+    const said = `(${where}${where === "free" ? "" : ": not a place to go"})`;
+    if (mode === "waypoints") {
+      arrow.style.visibility = "hidden";
+      if (where === "free") { waypoints.push(pose); listed(); }
+      show(where === "free" ? `waypoint ${waypoints.length}: ${pose.x}, ${pose.y}, yaw ${pose.yaw}` : `not added ${said}`);
+      return;
+    }
+    const option = `--${mode}=${pose.x},${pose.y},${pose.yaw}`;
+    kept = option;
+    show(`${option}   ${said}`);
+    if (await copy(option) && kept === option) show(`${out.textContent}   copied`);
   });
   svg.addEventListener("pointercancel", () => { start = null; });
 }

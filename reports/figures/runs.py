@@ -1,0 +1,155 @@
+"""What a run drove: its goals, its decisions, and the room it kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.offsetbox import AnchoredText
+
+from datasets.grid import OccupancyGrid
+from datasets.se2 import SE2, Array
+from datasets.types import Trajectory
+from reports.figures.maps import (
+    draw_grid,
+    draw_path,
+    draw_pose,
+    draw_start,
+    legend_above,
+    map_figure,
+    view_box,
+)
+from reports.figures.style import BAD, FINE_TO_BAD, GOOD, INK, MUTED, ODOMETRY, PAPER, SLAM
+from reports.metrics.navigation import outcome
+
+# How each goal ended, by the truth: colour, marker, words. Orange is bad, whatever the shape.
+ENDS = {
+    "reached": (GOOD, "o", "reached"),
+    "elsewhere": (BAD, "D", "believed reached, not there"),
+    "timeout": (BAD, "s", "timeout"),
+    "unreachable": (BAD, "X", "unreachable"),
+    "rejected": (BAD, "h", "rejected"),
+    "collided": (BAD, "P", "collided"),
+}
+ROOMY_M = 0.5
+"""Clearance beyond this is all one colour."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decisions:
+    """Where a run without a goal decided to do something else than drive straight: poses (n,) and the
+    driver's own words, (n,).
+    """
+
+    T_world_base: SE2
+    words: list[str]
+
+
+# Words of a decision -> (name in the legend, colour, where its arrow points from the robot's heading [rad]).
+DECISIONS = {
+    "slow_veer_left": ("veers", SLAM, np.pi / 4),
+    "slow_veer_right": ("veers", SLAM, -np.pi / 4),
+    "stop_turn_left": ("stops and turns", ODOMETRY, np.pi / 2),
+    "stop_turn_right": ("stops and turns", ODOMETRY, -np.pi / 2),
+    "turn_away": ("stops and turns", ODOMETRY, np.pi / 2),
+    "back_off": ("backs off", INK, np.pi),
+}
+
+
+def run(
+    grid: OccupancyGrid | None,
+    truth: Trajectory,
+    estimate: Trajectory | None,
+    goals: Sequence[Mapping[str, Any]],
+    contacts_xy: Array,
+    decisions: Decisions | None = None,
+) -> Figure:
+    """What a run drove: true and estimated path on the map from the start, goals numbered and coloured by
+    how they truly ended; for a run without goals where it decided what.
+    """
+    box = view_box(grid, [truth, estimate])
+    figure, axes = map_figure(box)
+    if grid is not None:
+        draw_grid(axes, grid)
+    draw_path(axes, truth, "truth", label="true path")
+    draw_path(axes, estimate, "amcl")
+    draw_start(axes, truth.poses[0])
+    handles: list[Artist] = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    used = _draw_goals(axes, goals)
+    handles += [_marker(*ENDS[end]) for end in ENDS if end in used]
+    if decisions is not None:
+        handles += _draw_decisions(axes, decisions, 0.05 * max(box[1] - box[0], box[3] - box[2]))
+    if len(contacts_xy):
+        handles += axes.plot(*contacts_xy.T, "*", color=BAD, markersize=9, label="contact", zorder=6)
+    legend_above(axes, handles)
+    return figure
+
+
+def _draw_goals(axes: Axes, goals: Sequence[Mapping[str, Any]]) -> set[str]:
+    used = set()
+    for number, goal in enumerate(goals, start=1):
+        x, y = goal.get("x"), goal.get("y")
+        if not isinstance(x, (int, float)) or not isinstance(y, (int, float)):
+            continue
+        end = outcome(goal)
+        colour, marker, _ = ENDS.get(end, (MUTED, "o", end))
+        used.add(end)
+        axes.plot(x, y, marker, color=colour, markersize=13, markeredgecolor=PAPER, zorder=5)
+        axes.annotate(
+            str(number), (x, y), color=PAPER, fontsize=7.5, ha="center", va="center", weight="bold", zorder=6
+        )
+    return used
+
+
+def _marker(colour: str, marker: str, label: str) -> Line2D:
+    return Line2D([], [], linestyle="none", marker=marker, color=colour, markersize=8, label=label)
+
+
+def _draw_decisions(axes: Axes, decisions: Decisions, length_m: float) -> list[Artist]:
+    """An arrow to the side for each decision that has one; returns what the legend says."""
+    handles: dict[str, Artist] = {}
+    for number, word in enumerate(decisions.words):
+        if word not in DECISIONS:
+            continue
+        label, colour, side = DECISIONS[word]
+        pose = decisions.T_world_base[number]
+        draw_pose(axes, pose @ SE2.from_xyt(0.0, 0.0, side), colour, length_m)
+        axes.plot(float(pose.x), float(pose.y), "o", color=colour, markersize=4, zorder=5)
+        handles.setdefault(label, _marker(colour, r"$\rightarrow$", label))
+    return list(handles.values())
+
+
+def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m: Array) -> Figure:
+    """The true path coloured by the footprint's clearance; the nearest place is named."""
+    figure, axes = map_figure(view_box(grid, [truth]), bar=True)
+    if grid is not None:
+        draw_grid(axes, grid, faint=True)
+    finite = np.where(np.isfinite(clearance_m), clearance_m, np.nan)
+    points = axes.scatter(
+        truth.poses.x,
+        truth.poses.y,
+        c=100.0 * finite,
+        s=5,
+        cmap=FINE_TO_BAD.reversed(),
+        norm=Normalize(0.0, 100.0 * ROOMY_M),
+        zorder=3,
+        rasterized=True,
+    )
+    bar = figure.colorbar(points, ax=axes, shrink=0.7, pad=0.02, aspect=28, extend="max")
+    bar.set_label("clearance [cm]")
+    bar.outline.set_visible(False)  # type: ignore[operator]
+    if np.isfinite(finite).any():
+        nearest = int(np.nanargmin(finite))
+        axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=BAD, markersize=8, zorder=5)
+        note = AnchoredText(
+            f"▼ least: {100.0 * finite[nearest]:.1f} cm", "lower left", frameon=False, pad=0.2
+        )
+        axes.add_artist(note)
+    return figure
