@@ -11,7 +11,6 @@ from datasets.runlog import RunLog
 from datasets.types import Trajectory
 from planners.tasks.sequence import GoalOutcome
 from reports.metrics.navigation import (
-    THERE_M,
     collision_episodes,
     collisions,
     distance_driven,
