@@ -72,7 +72,7 @@ class Slip:
         self._radius, self._track = robot.wheels.radius, 2.0 * robot.wheels.joint_y
         self._rng = rng
         self._rolled: tuple[float, float] | None = None
-        self._in_vain = np.zeros(2)
+        self._in_vain = (0.0, 0.0)
 
     def encoders(self, left_rad: float, right_rad: float) -> tuple[float, float]:
         """Angles that the encoders see, from those that moved the robot [rad]."""
@@ -80,15 +80,13 @@ class Slip:
             return left_rad, right_rad
         last = self._rolled or (left_rad, right_rad)
         self._rolled = (left_rad, right_rad)
-        travel = self._radius * np.array([left_rad - last[0], right_rad - last[1]])
-        metre, radian = (
-            self._metre * np.sqrt(np.abs(travel)),
-            self._radian * np.sqrt(abs(travel[1] - travel[0]) / self._track),
-        )
-        draws = self._rng.standard_normal(3)
-        swing = 0.5 * self._track * radian * draws[2]
-        self._in_vain += (metre * draws[:2] + np.array([-swing, swing])) / self._radius
-        return left_rad + float(self._in_vain[0]), right_rad + float(self._in_vain[1])
+        left, right = self._radius * (left_rad - last[0]), self._radius * (right_rad - last[1])
+        a, b, both = self._rng.standard_normal(3).tolist()
+        swing = 0.5 * self._track * self._radian * math.sqrt(abs(right - left) / self._track) * both
+        left_more = (self._metre * math.sqrt(abs(left)) * a - swing) / self._radius
+        right_more = (self._metre * math.sqrt(abs(right)) * b + swing) / self._radius
+        self._in_vain = (self._in_vain[0] + left_more, self._in_vain[1] + right_more)
+        return left_rad + self._in_vain[0], right_rad + self._in_vain[1]
 
 
 class WheelOdometry:
