@@ -27,6 +27,7 @@ from sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
 from sim.worlds import World
 
 CONTROL_HZ = 30
+Sensors = Literal["realistic", "clean"]
 OUTSIDE_M = 5.0
 """How far outside the world's bounds a robot may be put down."""
 REALISTIC_SLIP = {"slip": 0.001, "turn_slip": 0.005}
@@ -43,7 +44,7 @@ class SimConfig(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    sensors: Literal["realistic", "clean"] = "realistic"
+    sensors: Sensors = "realistic"
     physics: PhysicsConfig = PhysicsConfig()
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
