@@ -17,6 +17,10 @@ from sim.robots import LidarErrors, RobotSpec
 from sim.shapes import Solid, sections
 
 
+GAZEBO_SIGMA = 0.01
+"""White noise of the tutorial's lidar in Gazebo [m]."""
+
+
 class LidarConfig(BaseModel):
     """How the lidar measures.
 
@@ -31,7 +35,8 @@ class LidarConfig(BaseModel):
     """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""
     errors: LidarErrors | None = None
     """With `sensor`: what is given here takes the place of the number in the robot's file."""
-    sigma: Annotated[float, Field(ge=0.0)] = 0.01
+    sigma: Annotated[float, Field(ge=0.0)] | None = None
+    """White noise of each beam [m]. None: 0.01, and with `sensor` what `errors` say."""
     rate_hz: Annotated[float, Field(gt=0.0)] | None = None
     """Turns a second; none: as the robot's file says. 30 must be a whole multiple of it."""
     dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
@@ -139,7 +144,7 @@ class Lidar:
             return np.zeros(len(ranges))
         unit = self._rng.standard_normal(len(ranges))
         if self._config.noise != "datasheet":
-            return self._config.sigma * unit
+            return (GAZEBO_SIGMA if self._config.sigma is None else self._config.sigma) * unit
         finite = np.where(np.isfinite(ranges), ranges, 0.0)
         return np.where(finite < 0.5, 0.015, 0.05 * finite) / 3.0 * unit
 

@@ -15,7 +15,7 @@ from datasets.seeds import stream
 from datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
 from sim.faults import FaultConfig, Faults
 from sim.imu import ImuConfig, ImuSensor
-from sim.lidar import Lidar, LidarConfig
+from sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
 from sim.lidar3d import Lidar3d
 from sim.movers import MovingSolid, outlines
 from sim.physics import Physics, PhysicsConfig
@@ -57,7 +57,8 @@ class SimConfig(BaseModel):
         noise = lidar.noise or ("sensor" if realistic or lidar.errors is not None else "gazebo")
         errors = None
         if noise == "sensor":
-            given = {} if lidar.errors is None else lidar.errors.model_dump(exclude_unset=True)
+            given = {} if lidar.sigma is None else {"sigma": lidar.sigma}
+            given |= {} if lidar.errors is None else lidar.errors.model_dump(exclude_unset=True)
             errors = LidarErrors.model_validate(robot.lidar.errors.model_dump() | given)
         slips = {
             name: (usual if realistic else 0.0)
@@ -150,7 +151,8 @@ class Simulator:
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
-            sigma = 0.0 if self.config.lidar.noise == "none" else self.config.lidar.sigma
+            lidar = self.config.lidar
+            sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
             self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"))
             self._lidar3d.know_movers([mover.solid for mover in self.world.movers])
             self._sweep3d = np.zeros((round(CONTROL_HZ / mount.rate_hz) + 1, 3))

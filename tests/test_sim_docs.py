@@ -54,7 +54,7 @@ def test_the_table_of_settings_names_real_keys_and_their_defaults():
     assert len(rows) >= 7
     assert all(key in type(getattr(config, part)).model_fields for part, key in rows)
     defaults = LidarConfig()
-    assert (defaults.turning, defaults.noise, defaults.sigma, defaults.dropout) == (True, None, 0.01, 0.0)
+    assert (defaults.turning, defaults.noise, defaults.sigma, defaults.dropout) == (True, None, None, 0.0)
     assert f"| `odometry.slip`, `.turn_slip` | by the set | random slip: {REALISTIC_SLIP['slip']} m" in TEXT
 
 

@@ -224,6 +224,8 @@ def test_realistic_is_the_default_and_single_settings_take_precedence():
     config = SimConfig(lidar={"errors": {"lost": 0.5}}, odometry={"slip": 0.02}).resolved(BURGER)
     assert config.lidar.errors == LDS.model_copy(update={"lost": 0.5})
     assert config.odometry.slip == 0.02
+    louder = SimConfig(lidar={"sigma": 0.05}).resolved(BURGER)
+    assert louder.lidar.errors == LDS.model_copy(update={"sigma": 0.05})
     clean = SimConfig(sensors="clean").resolved(BURGER)
     assert (clean.lidar.noise, clean.lidar.errors) == ("gazebo", None)
     assert clean.odometry.slip == clean.odometry.turn_slip == 0.0
