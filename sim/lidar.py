@@ -16,7 +16,6 @@ from sim.raycast import beam_rays, cast, cast_sweep
 from sim.robots import LidarErrors, RobotSpec
 from sim.shapes import Solid, sections
 
-
 GAZEBO_SIGMA = 0.01
 """White noise of the tutorial's lidar in Gazebo [m]."""
 
