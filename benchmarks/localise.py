@@ -1,9 +1,11 @@
 """How well the robot knows where it is: accuracy, models compared, speed, from nothing, kidnapped.
 
     python -m benchmarks.localise [accuracy] [models] [speed] [log] [global] [silent] [unseen] [kidnap]
-                                  [pose] [dropout] [--quick] [--episodes N] [--out DIR]
+                                  [pose] [dropout] [--sensors SET ...] [--quick] [--episodes N] [--out DIR]
 
-Drives are simulated with drifting odometry, in the arena (burger) and the house (waffle_pi). Errors are
+Drives are simulated with drifting odometry, in the arena (burger) and the house (waffle_pi), with the
+simulator's `realistic` sensors (the default), its `clean` ones, or one after the other; tables lie in a
+folder of each. Errors are
 against the truth, without alignment: position in cm, heading in degrees. The SLAM-made map is made by
 `turtlebag map` from a recorded tour. `log` is the Intel log of TURTLEBAG_DATA/radish on our map of it,
 against the SLAM trajectory. `global`, `silent` (the same with beams of no return dropped), `unseen`
@@ -21,7 +23,7 @@ import functools
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +42,7 @@ from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.parameters import AmclConfig
 from pipeline.localise import run_amcl
 from pipeline.record import record
+from sim.simulator import Sensors, SimConfig
 
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 TABLES = ("accuracy", "models", "speed", "log")
@@ -94,7 +97,7 @@ def accuracy(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[li
     """A row a place, map and drive."""
     yield ["place", "map", "seed", "odometry_cm", "position_cm", "max_cm", "heading_deg"]
     for name, place in places.items():
-        grids = {"true": place.grid, "slam": slam_map(name, out)}
+        grids = {"true": place.grid, "slam": slam_map(name, place.sim.sensors, out)}
         for seed in range(1, 3 if quick else 6):
             log = place.drive(seed, 60.0 if quick else 180.0)
             drift = np.linalg.norm([s.T_odom_base.xy - s.T_world_base.xy for s in log], axis=1)
@@ -108,10 +111,10 @@ def accuracy(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[li
 
 
 @functools.cache
-def slam_map(name: str, out: Path) -> OccupancyGrid:
-    """The map that `turtlebag map` makes of a recorded tour."""
+def slam_map(name: str, sensors: Sensors, out: Path) -> OccupancyGrid:
+    """The map that `turtlebag map` makes of a tour recorded with these sensors."""
     world, robot = PLACES[name]
-    record(world, robot, "tour", 1, out / f"{name}_record", force=True)
+    record(world, robot, "tour", 1, out / f"{name}_record", sim=SimConfig(sensors=sensors), force=True)
     build_map(out / f"{name}_record", out / f"{name}_map", force=True)
     return load_map(out / f"{name}_map" / "map.yaml")
 
@@ -126,7 +129,7 @@ def models(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[list
             ("beam, product, no returns dropped", MODELS["beam, product, mean only"], deaf(log), True)
         )
         cases.append(("default, no deskewing", AmclConfig(), log, False))
-        for kind, grid in {"true": place.grid, "slam": slam_map(name, out)}.items():
+        for kind, grid in {"true": place.grid, "slam": slam_map(name, place.sim.sensors, out)}.items():
             for model, config, heard, deskew in cases:
                 amcl = started(place, grid, heard, config, 11)
                 before = time.process_time()
@@ -197,7 +200,8 @@ def speed(places: dict[str, Wanderer]) -> Iterator[list[str]]:
 def episode(kind: str, place: Wanderer, seed: int) -> Array:
     """Errors over 60 s of one episode."""
     if kind == "unseen":
-        place = Wanderer(f"{('office', 'maze')[seed % 2]}:{2000 + seed // 2 % 10}", "burger")
+        unseen = f"{('office', 'maze')[seed % 2]}:{2000 + seed // 2 % 10}"
+        place = Wanderer(unseen, "burger", place.sim.sensors)
     log = place.drive(1000 + seed, 60.0)
     config = AmclConfig()
     if kind == "kidnap":
@@ -264,6 +268,7 @@ def main() -> None:
     """Print and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
     parser.add_argument("--quick", action="store_true", help="shorter drives, 10 episodes instead of 100")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/localise"))
@@ -271,9 +276,16 @@ def main() -> None:
     parts = arguments.parts or list(PARTS)
     if unknown := set(parts) - set(PARTS):
         parser.error(f"unknown part {', '.join(sorted(unknown))}")
-    out, quick = arguments.out, arguments.quick
+    for sensors in arguments.sensors:
+        print(f"\nsensors: {sensors}")
+        measure(parts, sensors, arguments)
+
+
+def measure(parts: Sequence[str], sensors: Sensors, arguments: argparse.Namespace) -> None:
+    """The tables asked for, with one set of sensors."""
+    out, quick = arguments.out / sensors, arguments.quick
     out.mkdir(parents=True, exist_ok=True)
-    places = {name: Wanderer(*names) for name, names in PLACES.items()}
+    places = {name: Wanderer(*names, sensors) for name, names in PLACES.items()}
     if "accuracy" in parts:
         show("accuracy", accuracy(places, quick, out), out)
     if "models" in parts:

@@ -13,11 +13,12 @@ from scipy.sparse.csgraph import dijkstra
 from datasets.grid import FREE, OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
-from datasets.types import Scan, Twist, wrap
+from datasets.types import Scan, Trajectory, Twist, wrap
 from sim.robots import RobotSpec, load_robot
-from sim.simulator import CONTROL_HZ, SimConfig, Simulator
+from sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
 from sim.worlds import World, load_world
 
+KEPT = 15  # control steps that surely reach back to a scan's stamp
 MARGIN_M = 0.12  # kept from walls and low things, beyond the robot's own radius
 
 
@@ -34,7 +35,8 @@ class Sweep:
 class Wanderer:
     """Ways through the free floor of a world, kept clear of everything by the robot's radius and a margin."""
 
-    def __init__(self, world_name: str, robot_name: str) -> None:
+    def __init__(self, world_name: str, robot_name: str, sensors: Sensors = "realistic") -> None:
+        self.sim = SimConfig(sensors=sensors)
         self.world: World = load_world(world_name)
         self.robot: RobotSpec = load_robot(robot_name)
         self.grid: OccupancyGrid = self.world.rasterize(self.robot.lidar_height)
@@ -94,16 +96,19 @@ class Wanderer:
         """Wander for a while from a random pose; steered by the truth, as a person who watches would."""
         rng = stream(seed, "wander")
         sweeps: list[Sweep] = []
-        odometry: dict[int, SE2] = {}
+        stamps: list[int] = []
+        odometry: list[SE2] = []
         points: list[Array] = []
         v = w = 0.0
         limit = min(self.robot.model.max_v, 0.22)
-        with Simulator(self.world, self.robot, SimConfig(), seed) as simulator:
+        with Simulator(self.world, self.robot, self.sim, seed) as simulator:
             seen = simulator.reset(self.start(rng) if start is None else start)
             for _ in range(round(seconds * CONTROL_HZ)):
-                odometry[seen.stamp_ns] = seen.odometry.T_odom_base
+                stamps.append(seen.stamp_ns)
+                odometry.append(seen.odometry.T_odom_base)
                 if seen.scan is not None:
-                    at_start = odometry[seen.scan.stamp_ns]
+                    driven = Trajectory(np.array(stamps[-KEPT:]), SE2.stack(odometry[-KEPT:]))
+                    at_start = driven.at(np.array([seen.scan.stamp_ns]))[0]
                     sweeps.append(Sweep(seen.scan, at_start, seen.odometry.T_odom_base, simulator.scan_truth))
                 pose = simulator.truth.T_world_base
                 while points and np.linalg.norm(points[0] - pose.xy) < 0.2:

@@ -1,17 +1,21 @@
 """Navigation by numbers: every scenario with its success rate, its 95 % intervals and a row per episode.
 
-python -m benchmarks.navigate [--quick] [--only NAME ...] [--episodes N] [--from SEED] [--out DIR]
+python -m benchmarks.navigate [--quick] [--only NAME ...] [--sensors SET] [--episodes N] [--from SEED]
+                              [--out DIR]
 python -m benchmarks.navigate --replay NAME SEED --out DIR
 
 Collisions are Bullet's contacts, errors are against the truth. Every map is made by our own SLAM from a
-recorded tour. Rows are written as they come: started again with the same --out, a campaign goes on where
-it was (delete navigate.csv to start anew). `--from` runs other seeds; `--replay` drives one episode again
-and keeps its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
+recorded tour. Sensors are the simulator's `realistic` ones, on the tour and in the episodes; `--sensors
+clean` runs the same episodes with its clean ones, as scenarios "patrol, clean" and so on. Rows are
+written as they come: started again with the same --out, a campaign goes on where it was (delete
+navigate.csv to start anew). `--from` runs other seeds; `--replay` drives one episode again and keeps
+its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 import time
 from pathlib import Path
@@ -27,14 +31,27 @@ from pipeline.navigate import navigate_in
 from pipeline.navigation.episode import drive
 from pipeline.navigation.recorder import NoBag
 from pipeline.navigation.setup import prepare
-from sim.simulator import Simulator
+from sim.simulator import Sensors, Simulator
 
+SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 EXPLORE_S = 1800.0
 
 
+def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
+    """The same episodes with these sensors."""
+    name = scenario.name if sensors == "realistic" else f"{scenario.name}, {sensors}"
+
+    def make(seed: int) -> Case:
+        case = scenario.make(seed)
+        sim = case.config.sim.model_copy(update={"sensors": sensors})
+        return dataclasses.replace(case, name=name, config=case.config.model_copy(update={"sim": sim}))
+
+    return dataclasses.replace(scenario, name=name, make=make)
+
+
 def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
-    """All scenarios."""
+    """All scenarios, with the default sensors."""
 
     def of(name: str, count: int, short: int, make: functools.partial) -> Scenario:
         return Scenario(name, count, short, functools.partial(make, name))
@@ -97,6 +114,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a few short episodes of each")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these scenarios")
+    parser.add_argument("--sensors", choices=SENSORS, default="realistic", help="without --only: which set")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each scenario")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED", help="first seed")
     parser.add_argument("--replay", nargs=2, metavar=("NAME", "SEED"))
@@ -105,8 +123,12 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
-    known = scenarios(Maps(args.maps), args.quick)
-    names = args.replay[:1] if args.replay else args.only or [scenario.name for scenario in known]
+    sets = {
+        sensors: [with_sensors(s, sensors) for s in scenarios(Maps(args.maps, sensors), args.quick)]
+        for sensors in SENSORS
+    }
+    known = [scenario for one in sets.values() for scenario in one]
+    names = args.replay[:1] if args.replay else args.only or [s.name for s in sets[args.sensors]]
     if unknown := set(names) - {scenario.name for scenario in known}:
         parser.error(f"no scenario {sorted(unknown)[0]!r}: there are {', '.join(s.name for s in known)}")
     chosen = [scenario for scenario in known if scenario.name in names]

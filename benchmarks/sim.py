@@ -1,6 +1,6 @@
 """Simulated seconds per second of `record`, for each world and robot, and where the time goes.
 
-python -m benchmarks.sim [--quick] [--out DIR]
+python -m benchmarks.sim [--quick] [--sensors SET ...] [--out DIR]
 
 CPU time of the process is what counts (a shared machine's wall clock says little); the drive is a
 planned tour, cut off after a while. `rays` is the lidar, `bag` the writing, `physics` Bullet, the
@@ -19,7 +19,7 @@ from datasets.bags.writer import BagWriter
 from sim.lidar import Lidar
 from sim.physics import Physics
 from sim.robots import load_robot
-from sim.simulator import CONTROL_HZ, SimConfig, Simulator
+from sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
 from sim.teleop import commands, load_script
 from sim.worlds import load_world
 
@@ -34,7 +34,17 @@ CASES = (
     ("forest:1", "jackal"),
     ("empty", "burger"),
 )
-COLUMNS = ("world", "robot", "simulated_s", "x_real_time", "physics_%", "rays_%", "bag_%", "rest_%")
+COLUMNS = (
+    "sensors",
+    "world",
+    "robot",
+    "simulated_s",
+    "x_real_time",
+    "physics_%",
+    "rays_%",
+    "bag_%",
+    "rest_%",
+)
 
 
 class Clock:
@@ -56,12 +66,12 @@ class Clock:
         setattr(owner, method, timed)
 
 
-def drive(world_name: str, robot_name: str, duration: float) -> tuple[float, float]:
+def drive(world_name: str, robot_name: str, sensors: Sensors, duration: float) -> tuple[float, float]:
     """Simulated seconds and CPU seconds of recording the first part of a tour."""
     world, robot = load_world(world_name), load_robot(robot_name)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Simulator(world, robot, SimConfig(), 1) as simulator,
+        Simulator(world, robot, SimConfig(sensors=sensors), 1) as simulator,
         BagWriter(Path(folder) / "bag", custom={}) as bag,
     ):
         driver = commands(load_script("tour"), world, robot, 1)
@@ -82,11 +92,11 @@ def drive(world_name: str, robot_name: str, duration: float) -> tuple[float, flo
     return observation.stamp_ns * 1e-9, spent
 
 
-def measure(world: str, robot: str, duration: float, repeats: int) -> list[object]:
+def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: int) -> list[object]:
     """One row of the table: the fastest of some repeats, the shares from a last one with clocks."""
     speed, simulated = 0.0, 0.0
     for _ in range(repeats):
-        simulated, spent = drive(world, robot, duration)
+        simulated, spent = drive(world, robot, sensors, duration)
         speed = max(speed, simulated / spent)
     clock = Clock()
     kept = [(Physics, "step"), (Lidar, "measure")]
@@ -94,30 +104,32 @@ def measure(world: str, robot: str, duration: float, repeats: int) -> list[objec
     before = [getattr(owner, name) for owner, name in kept]
     for (owner, name), part in zip(kept, ("physics", "rays", "bag", "bag", "bag"), strict=True):
         clock.wrap(owner, name, part)
-    _, spent = drive(world, robot, duration)
+    _, spent = drive(world, robot, sensors, duration)
     for (owner, name), inner in zip(kept, before, strict=True):
         setattr(owner, name, inner)
     shares = [100.0 * clock.spent.get(part, 0.0) / spent for part in ("physics", "rays", "bag")]
     numbers = [*shares, 100.0 - sum(shares)]
-    return [world, robot, round(simulated, 1), round(speed, 1), *(round(n) for n in numbers)]
+    return [sensors, world, robot, round(simulated, 1), round(speed, 1), *(round(n) for n in numbers)]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     duration, repeats = (20.0, 1) if args.quick else (60.0, 3)
-    drive("turtlebot3_world", "burger", 2.0)  # compile first
+    drive("turtlebot3_world", "burger", "realistic", 2.0)  # compile first
     args.out.mkdir(parents=True, exist_ok=True)
     with (args.out / "sim.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         print("  ".join(COLUMNS))
         for world, robot in CASES[:3] if args.quick else CASES:
-            row = measure(world, robot, duration, repeats)
-            writer.writerow(row)
-            print("  ".join(str(value) for value in row), flush=True)
+            for sensors in args.sensors:
+                row = measure(world, robot, sensors, duration, repeats)
+                writer.writerow(row)
+                print("  ".join(str(value) for value in row), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,14 @@
 """Accuracy and cost of the mapper, beside the published numbers.
 
-python -m benchmarks.slam [--quick] [--part PART ...] [--again] [--out DIR]
+python -m benchmarks.slam [--quick] [--part PART ...] [--world WORLD ...] [--sensors SET ...] [--again]
+                          [--out DIR]
 
-Parts: `public` logs (relations of Kuemmerle et al. 2009), simulated `worlds` (exact truth), `ablation`
-(each part switched off, one at a time), `growth` (cost of one, two, four times the drive). One parameter
-set throughout. Public logs are read from the folder in TURTLEBAG_DATA (its `radish` folder); without it
-they are left out. Rows are kept below DIR/cases and not measured twice (--again does). Times are CPU
-seconds of one process, everything included but reading the file.
+Parts: `public` logs (relations of Kuemmerle et al. 2009), simulated `worlds` (exact truth; with the
+simulator's `realistic` sensors, its `clean` ones, or both), `ablation` (each part switched off, one at
+a time), `growth` (cost of one, two, four times the drive). One parameter set throughout. Public logs
+are read from the folder in TURTLEBAG_DATA (its `radish` folder); without it they are left out. Rows are
+kept below DIR/cases and not measured twice (--again does). Times are CPU seconds of one process,
+everything included but reading the file.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +39,7 @@ from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from reports.metrics.map import map_metrics, occupied, visible_surface
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import ate
+from sim.simulator import Sensors, SimConfig
 
 # Mean translational [m] / rotational [deg] error as published: scan matching, gmapping (RBPF), Graph
 # Mapping 2009, Cartographer 2016.
@@ -46,13 +50,10 @@ PUBLISHED = {
     "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
     "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
 }
+TUTORIAL = [(w, r) for w in ("turtlebot3_world", "turtlebot3_house") for r in ("burger", "waffle_pi")]
 WORLDS = (
-    *(
-        (world, robot, teleop, 1)
-        for world in ("turtlebot3_world", "turtlebot3_house")
-        for robot in ("burger", "waffle_pi")
-        for teleop in ("tour", "fast", "spiral")
-    ),
+    *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
+    *((world, robot, "tour", seed) for world, robot in TUTORIAL for seed in (2, 3)),
     *((f"office:{seed}", "burger", "tour", seed) for seed in (31, 32, 33)),
 )
 OFF = {"enabled": False}
@@ -117,26 +118,28 @@ def _pair(found: dict[str, Any]) -> str:
     return f"{found['trans_m']['mean']:.4f} / {found['rot_deg']['mean']:.3f}"
 
 
-def world_row(out: Path, world: str, robot: str, teleop: str, seed: int) -> Row:
+def world_row(out: Path, sensors: Sensors, world: str, robot: str, teleop: str, seed: int) -> Row:
     """A drive in a simulated world, against its exact truth."""
     with tempfile.TemporaryDirectory() as scratch:
         drive = Path(scratch) / "drive"
-        record(world, robot, teleop, seed, drive)
+        record(world, robot, teleop, seed, drive, sim=SimConfig(sensors=sensors))
         recording, truth = load_recording(drive), load_tum(drive / "truth" / "trajectory.tum")
         true_map = load_map(drive / "truth" / "map.yaml")
     result, spent = timed(recording)
-    picture(result, out, f"{world.replace(':', '_')}-{robot}-{teleop}")
+    picture(result, out, f"{world.replace(':', '_')}-{robot}-{teleop}-{seed}-{sensors}")
     found = map_metrics(result.grid, true_map)
     error: Any = found["occupied_error_m"]
     turned = result.trajectory.poses.yaw - truth.at(result.trajectory.stamps_ns).yaw
     turned = np.degrees(np.abs((turned - turned[0] + np.pi) % (2.0 * np.pi) - np.pi))
     return {
+        "sensors": sensors,
         "world": world,
         "robot": robot,
         "teleop": teleop,
+        "seed": seed,
         "scans": len(recording),
-        "ATE rmse [m]": f"{ate(result.trajectory, truth, align=False)['rmse']:.4f}",
-        "fitted": f"{ate(result.trajectory, truth, align=True)['rmse']:.4f}",
+        "ATE [m]": f"{ate(result.trajectory, truth, align=False)['rmse']:.4f}",
+        "aligned [m]": f"{ate(result.trajectory, truth, align=True)['rmse']:.4f}",
         "yaw [deg]": f"{float(np.sqrt(np.mean(turned**2))):.3f}",
         "within one cell": f"{error['within_one_cell']:.4f}",
         "IoU": f"{found['iou']:.2f}",
@@ -190,17 +193,25 @@ def first(recording: Recording, n: int) -> Recording:
     )
 
 
+def worlds(cases: Cases, out: Path, drives: Sequence[tuple], sensors: Sequence[Sensors]) -> None:
+    """The drives with each set of sensors."""
+    rows = [
+        cases.row(
+            "worlds", "-".join(map(str, (which, *d))), lambda d=d, which=which: world_row(out, which, *d)
+        )
+        for d in drives
+        for which in sensors
+    ]
+    write(out, "worlds", rows)
+
+
 def tables(cases: Cases, out: Path, folder: Path | None, parts: list[str], *, quick: bool) -> None:
-    """Measure and write the tables asked for."""
+    """Measure and write the tables asked for, but that of the worlds."""
     public = [] if folder is None else [n for n in PUBLISHED if (folder / f"{n}.clf.bz2").is_file()]
     if "public" in parts and folder is not None:
         names = ["mit-csail"] if quick else public
         rows = [cases.row("public", n, lambda n=n: public_log(folder, out, n)) for n in names]
         write(out, "public", rows)
-    if "worlds" in parts:
-        drives = WORLDS[:1] if quick else WORLDS
-        rows = [cases.row("worlds", "-".join(map(str, d)), lambda d=d: world_row(out, *d)) for d in drives]
-        write(out, "worlds", rows)
     if "ablation" in parts:
         rows = []
         for variant, settings in ABLATIONS.items():
@@ -224,6 +235,8 @@ def main() -> None:
     every = ["public", "worlds", "ablation", "growth"]
     parser.add_argument("--quick", action="store_true", help="one public log and one world only")
     parser.add_argument("--part", nargs="+", choices=every, help="only these tables")
+    parser.add_argument("--world", nargs="+", metavar="WORLD", help="only these worlds")
+    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
     parser.add_argument("--again", action="store_true", help="measure what was measured before, too")
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam"))
     args = parser.parse_args()
@@ -233,7 +246,13 @@ def main() -> None:
         print("TURTLEBAG_DATA is not set: the public logs are left out")
     warm_up()
     parts = args.part or (["public", "worlds"] if args.quick else every)
-    tables(Cases(args.out / "cases", again=args.again), args.out, folder, parts, quick=args.quick)
+    cases = Cases(args.out / "cases", again=args.again)
+    if "worlds" in parts:
+        drives = [
+            d for d in (WORLDS[:1] if args.quick else WORLDS) if args.world is None or d[0] in args.world
+        ]
+        worlds(cases, args.out, drives, args.sensors)
+    tables(cases, args.out, folder, parts, quick=args.quick)
 
 
 if __name__ == "__main__":

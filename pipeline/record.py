@@ -120,7 +120,8 @@ class Scene:
         """Look the names up; InputError for unknown ones."""
         loaded = load_world(world)
         name = robot or loaded.robot
-        return Scene(world, name, loaded, load_robot(name), sim or SimConfig(), start, seed)
+        spec = load_robot(name)
+        return Scene(world, name, loaded, spec, (sim or SimConfig()).resolved(spec), start, seed)
 
     def files(self) -> dict[str, Path]:
         """World and robot as far as they are files of the user's own."""

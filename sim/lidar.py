@@ -7,32 +7,47 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from datasets.se2 import Array
 from datasets.types import LidarSpec
+from sim.lidar_errors import LidarUnit, incidence
 from sim.raycast import beam_rays, cast, cast_sweep
-from sim.robots import RobotSpec
+from sim.robots import LidarErrors, RobotSpec
 from sim.shapes import Solid, sections
+
+GAZEBO_SIGMA = 0.01
+"""White noise of the tutorial's lidar in Gazebo [m]."""
 
 
 class LidarConfig(BaseModel):
     """How the lidar measures.
 
-    `gazebo`: Gaussian noise of `sigma`. `datasheet`: of the LDS-01, +-15 mm below 0.5 m and +-5 % of
-    the range beyond, read as three standard deviations of a beam.
+    `sensor`: with the errors of the robot's own lidar, as its file has them. `gazebo`: Gaussian noise
+    of `sigma` alone. `datasheet`: of the LDS-01, +-15 mm below 0.5 m and +-5 % of the range beyond,
+    read as three standard deviations of a beam.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     turning: bool = True
-    noise: Literal["gazebo", "datasheet", "none"] = "gazebo"
-    sigma: Annotated[float, Field(ge=0.0)] = 0.01
+    noise: Literal["sensor", "gazebo", "datasheet", "none"] | None = None
+    """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""
+    errors: LidarErrors | None = None
+    """With `sensor`: what is given here takes the place of the number in the robot's file."""
+    sigma: Annotated[float, Field(ge=0.0)] | None = None
+    """White noise of each beam [m]. None: 0.01, and with `sensor` what `errors` say."""
     rate_hz: Annotated[float, Field(gt=0.0)] | None = None
     """Turns a second; none: as the robot's file says. 30 must be a whole multiple of it."""
     dropout: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Chance that a beam comes back as no return (+inf)."""
     reflectivity: bool = True
     """Whether dark or transparent solids swallow beams."""
+
+    @model_validator(mode="after")
+    def _errors_are_used(self) -> LidarConfig:
+        if self.errors is not None and self.noise not in ("sensor", None):
+            raise ValueError(f"errors are those of noise=sensor, and noise is {self.noise}")
+        return self
 
 
 class Lidar:
@@ -48,19 +63,36 @@ class Lidar:
         )
         returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
         self._returns = returns if config.reflectivity and returns.min() < 1.0 else None
+        self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         n = self.spec.n_beams
         self._movers: list[tuple[Array, Array]] = []
         self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
 
-    def true_ranges(self, poses: Array) -> tuple[Array, NDArray[np.int64]]:
+    def turn(self) -> tuple[float, float]:
+        """Begin a turn of the head: its share of the nominal time, and how late it is stamped [s]."""
+        if self._unit is None:
+            return 1.0, 0.0
+        return self._unit.turn(), self._unit.delay_s
+
+    def true_ranges(
+        self, poses: Array, begin: float = 0.0, end: float | None = None
+    ) -> tuple[Array, NDArray[np.int64]]:
         """Distances (n_beams,) without noise or limits below, and the outline each beam hit.
 
-        poses (k, 3): base poses in the world, at equal steps from the first beam's instant to the
-        end of the sweep; one row for a lidar that takes all beams at once.
+        poses (k, 3): base poses in the world at equal steps. The turn of the head runs from row `begin`
+        to row `end` (none: the last), both with fractions; one row for a lidar that takes all beams at
+        once.
         """
-        when: Array = self._sweep * float(len(poses) - 1)
-        origins, directions, bearings = beam_rays(poses, when, self._T_base_lidar, self.spec.angles)
+        return self._cast(poses, begin, end, self.spec.angles)[:2]
+
+    def _cast(
+        self, poses: Array, begin: float, end: float | None, angles: Array
+    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
+        """Distances, outlines hit, and the beams' origins and directions, for the angles they point at."""
+        last = float(len(poses) - 1)
+        when: Array = begin + self._sweep * ((last if end is None else end) - begin)
+        origins, directions, bearings = beam_rays(poses, when, self._T_base_lidar, angles)
         outlines, limit = self._outlines, self.spec.range_max
         if np.all(bearings[1:] > bearings[:-1]):
             found = cast_sweep(origins, directions, bearings, outlines.segments, outlines.circles, limit)
@@ -69,11 +101,11 @@ class Lidar:
         ranges, hits = found
         if self._movers:
             self._see_movers(origins, directions, when, ranges, hits)
-        return ranges, hits
+        return ranges, hits, origins, directions
 
-    def note_movers(self, outline: tuple[Array, Array], first: bool) -> None:
-        """Where the movers stand in the control step just taken; `first`: the first step of a sweep."""
-        self._movers = [outline] if first else [*self._movers, outline]
+    def note_movers(self, outline: tuple[Array, Array], earlier: int) -> None:
+        """Where the movers stand in the control step just taken; `earlier`: steps before it in this turn."""
+        self._movers = [*self._movers[len(self._movers) - earlier :], outline]
 
     def _see_movers(
         self, origins: Array, directions: Array, when: Array, ranges: Array, hits: NDArray[np.int64]
@@ -87,13 +119,19 @@ class Lidar:
             ranges[beams[closer]] = near[closer]
             hits[beams[closer]] = -1
 
-    def measure(self, poses: Array) -> NDArray[np.float32]:
-        """Ranges (n_beams,) as the driver would publish them (REP-117)."""
-        ranges, hits = self.true_ranges(poses)
+    def measure(self, poses: Array, begin: float = 0.0, end: float | None = None) -> NDArray[np.float32]:
+        """Ranges (n_beams,) as the driver would publish them (REP-117); arguments of `true_ranges`."""
+        unit, angles = self._unit, self.spec.angles
+        ranges, hits, origins, directions = self._cast(
+            poses, begin, end, angles if unit is None else unit.directions(angles)
+        )
         low, high = self.spec.range_min, self.spec.range_max
         valid = (ranges >= low) & (ranges < high)
-        noisy = np.clip(ranges + self._noise(ranges), low, high)
+        noisy = np.clip(ranges + self._noise(ranges) if unit is None else unit.ranges(ranges), low, high)
         out = np.where(valid, noisy, np.where(ranges < low, -np.inf, np.inf))
+        if unit is not None:
+            cosine = incidence(origins, directions, ranges, hits, self._outlines)
+            out = np.where(unit.comes_back(cosine), out, np.inf)
         if self._returns is not None:
             out = np.where(self._rng.random(len(out)) < self._returns[hits], out, np.inf)
         if self._config.dropout > 0.0:
@@ -104,8 +142,8 @@ class Lidar:
         if self._config.noise == "none":
             return np.zeros(len(ranges))
         unit = self._rng.standard_normal(len(ranges))
-        if self._config.noise == "gazebo":
-            return self._config.sigma * unit
+        if self._config.noise != "datasheet":
+            return (GAZEBO_SIGMA if self._config.sigma is None else self._config.sigma) * unit
         finite = np.where(np.isfinite(ranges), ranges, 0.0)
         return np.where(finite < 0.5, 0.015, 0.05 * finite) / 3.0 * unit
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from datasets.errors import InputError
 from datasets.se2 import SE2
@@ -18,6 +18,7 @@ FOLDER = Path(__file__).parent / "robots"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
@@ -87,6 +88,39 @@ class Wheels(_Spec):
     """x of each axle: one for a differential drive, two for a skid-steered four-wheeler."""
 
 
+class LidarErrors(_Spec):
+    """How its readings differ from the distances; standard deviations where nothing else is said.
+
+    Of a beam: `sigma` [m] and `sigma_square` [1/m], which grows with the square of the distance as a
+    triangulating lidar's does; the `angle_deg` it points aside; and the `resolution` [m]. Of a turn:
+    `turn_scale`, a share of all its distances; `jitter`, a share of its time; `stamp_delay` [s], how
+    much later than the first beam it is stamped, evenly from and to. Of the unit, drawn once a run:
+    `offset` [m], `scale`, `square` [1/m], and `speed`, a share of the turns a second. Lost: a share
+    `lost` of all beams, and of those that meet a surface at a cosine c to its normal exp(-c / grazing).
+    """
+
+    sigma: NonNegative = 0.01
+    sigma_square: NonNegative = 0.0
+    angle_deg: NonNegative = 0.0
+    resolution: NonNegative = 0.0
+    turn_scale: NonNegative = 0.0
+    jitter: Annotated[float, Field(ge=0.0, le=0.05)] = 0.0
+    stamp_delay: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    offset: NonNegative = 0.0
+    scale: NonNegative = 0.0
+    square: NonNegative = 0.0
+    speed: Annotated[float, Field(ge=0.0, le=0.05)] = 0.0
+    lost: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    grazing: NonNegative = 0.0
+
+    @field_validator("stamp_delay")
+    @classmethod
+    def _in_order(cls, delay: tuple[float, float]) -> tuple[float, float]:
+        if delay[1] < delay[0] or delay[1] > 0.1:
+            raise ValueError("from and to in seconds, 0.1 at most")
+        return delay
+
+
 class Lidar(_Spec):
     """A planar lidar at `pose` in base_footprint, `height` over the floor."""
 
@@ -100,6 +134,7 @@ class Lidar(_Spec):
     rate_hz: Positive
     sweep: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Part of a turn of the head during which beams are taken."""
+    errors: LidarErrors = LidarErrors()
 
     def spec(self, turning: bool, rate_hz: float | None = None) -> LidarSpec:
         """Its geometry; with `turning` off all beams are taken at once; at its own rate or another."""

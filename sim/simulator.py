@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -14,32 +15,62 @@ from datasets.seeds import stream
 from datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
 from sim.faults import FaultConfig, Faults
 from sim.imu import ImuConfig, ImuSensor
-from sim.lidar import Lidar, LidarConfig
+from sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
 from sim.lidar3d import Lidar3d
 from sim.movers import MovingSolid, outlines
 from sim.physics import Physics, PhysicsConfig
 from sim.raycast import distance_to_outlines, distance_to_point
-from sim.robots import RobotSpec, check_rate
+from sim.robots import LidarErrors, RobotSpec, check_rate
 from sim.shapes import Sections, contains
-from sim.wheels import Calibration, Motors, OdometryConfig, WheelOdometry
+from sim.sweep import Sweep
+from sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
 from sim.worlds import World
 
 CONTROL_HZ = 30
+Sensors = Literal["realistic", "clean"]
 OUTSIDE_M = 5.0
 """How far outside the world's bounds a robot may be put down."""
+REALISTIC_SLIP = {"slip": 0.001, "turn_slip": 0.005}
+"""Metres after a metre and radians after a radian: assumed, for a hard floor and rubber tyres."""
 CONTACT_REACH_M = 0.05
 """Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
 
 
 class SimConfig(BaseModel):
-    """Everything that can be switched in the simulator."""
+    """Everything that can be switched in the simulator.
+
+    `sensors` chooses what the lidar and the wheels are where nothing else is set: `realistic` like the
+    hardware, `clean` like Gazebo's, with white noise of the lidar and nothing random in the wheels.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    sensors: Sensors = "realistic"
     physics: PhysicsConfig = PhysicsConfig()
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
     imu: ImuConfig = ImuConfig()
     faults: FaultConfig = FaultConfig()
+
+    def resolved(self, robot: RobotSpec) -> SimConfig:
+        """The same with a number wherever it leaves one to `sensors` and to the robot's own lidar."""
+        realistic, lidar, odometry = self.sensors == "realistic", self.lidar, self.odometry
+        noise = lidar.noise or ("sensor" if realistic or lidar.errors is not None else "gazebo")
+        errors = None
+        if noise == "sensor":
+            given = {} if lidar.sigma is None else {"sigma": lidar.sigma}
+            given |= {} if lidar.errors is None else lidar.errors.model_dump(exclude_unset=True)
+            errors = LidarErrors.model_validate(robot.lidar.errors.model_dump() | given)
+        slips = {
+            name: (usual if realistic else 0.0)
+            for name, usual in REALISTIC_SLIP.items()
+            if getattr(odometry, name) is None
+        }
+        return self.model_copy(
+            update={
+                "lidar": lidar.model_copy(update={"noise": noise, "errors": errors}),
+                "odometry": odometry.model_copy(update=slips),
+            }
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +103,8 @@ class Simulator:
     def __init__(
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
     ) -> None:
-        self.world, self.robot, self.config, self.seed = world, robot, config or SimConfig(), seed
+        self.world, self.robot, self.seed = world, robot, seed
+        self.config = (config or SimConfig()).resolved(robot)
         self._solids = world.shapes
         self._standing = self._touchable = world.touchable(robot.height)
         everything = [*self._solids, *(mover.solid for mover in world.movers)]
@@ -115,14 +147,17 @@ class Simulator:
         dt = 1.0 / CONTROL_HZ
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
+        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ)
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
-            sigma = 0.0 if self.config.lidar.noise == "none" else self.config.lidar.sigma
+            lidar = self.config.lidar
+            sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
             self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"))
             self._lidar3d.know_movers([mover.solid for mover in self.world.movers])
             self._sweep3d = np.zeros((round(CONTROL_HZ / mount.rate_hz) + 1, 3))
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
+        self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
         self._moving = [
@@ -133,8 +168,7 @@ class Simulator:
         self._step = 0
         self._place_movers()
         self._touched = self._physics.touched()
-        self._carried = self._carried3d = False
-        self._sweep = np.zeros((self._steps_per_scan + 1, 3))
+        self._carried3d = False
         self._scan_truth = start
         return self._observe()
 
@@ -179,7 +213,7 @@ class Simulator:
         self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
         at_once = not self.config.lidar.turning
-        self._lidar.note_movers(outlines(seen), at_once or self._step % self._steps_per_scan == 0)
+        self._lidar.note_movers(outlines(seen), 0 if at_once else self._sweep.steps_before(self._step))
         if self._lidar3d is not None:
             first = at_once or self._step % (len(self._sweep3d) - 1) == 0
             self._lidar3d.note_movers([one.position.copy() for one in self._moving], first)
@@ -187,8 +221,8 @@ class Simulator:
     def _put_down(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere; of the sweep under way there is no scan."""
         self._physics.put_down(T_world_base)
-        self._sweep[:] = T_world_base.xyt
-        self._carried = self._carried3d = True
+        self._sweep.put_down(T_world_base.xyt)
+        self._carried3d = True
         if self._lidar3d is not None:
             self._sweep3d[:] = T_world_base.xyt
 
@@ -196,6 +230,7 @@ class Simulator:
         stamp = stamp_of(self._step)
         x, y, yaw = self._physics.pose()
         left, right, left_speed, right_speed = self._faults.encoders(self._step, *self._physics.wheels())
+        left, right = self._slip.encoders(left, right)
         touched = [self._visible[number] for number in self._touched]
         visible, low = any(touched), not all(touched)
         pose = np.array([x, y, yaw])
@@ -211,22 +246,14 @@ class Simulator:
         )
 
     def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:
-        """Collect poses; the scan that is delivered in this step, usually the one whose sweep ends."""
-        scan, place = None, self._step % self._steps_per_scan
-        first = pose
-        if not self.config.lidar.turning:
-            if place == 0:
-                scan = Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
-        elif self._step == 0 or place:
-            self._sweep[place] = pose
-        else:
-            self._sweep[-1] = pose
-            ranges = self._lidar.measure(self._sweep)
-            first = self._sweep[0].copy()
-            self._sweep[0] = pose
-            if not self._carried:
-                scan = Scan(stamp_of(self._step - self._steps_per_scan), ranges, self._lidar.spec)
-            self._carried = False
+        """The scan that is delivered in this step, usually the one whose turn ended in it."""
+        scan, first = None, pose
+        if self.config.lidar.turning:
+            done = self._sweep.add(self._step, pose)
+            if done is not None:
+                scan, first = Scan(done.stamp_ns, done.ranges, self._lidar.spec), done.pose_at_stamp
+        elif self._step % self._steps_per_scan == 0:
+            scan = Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
         if delivered is not None:
             self._scan_truth = truth

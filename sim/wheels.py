@@ -14,11 +14,20 @@ from sim.robots import RobotSpec
 
 
 class OdometryConfig(BaseModel):
-    """Calibration: the believed wheel radius and track are off by up to these fractions, drawn once a run."""
+    """What wheel odometry is off by.
+
+    Calibration: the believed wheel radius and track are off by up to these fractions, drawn once a run.
+    Slip: `slip` is the standard deviation of what a wheel turns in vain [m] after a metre, `turn_slip`
+    of what both do in opposite senses [rad] after a turn of a radian; both grow with the square root.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
     track_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
+    slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None
+    """None: by `sim.sensors`."""
+    turn_slip: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    """None: by `sim.sensors`."""
 
 
 class Calibration:
@@ -53,6 +62,31 @@ class Motors:
 
 def _approach(value: float, target: float, step: float) -> float:
     return min(max(target, value - step), value + step)
+
+
+class Slip:
+    """Random slip: wheels that turn a little more or less than the robot rolls, and encoders that see it."""
+
+    def __init__(self, robot: RobotSpec, config: OdometryConfig, rng: np.random.Generator) -> None:
+        self._metre, self._radian = config.slip or 0.0, config.turn_slip or 0.0
+        self._radius, self._track = robot.wheels.radius, 2.0 * robot.wheels.joint_y
+        self._rng = rng
+        self._rolled: tuple[float, float] | None = None
+        self._in_vain = (0.0, 0.0)
+
+    def encoders(self, left_rad: float, right_rad: float) -> tuple[float, float]:
+        """Angles that the encoders see, from those that moved the robot [rad]."""
+        if self._metre == 0.0 and self._radian == 0.0:
+            return left_rad, right_rad
+        last = self._rolled or (left_rad, right_rad)
+        self._rolled = (left_rad, right_rad)
+        left, right = self._radius * (left_rad - last[0]), self._radius * (right_rad - last[1])
+        a, b, both = self._rng.standard_normal(3).tolist()
+        swing = 0.5 * self._track * self._radian * math.sqrt(abs(right - left) / self._track) * both
+        left_more = (self._metre * math.sqrt(abs(left)) * a - swing) / self._radius
+        right_more = (self._metre * math.sqrt(abs(right)) * b + swing) / self._radius
+        self._in_vain = (self._in_vain[0] + left_more, self._in_vain[1] + right_more)
+        return left_rad + self._in_vain[0], right_rad + self._in_vain[1]
 
 
 class WheelOdometry:

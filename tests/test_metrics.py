@@ -37,6 +37,9 @@ def test_a_shifted_estimate_has_the_shift_as_error_and_none_after_alignment():
     shifted = moved(circle(), SE2.from_xyt(0.3, 0.4, 0.0))
     assert ate(shifted, circle(), align=False) == pytest.approx({"rmse": 0.5, "max": 0.5})
     assert ate(shifted, circle(), align=True)["max"] < 1e-12
+    found = trajectory_metrics(shifted, circle())
+    assert found["ate_m"]["rmse"] == pytest.approx(0.5)
+    assert found["ate_aligned_m"]["rmse"] < 1e-12
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.14, 3.14))

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
 from benchmarks.intervals import clopper_pearson, wilson
-from benchmarks.navigate import scenarios
+from benchmarks.navigate import scenarios, with_sensors
 from benchmarks.navigate_rows import Table, blank_row, failures, own_contacts, row_of, spans, summary
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
@@ -49,6 +49,18 @@ def test_an_episode_comes_from_its_seed_alone():
         assert same(a.request.goal, b.request.goal)
         assert not same(a.request.goal, other.request.goal)
         assert a.config == b.config
+
+
+def test_other_sensors_change_nothing_else_of_an_episode():
+    kidnap = {scenario.name: scenario for scenario in scenarios(OneMap(), False)}["kidnap, house"]
+    clean = with_sensors(kidnap, "clean")
+    a, b = kidnap.make(3), clean.make(3)
+    assert (clean.name, b.name) == ("kidnap, house, clean", "kidnap, house, clean")
+    assert same(a.request.start, b.request.start)
+    assert same(a.request.goal, b.request.goal)
+    assert (a.config.sim.sensors, b.config.sim.sensors) == ("realistic", "clean")
+    assert a.config.sim.faults == b.config.sim.faults
+    assert with_sensors(kidnap, "realistic").make(3).name == "kidnap, house"
 
 
 def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():

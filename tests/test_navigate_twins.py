@@ -203,7 +203,7 @@ def test_a_contest_takes_several_scans_and_drops_who_is_left_behind():
     assert not close.decided
 
 
-def run(place, tmp_path, config, seed=1, **request):
+def run(place, tmp_path, config, seed=2, **request):
     path = save_map(place.rasterize(BURGER.lidar_height), tmp_path, "map")
     asked = Request(task="goal", seed=seed, map_path=path, timeout_s=90.0, **request)
     mission = prepare_mission(asked, BURGER, config, place.keepout)

@@ -77,7 +77,7 @@ def test_the_view_draws_a_map_that_grows():
     view = View(BURGER, state, True, frames.append)
     with Simulator(world, BURGER, SimConfig(), 1) as simulator:
         view(simulator.reset())
-        for _ in range(6):
+        for _ in range(9):
             view(simulator.step(Twist(0.2, 0.0)))
         first = len(view.map_points)
         for _ in range(60):

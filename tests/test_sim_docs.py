@@ -7,7 +7,7 @@ import pytest
 
 from sim.lidar import LidarConfig
 from sim.robots import load_robot, robot_names
-from sim.simulator import SimConfig, Simulator
+from sim.simulator import REALISTIC_SLIP, SimConfig, Simulator
 from sim.teleop import commands, load_script, script_names
 from sim.worlds import load_world
 
@@ -54,4 +54,17 @@ def test_the_table_of_settings_names_real_keys_and_their_defaults():
     assert len(rows) >= 7
     assert all(key in type(getattr(config, part)).model_fields for part, key in rows)
     defaults = LidarConfig()
-    assert (defaults.turning, defaults.noise, defaults.sigma, defaults.dropout) == (True, "gazebo", 0.01, 0.0)
+    assert (defaults.turning, defaults.noise, defaults.sigma, defaults.dropout) == (True, None, None, 0.0)
+    assert f"| `odometry.slip`, `.turn_slip` | by the set | random slip: {REALISTIC_SLIP['slip']} m" in TEXT
+
+
+def test_the_table_of_errors_names_every_number_and_the_robots_have_them():
+    table = TEXT[TEXT.index("### Where the realistic numbers come from") :]
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([\d.]+)", table, flags=re.MULTILINE))
+    errors = load_robot("burger").lidar.errors
+    unit = {"offset": 1e-3, "sigma": 1e-3, "sigma_square": 1e-3, "square": 1e-3, "resolution": 1e-3}
+    share = dict.fromkeys(("scale", "turn_scale", "speed", "jitter", "lost"), 1e-2)
+    assert set(rows) == set(type(errors).model_fields)
+    for name, number in rows.items():
+        value = errors.stamp_delay[0] * 1e3 if name == "stamp_delay" else getattr(errors, name)
+        assert float(number) * (unit | share).get(name, 1.0) == pytest.approx(value), name

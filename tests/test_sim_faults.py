@@ -19,7 +19,7 @@ AHEAD = Twist(0.1, 0.0)
 
 def run(steps, command=AHEAD, **faults):
     """Observations, true poses by stamp, and (stamp, true pose) of each scan delivered."""
-    with Simulator(EMPTY, BURGER, SimConfig(faults=faults), 1) as simulator:
+    with Simulator(EMPTY, BURGER, SimConfig(sensors="clean", faults=faults), 1) as simulator:
         observations, truths, scans = [simulator.reset()], {}, []
         for _ in range(steps):
             truths[observations[-1].stamp_ns] = simulator.truth.T_world_base.xyt
@@ -70,7 +70,8 @@ def test_a_span_that_ends_before_it_starts_is_refused():
 
 def test_a_kidnap_moves_the_robot_and_not_its_odometry():
     faults = FaultConfig(kidnap=((1.0, 2.0, -1.0, 1.5),))
-    with Simulator(load_world("empty"), load_robot("burger"), SimConfig(faults=faults), 1) as simulator:
+    config = SimConfig(sensors="clean", faults=faults)
+    with Simulator(load_world("empty"), load_robot("burger"), config, 1) as simulator:
         simulator.reset()
         for _ in range(29):
             before = simulator.step(Twist())
@@ -93,7 +94,7 @@ def test_a_kidnap_into_a_wall_is_refused():
     faults = FaultConfig(kidnap=((1.0, 0.0, 0.0, 0.0),))
     with (
         Simulator(
-            load_world("turtlebot3_world"), load_robot("burger"), SimConfig(faults=faults)
+            load_world("turtlebot3_world"), load_robot("burger"), SimConfig(sensors="clean", faults=faults)
         ) as simulator,
         pytest.raises(InputError, match="kidnap 0, 0: the robot would stand in an obstacle"),
     ):
@@ -102,7 +103,8 @@ def test_a_kidnap_into_a_wall_is_refused():
 
 def test_slipping_wheels_turn_in_vain():
     faults = FaultConfig(slip=((1.0, 3.0, 0.5, 0.5), (4.0, 5.0, 0.5, 0.0)))
-    with Simulator(load_world("empty"), load_robot("burger"), SimConfig(faults=faults), 1) as simulator:
+    config = SimConfig(sensors="clean", faults=faults)
+    with Simulator(load_world("empty"), load_robot("burger"), config, 1) as simulator:
         start = simulator.reset().odometry.T_odom_base
         for _ in range(105):
             seen = simulator.step(Twist(0.1, 0.0))

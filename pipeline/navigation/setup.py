@@ -97,6 +97,7 @@ def prepare(
     """
     if request.duration_s is not None and request.duration_s > MAX_SIMULATED_S:
         raise InputError(f"--duration {request.duration_s:g}: at most {MAX_SIMULATED_S:g} s are simulated")
+    config = config.model_copy(update={"sim": config.sim.resolved(robot)})
     if isinstance(request.takeover, Path):
         load_script(request.takeover)
     if request.laps is not None and request.laps > MAX_LAPS:

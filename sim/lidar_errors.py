@@ -1,0 +1,82 @@
+"""What a real lidar adds to the distances: errors of the unit, of a turn and of a beam, and lost beams."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import Array
+from sim.robots import LidarErrors
+from sim.shapes import Sections
+
+LIMIT = 3.0
+"""Draws of a unit and of its turns end at so many standard deviations, as the data sheet's tolerances do."""
+
+
+class LidarUnit:
+    """One lidar with its errors: what a unit is off by is drawn here, what a turn is off by with `turn`."""
+
+    def __init__(self, errors: LidarErrors, rng: np.random.Generator) -> None:
+        self._errors, self._rng = errors, rng
+        self._offset = errors.offset * self._draw()
+        self._scale = errors.scale * self._draw()
+        self._square = errors.square * self._draw()
+        self._speed = errors.speed * self._draw()
+        self._turn_scale = 0.0
+        self.delay_s = 0.0
+        """How much later than its first beam the turn under way will be stamped [s]."""
+
+    def turn(self) -> float:
+        """Draw the errors of the next turn of the head; returns its share of the nominal time."""
+        errors = self._errors
+        jitter = errors.jitter * self._draw()
+        self._turn_scale = errors.turn_scale * self._draw()
+        self.delay_s = float(self._rng.uniform(*errors.stamp_delay))
+        return 1.0 / (1.0 + self._speed + jitter)
+
+    def directions(self, angles: Array) -> Array:
+        """Where the beams (n,) really point, for the angles the scan will state [rad]."""
+        aside = np.deg2rad(self._errors.angle_deg) * self._rng.standard_normal(len(angles))
+        return np.asarray(angles + aside)
+
+    def ranges(self, true: Array) -> Array:
+        """Readings (n,) of true distances [m], in whole steps of the resolution; +inf stays."""
+        errors, met = self._errors, np.isfinite(true)
+        r: Array = np.where(met, true, 0.0)
+        white = np.hypot(errors.sigma, errors.sigma_square * r**2) * self._rng.standard_normal(len(r))
+        read = r + self._offset + (self._scale + self._turn_scale) * r + self._square * r**2 + white
+        if errors.resolution > 0.0:
+            read = np.round(read / errors.resolution) * errors.resolution
+        return np.asarray(np.where(met, read, np.inf))
+
+    def comes_back(self, cosine: Array) -> NDArray[np.bool_]:
+        """Which beams (n,) come back from surfaces they meet at these cosines of the angle to the normal."""
+        errors = self._errors
+        chance = np.full(len(cosine), 1.0 - errors.lost)
+        if errors.grazing > 0.0:
+            chance *= 1.0 - np.exp(-cosine / errors.grazing)
+        return np.asarray(self._rng.random(len(cosine)) < chance)
+
+    def _draw(self) -> float:
+        return float(np.clip(self._rng.standard_normal(), -LIMIT, LIMIT))
+
+
+def incidence(
+    origins: Array, directions: Array, ranges: Array, hits: NDArray[np.int64], outlines: Sections
+) -> Array:
+    """Cosine between each beam and the normal of the outline it hit, (n,); 1 where it hit none of them.
+
+    origins and unit directions (n, 2), ranges (n,) [m] and hits (n,) as `raycast.cast` returns them.
+    """
+    cosine = np.ones(len(hits))
+    n_segments = len(outlines.segments)
+    wall = (hits >= 0) & (hits < n_segments)
+    ends = outlines.segments[hits[wall]]
+    along = ends[:, 2:] - ends[:, :2]
+    d = directions[wall]
+    cosine[wall] = np.abs(d[:, 0] * along[:, 1] - d[:, 1] * along[:, 0]) / np.hypot(along[:, 0], along[:, 1])
+    post = hits >= n_segments
+    circles = outlines.circles[hits[post] - n_segments]
+    met = origins[post] + ranges[post, None] * directions[post] - circles[:, :2]
+    cosine[post] = np.abs(np.sum(met * directions[post], axis=1)) / circles[:, 2]
+    return cosine
