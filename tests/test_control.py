@@ -66,6 +66,22 @@ def test_pursuit_returns_to_a_path_it_stands_beside():
     assert np.abs(late[:, 1] - 2.0).max() < 0.02
 
 
+@pytest.mark.parametrize("radius", [0.6, 1.0, -0.8])
+def test_pursuit_on_a_circle_steers_its_curvature(radius):
+    turn = np.linspace(0.0, 2.0, 200)
+    path = SE2.from_xyt(4.0 + abs(radius) * np.sin(turn), 4.0 + radius * (1.0 - np.cos(turn)), turn)
+    pursuit = Pursuit(BURGER, PursuitConfig(), DT)
+    pursuit.set_path(path)
+    costmap = big_room()
+    # turned to the path it follows it, and goes on to when it has turned further
+    command = pursuit.command(SE2.from_xyt(4.0, 4.0, 0.1 / radius), Twist(), costmap)
+    for _ in range(60):
+        command = pursuit.command(SE2.from_xyt(4.0, 4.0, 0.0), command, costmap)
+    assert pursuit.state == "follow"
+    assert command.v > 0.1
+    assert command.w / command.v == pytest.approx(1.0 / radius, rel=0.02)
+
+
 def test_ramping_keeps_the_limits_and_the_curvature():
     step = ramped(Twist(0.2, 0.4), Twist(), LIMITS)
     assert step.v == pytest.approx(0.8 * DT)

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.copying import into_mcap
+from datasets.bags.decode import yaw_of
 from datasets.bags.doctor import examine
 from datasets.bags.folder import BagFolder
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_poses
@@ -188,6 +189,38 @@ def test_a_lidar_upside_down_is_turned_over(tmp_path):
     }
     assert upright[359] == np.float32(ranges[1])
     assert upright[0] == np.float32(ranges[0])
+
+
+def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
+    """Reading k is taken at bearing -k degrees, k / 1800 s after the message's stamp."""
+    at, ranges = 10**9, np.linspace(1.0, 2.0, 300, dtype=np.float32)
+    over = transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (1, 0, 0, 0))
+    messages = [("/tf_static", TF, 0, tf(over))]
+    messages += [("/odom", ODOMETRY, t, odometry(t, t * 1e-9)) for t in range(0, 2 * 10**9, 50_000_000)]
+    messages += [("/scan", SCAN, at, laser_scan(at, ranges, time_increment=1 / 1800))]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    lidar = recording.lidar
+    order = np.argsort(recording.ranges[0])
+    np.testing.assert_array_equal(recording.ranges[0][order], ranges)
+    bearings = np.degrees(np.unwrap(lidar.angles)[order])
+    np.testing.assert_allclose((bearings + np.arange(300) + 180.0) % 360.0, 180.0, atol=1e-4)
+    times = recording.stamps_ns[0] * 1e-9 + lidar.time_increment * np.arange(300)
+    np.testing.assert_allclose(times[order], 1.0 + np.arange(300) / 1800, atol=1e-6)
+    assert float(recording.T_odom_base.x[0]) == pytest.approx(recording.stamps_ns[0] * 1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("length", [0.2, 1.0, 3.0])
+def test_a_quaternion_s_length_does_not_matter(length):
+    for yaw in np.linspace(-3.1, 3.1, 9):
+        tilted = np.array(
+            [0.1 * math.sin(yaw / 2), 0.1 * math.cos(yaw / 2), math.sin(yaw / 2), math.cos(yaw / 2)]
+        )
+        x, y, z, w = tilted
+        plain = math.atan2(
+            2.0 * (w * z + x * y) / (tilted @ tilted), 1.0 - 2.0 * (y * y + z * z) / (tilted @ tilted)
+        )
+        assert yaw_of(length * tilted) == pytest.approx(plain)
+        assert yaw_of([0.0, 0.0, length * z, length * w]) == pytest.approx(yaw)
 
 
 @pytest.mark.parametrize(
