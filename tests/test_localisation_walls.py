@@ -159,7 +159,7 @@ def test_a_covariance_given_in_the_map_is_meant_in_the_map_however_the_grid_lies
     centres = grid.center_of(np.stack(np.indices(grid.cells.shape), axis=-1)) - middle
     grid.cells[centres[..., 1] < 1.0] = FREE
     for along in np.linspace(-2.0, 2.0, 2000):
-        grid.cells[tuple(grid.cell_of(middle + [along, 1.0]))] = OCCUPIED
+        grid.cells[tuple(grid.cell_of(middle + np.array([along, 1.0])))] = OCCUPIED
     points = np.column_stack([np.linspace(-1.2, 1.2, 80), np.full(80, 1.0)])
     off = []
     for std in ([1e-3, 0.15, 1e-3], [0.15, 1e-3, 1e-3]):

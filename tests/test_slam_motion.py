@@ -74,7 +74,7 @@ def test_a_sweep_in_motion_draws_straight_walls_into_the_grid(lidar):
 
 def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():
     poses = np.column_stack([0.1 * np.arange(9), np.zeros((9, 2))])
-    log = recording(ROOM, poses + [1.0, 1.0, 0.0], odometry=poses)
+    log = recording(ROOM, poses + np.array([1.0, 1.0, 0.0]), odometry=poses)
     clouds = make_clouds(log, 30.0)
     track = replace(dead_reckoning(log, clouds, TrackingConfig()), keys=np.array([0, 4, 8]))
     T_map_keys = SE2.from_array(poses[[0, 4, 8]] + [[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.0]])
