@@ -1,6 +1,6 @@
 """Small mistakes made in the code one at a time: how many do the tests of its subject notice?
 
-python -m benchmarks.mutants [--seed 1] [--count 100] [--survivors] [--ref COMMIT] [--out DIR]
+python -m benchmarks.mutants [--seed 1] [--count 100] [--together S] [--survivors] [--ref COMMIT] [--out DIR]
 
 Which tests run which function is measured once (minutes), and anew for test files that changed (for all of
 them when OUT/tests.json is deleted). Every mutant is tried in a copy of the tree on the tests that run its
@@ -23,7 +23,7 @@ import yaml
 from benchmarks.intervals import wilson
 from benchmarks.mutants_draw import FOLDERS, Mutant, draw
 from benchmarks.mutants_run import Tree
-from benchmarks.mutants_tests import Recorder, chosen, folder_of, load, subject_files
+from benchmarks.mutants_tests import TOGETHER_S, Recorder, chosen, folder_of, imported, load, subject_files
 
 ROOT = Path(__file__).parents[1]
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
@@ -54,7 +54,9 @@ def measured(tree: Tree, home: Path) -> dict[str, dict[str, Any]]:
         part.unlink(missing_ok=True)
         kept.write_text(json.dumps(table))
     subjects = {folder: set(subject_files(tree.path, folder)) for folder in FOLDERS}
+    imports = {name: imported(tree.path / name) for name in files}
     for test, row in table.items():
+        row["imports"] = imports[_file(test)]
         row["subjects"] = [folder for folder in FOLDERS if _file(test) in subjects[folder]]
     return table
 
@@ -67,9 +69,9 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.exists() else ""
 
 
-def tried(tree: Tree, table: dict[str, dict[str, Any]], mutant: Mutant) -> dict[str, Any]:
+def tried(tree: Tree, table: dict[str, dict[str, Any]], mutant: Mutant, together_s: float) -> dict[str, Any]:
     """The row of one mutant."""
-    tests = chosen(table, mutant.path, mutant.function)
+    tests = chosen(table, mutant.path, mutant.function, together_s)
     usual = sum(table[test]["seconds"] for test in tests)
     row = {"key": mutant.key, "kind": mutant.kind, "kernel": mutant.kernel, "tests": len(tests)}
     if not tests:
@@ -112,6 +114,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
+    parser.add_argument("--together", type=float, default=TOGETHER_S, help="seconds of tests for a mutant")
     parser.add_argument("--ref", default="", help="a commit, for the tree as it was; default: as it is")
     parser.add_argument("--out", type=Path, default=ROOT / "data/benchmarks/mutants")
     args = parser.parse_args()
@@ -127,7 +130,7 @@ def main() -> None:
     todo = [m for m in mutants if m.key not in equivalent and (m.key not in rows or m.key in again)]
     table = measured(tree, args.out) if todo else {}
     for mutant in todo:
-        rows[mutant.key] = tried(tree, table, mutant)
+        rows[mutant.key] = tried(tree, table, mutant, args.together)
         with path.open("a") as out:
             out.write(json.dumps(rows[mutant.key]) + "\n")
         print(

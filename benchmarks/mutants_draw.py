@@ -52,6 +52,8 @@ NAMES = {
 }  # fmt: skip
 # Calls and attributes whose absence is a classic: the argument, or what they were asked of, is left alone.
 DROPPED = ("abs", "wrap", "sqrt", "inverse", "T", "sorted", "hypot", "unwrap")
+# Of these the order of the arguments does not matter.
+COMMUTE = ("min", "max", "minimum", "maximum", "hypot", "array_equal", "isclose", "allclose", "logical_or")
 # Kind, start, end, text.
 Edit = tuple[str, int, int, str]
 NOT_MUTATED = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.JoinedStr, ast.Raise, ast.Assert)
@@ -82,7 +84,7 @@ def mutable_files(root: Path) -> list[str]:
 
 
 def draw(root: Path, seed: int, count: int) -> list[Mutant]:
-    """`count` mutants on lines of their own, the same for the same sources and seed.
+    """`count` mutants on lines of their own, the same for the same sources and seed; more go on from there.
 
     A line is drawn first and what is done to it second, so that a rich expression does not weigh more;
     KERNEL_SHARE of them lie in numba kernels.
@@ -92,14 +94,15 @@ def draw(root: Path, seed: int, count: int) -> list[Mutant]:
     for path in mutable_files(root):
         for choices in mutants_by_line((root / path).read_text(), path):
             places[choices[0].kernel].append(choices)
-    kernels = min(round(KERNEL_SHARE * count), len(places[True]))
-    picked = rng.sample(places[True], kernels) + rng.sample(places[False], count - kernels)
-    drawn = []
-    for choices in picked:
+    for lines in places.values():
+        rng.shuffle(lines)
+    drawn: list[Mutant] = []
+    for number in range(count):
+        due = int(KERNEL_SHARE * (number + 1)) > int(KERNEL_SHARE * number)
+        choices = (places[due] or places[not due]).pop()
         source = (root / choices[0].path).read_text()
-        rng.shuffle(choices)
+        random.Random(f"{seed}{choices[0].key}").shuffle(choices)
         drawn.append(next(mutant for mutant in choices if _compiles(mutant.applied(source))))
-    rng.shuffle(drawn)
     return drawn
 
 
@@ -212,7 +215,11 @@ class _Walk:
         elif name in DROPPED and isinstance(node.func, ast.Attribute):
             yield "call dropped", *self._span(node), self._text(node.func.value)
         for a, b in zip(node.args, node.args[1:], strict=False):
-            if isinstance(a, (ast.Name, ast.Attribute, ast.Subscript)) and type(a) is type(b):
+            if (
+                name not in COMMUTE
+                and isinstance(a, (ast.Name, ast.Attribute, ast.Subscript))
+                and type(a) is type(b)
+            ):
                 low, high = self._span(a)[0], self._span(b)[1]
                 middle = self.source[self._span(a)[1] : self._span(b)[0]]
                 yield "arguments swapped", low, high, self._text(b) + middle + self._text(a)

@@ -7,7 +7,6 @@ modules that import it, directly or through others.
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import hashlib
 import importlib
@@ -28,6 +27,7 @@ from typing import Any
 import pytest
 
 from benchmarks.mutants_draw import Mutant, mutable_files
+from benchmarks.mutants_tests import imported
 
 OURS = ("benchmarks", "datasets", "pipeline", "planners", "reports", "sim", "tests", "turtlebag")
 HEAVY = (
@@ -150,7 +150,7 @@ class Tree:
     @cached_property
     def _imports(self) -> dict[str, set[str]]:
         return {
-            str(path.relative_to(self.path)): _imported(path)
+            str(path.relative_to(self.path)): {f"{name.replace('.', '/')}.py" for name in imported(path)}
             for folder in OURS
             for path in (self.path / folder).rglob("*.py")
         }
@@ -168,15 +168,6 @@ def _copy(root: Path, to: Path, ref: str) -> None:
         if (root / name).is_file():
             (to / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(root / name, to / name)
-
-
-def _imported(path: Path) -> set[str]:
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            base = node.module.replace(".", "/")
-            found |= {f"{base}.py"} | {f"{base}/{alias.name}.py" for alias in node.names}
-    return found
 
 
 def _child(
@@ -197,13 +188,14 @@ def _child(
 
         numba.config.CACHE_DIR = str(cache)
         os.environ.update(NUMBA_CACHE_DIR=str(cache), PYTHONPATH=str(tree), PYTHONDONTWRITEBYTECODE="1")
+        os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # the tests need none, and they load slowly
         sys.dont_write_bytecode = True
         for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
             del sys.modules[name]
         os.chdir(tree)
         sys.path[:] = [str(tree), *(entry for entry in sys.path if entry)]
         options = ["-rfE", "--tb=no", "--rootdir", str(tree), "--basetemp", str(log.parent / "tmp")]
-        options += ["-p", "no:xdist"] + ([] if plugin else ["-x"])
+        options += ["--assert=plain"] + ([] if plugin else ["-x"])
         code = int(pytest.main(options + tests, plugins=[plugin] if plugin else []))
         if after is not None:
             after()

@@ -188,3 +188,13 @@ def test_what_the_alphas_spread_is_what_their_names_say(room, log, alphas, sprea
     assert np.hypot(x - 1.5, y - 1.5).std() == pytest.approx(spread[0], rel=0.1, abs=1e-9)
     # the turn before the way and the turn after it
     assert yaw.std() == pytest.approx(np.sqrt(2.0) * spread[1], rel=0.1, abs=1e-9)
+
+
+@pytest.mark.parametrize(("interval", "resampled"), [(1, True), (1000, False)])
+def test_the_cloud_is_resampled_at_its_interval_only(room, log, interval, resampled):
+    amcl = make(room, resample_interval=interval, selective_resampling=False)
+    amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
+    errors(amcl, log[:20])
+    assert (np.ptp(amcl.weights) < 1e-12) == resampled
+    # what is not resampled keeps the particles it was begun with, each once
+    assert (amcl.size == amcl.config.max_particles) == (not resampled)

@@ -419,3 +419,14 @@ def test_metadata_that_may_not_be_read_is_one_line_and_nothing_is_tried_beside_i
     monkeypatch.setattr(Path, "read_text", refuse)
     with pytest.raises(InputError, match=r"metadata.yaml: cannot be read \(Permission denied\)$"):
         load_recording(tmp_path)
+
+
+@pytest.mark.parametrize(("gap_s", "noted"), [(0.9, False), (1.1, True)])
+def test_odometry_that_pauses_for_more_than_a_second_is_named(tmp_path, gap_s, noted):
+    times = [*range(0, 10**9, 10**8), *range(9 * 10**8 + round(gap_s * 1e9), 4 * 10**9, 10**8)]
+    over = transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (0, 0, 0, 1))
+    messages = [("/tf_static", TF, 0, tf(over))]
+    messages += [("/odom", ODOMETRY, t, odometry(t, t * 1e-9)) for t in times]
+    messages += [("/scan", SCAN, t, laser_scan(t, np.full(360, 1.0))) for t in (10**9, 3 * 10**9)]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    assert any(f"a gap of {gap_s:.1f} s" in note for note in recording.notes) == noted
