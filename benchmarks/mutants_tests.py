@@ -31,7 +31,7 @@ SUBJECTS = {
         "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
     ],
     "datasets": [
-        "bag_*", "carmen", "maps", "recordings", "runlog", "se2", "trajectories",
+        "bag_*", "carmen", "maps", "recordings", "runlog", "types", "se2", "trajectories",
         "outputs", "area", "slam3d_parts",
     ],
 }  # fmt: skip
