@@ -52,7 +52,10 @@ def test_scans_odometry_laser_pose_and_imu(drive):
     expected = [pose(max(step - 6, 1)).xyt for step in range(6, 181, 6)]
     np.testing.assert_allclose(recording.T_odom_base.xyt, expected, atol=1e-9)
     assert len(recording.odometry) == 180
-    assert recording.imu.angular_velocity.shape == (540, 3)
+    samples = [sample for step in range(1, 181) for sample in observation(step).imu]
+    assert recording.imu.stamps_ns.tolist() == [sample.stamp_ns for sample in samples]
+    np.testing.assert_allclose(recording.imu.angular_velocity, [s.angular_velocity for s in samples])
+    np.testing.assert_allclose(recording.imu.linear_acceleration, [s.linear_acceleration for s in samples])
     assert recording.notes == ()
 
 
