@@ -130,8 +130,8 @@ class Tree:
         """A cache of links to the kernels that cannot hold anything of a module."""
         stale = {Path(name).stem for name in self._users(path)}
         with tempfile.TemporaryDirectory(dir=self.cache.parent) as folder:
-            for entry in self.cache.rglob("*.nb?"):
-                if entry.name.split(".", 1)[0] not in stale:
+            for entry in self.cache.rglob("*.*"):
+                if entry.is_file() and entry.name.split(".", 1)[0] not in stale:
                     target = Path(folder) / entry.relative_to(self.cache)
                     target.parent.mkdir(parents=True, exist_ok=True)
                     os.link(entry, target)

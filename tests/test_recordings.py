@@ -433,3 +433,21 @@ def test_odometry_that_pauses_for_more_than_a_second_is_named(tmp_path, gap_s, n
     messages += [("/scan", SCAN, t, laser_scan(t, np.full(360, 1.0))) for t in (10**9, 3 * 10**9)]
     recording = load_recording(write_foreign(tmp_path / "bag", messages))
     assert any(f"a gap of {gap_s:.1f} s" in note for note in recording.notes) == noted
+
+
+def test_every_damaged_message_is_counted_once(tmp_path):
+    messages = [
+        ("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (0, 0, 0, 1)))),
+        *[("/scan", SCAN, t, laser_scan(t, np.full(360, 1.0))) for t in (10**9, 2 * 10**9)],
+    ]
+    folder = write_foreign(tmp_path / "bag", messages)
+    with Writer2(tmp_path / "damaged", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        channels = {}
+        for topic, msgtype, time, message in messages:
+            channels[topic] = channels.get(topic) or writer.add_connection(topic, msgtype, typestore=STORE)
+            writer.write(channels[topic], time, bytes(STORE.serialize_cdr(message, msgtype)))
+        for topic, count in (("/tf_static", 3), ("/scan", 2)):
+            for k in range(count):
+                writer.write(channels[topic], 3 * 10**9 + k, b"\0\1\0\0\xff\xff\xff\xff")
+    assert not any("damaged" in note for note in load_recording(folder).notes)
+    assert any(note.startswith("5 damaged messages") for note in load_recording(tmp_path / "damaged").notes)
