@@ -16,7 +16,7 @@ from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
-from pipeline.slam.submaps import laid_on, likeness, make_submap, windows
+from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
 from pipeline.slam.tracking import Track, TrackingConfig, between, dead_reckoning, track_log
 from tests.slam_rooms import ROOM, around_the_room, recording
 
@@ -211,3 +211,12 @@ def test_recall_costs_nothing_where_the_chain_holds():
     assert result.recognised == []
     stamps = Trajectory(log.stamps_ns, SE2.from_array(truth))
     assert score(result.trajectory.poses, stamps).ate_aligned < 0.02
+
+
+def test_the_turn_between_two_histograms_of_normals_is_among_those_tried():
+    rng = np.random.default_rng(3)
+    query = rng.uniform(0.0, 1.0, HEADINGS) + 10.0 * (np.arange(HEADINGS) % (HEADINGS // 3) == 5)
+    for turn in (0, 7, HEADINGS - 4):
+        tried = _headings(query, np.roll(query, turn))
+        assert {(turn + d) % HEADINGS for d in (-1, 0, 1)} <= set(tried)
+        assert len(tried) < HEADINGS // 2
