@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -123,6 +123,9 @@ bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.bags_kill
 	$(PY) -m benchmarks.kills
+
+mutants: $(READY) ## make small mistakes in the code: does a test notice?   (SEED, N mutants)
+	$(PY) -m benchmarks.mutants --seed $(SEED) $(if $(N),--count $(N))
 
 study-advice study-blame study-breaks: study-%: $(READY) ## the studies: is the mapping advice true, who is to blame, what breaks it
 	$(TURTLEBAG) sweep $* --out data/studies/$*

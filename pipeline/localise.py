@@ -196,7 +196,7 @@ def started(
 def sweep_ends(recording: Recording) -> SE2 | None:
     """Odometry at the end of each sweep, (n_scans,); None for a lidar that does not turn."""
     lidar, odometry = recording.lidar, recording.odometry
-    if lidar.time_increment <= 0.0 or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
+    if lidar.time_increment == 0.0 or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
         return None
     return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
 

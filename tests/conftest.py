@@ -1,6 +1,7 @@
 """The same examples on every run: a failure that CI sees, everyone sees. Nothing is kept between runs."""
 
 import os
+from collections import Counter
 
 import pytest
 from hypothesis import settings
@@ -9,6 +10,13 @@ settings.register_profile("turtlebag", derandomize=True, deadline=None)
 settings.load_profile("turtlebag")
 
 os.environ["TURTLEBAG_STAGE_CACHE"] = "off"
+
+
+def pytest_terminal_summary(terminalreporter):
+    """What was not tested here, and why: a line for each reason."""
+    reports = [r for r in terminalreporter.getreports("skipped") if isinstance(r.longrepr, tuple)]
+    for reason, count in sorted(Counter(r.longrepr[2].removeprefix("Skipped: ") for r in reports).items()):
+        terminalreporter.write_line(f"skipped {count}: {reason}")
 
 
 @pytest.fixture(scope="session")

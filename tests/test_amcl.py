@@ -166,3 +166,35 @@ def test_scans_that_agree_less_than_they_once_did_are_worth_a_second_look_now_an
     assert np.all(np.diff(looks) == 24)
     # The search finds no better place than the right one, and the estimate stays.
     assert errors(amcl, log[30:60])[:, 0].max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("alphas", "spread"),
+    [
+        ({"alpha2": 0.04}, (0.0, 0.2 * 0.5)),  # turns in proportion to the way
+        ({"alpha3": 0.04}, (0.2 * 0.5, 0.0)),  # the way in proportion to the way
+    ],
+)
+def test_what_the_alphas_spread_is_what_their_names_say(room, log, alphas, spread):
+    """Straight on by 0.5 m: standard deviations of the way and of the heading at its end, without a scan."""
+    none = dict.fromkeys(("alpha1", "alpha2", "alpha3", "alpha4"), 0.0)
+    amcl = make(room, refine=False, **{**none, **alphas})
+    start = SE2.from_xyt(1.5, 1.5, 0.0)
+    amcl.initialise(start, np.zeros((3, 3)), start)
+    blind = replace(log[0].scan, ranges=np.full(360, np.nan, dtype=np.float32))
+    amcl.update(blind, start)
+    amcl.update(blind, start @ SE2.from_xyt(0.5, 0.0, 0.0))
+    x, y, yaw = amcl.particles.xyt.T
+    assert np.hypot(x - 1.5, y - 1.5).std() == pytest.approx(spread[0], rel=0.1, abs=1e-9)
+    # the turn before the way and the turn after it
+    assert yaw.std() == pytest.approx(np.sqrt(2.0) * spread[1], rel=0.1, abs=1e-9)
+
+
+@pytest.mark.parametrize(("interval", "resampled"), [(1, True), (1000, False)])
+def test_the_cloud_is_resampled_at_its_interval_only(room, log, interval, resampled):
+    amcl = make(room, resample_interval=interval, selective_resampling=False)
+    amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
+    errors(amcl, log[:20])
+    assert (np.ptp(amcl.weights) < 1e-12) == resampled
+    # what is not resampled keeps the particles it was begun with, each once
+    assert (amcl.size == amcl.config.max_particles) == (not resampled)

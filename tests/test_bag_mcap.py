@@ -1,11 +1,13 @@
 """MCAP files as the official writer makes them, in all its ways, and ours as it would."""
 
+import struct
+
 import pytest
 from bag_samples import write_drive
 from mcap.writer import CompressionType, Writer
 
 from datasets.bags.convert import to_mcap
-from datasets.bags.mcap import McapWriter
+from datasets.bags.mcap import MAGIC, MESSAGE, McapWriter
 from datasets.bags.mcap_scan import McapScan
 from datasets.bags.source import open_bag
 from datasets.errors import InputError
@@ -92,3 +94,11 @@ def test_a_bag_without_messages_is_whole(tmp_path):
 def test_unknown_compression_is_refused(tmp_path):
     with pytest.raises(ValueError, match="compression"):
         McapWriter(tmp_path / "a.mcap", compression="lz5")
+
+
+def test_a_message_shorter_than_its_own_head_is_damage(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(MAGIC + struct.pack("<BQ", MESSAGE, 4) + b"\0\0\0\0")
+    scan = McapScan(path)
+    assert list(scan.messages()) == []
+    assert scan.state.problems[0].startswith("damaged at byte 8")

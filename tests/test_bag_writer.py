@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from bag_samples import observation, write_drive
+from bag_samples import LINKS, observation, write_drive
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
@@ -138,3 +138,12 @@ def test_ctrl_c_closes_the_bag_and_an_error_leaves_it_unfinished(tmp_path):
             raise error
         assert (folder / "metadata.yaml").exists() == finished
         assert (folder / "bag_0.mcap").read_bytes().endswith(b"\x89MCAP0\r\n") == finished
+
+
+def test_fixed_links_keep_their_place_in_space(bag):
+    ((_, message, _, _),) = messages(bag, "/tf_static")
+    for link, (parent, child, xyz, yaw) in zip(message.transforms, LINKS, strict=True):
+        assert (link.header.frame_id, link.child_frame_id) == (parent, child)
+        found, turn = link.transform.translation, link.transform.rotation
+        assert (found.x, found.y, found.z) == xyz
+        assert (turn.z, turn.w) == pytest.approx((math.sin(yaw / 2), math.cos(yaw / 2)))

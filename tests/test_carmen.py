@@ -222,3 +222,11 @@ def test_public_logs(name, scans, beams, offset):
     # The relations of CSAIL carry five decimals, its log six.
     nearest = np.abs(relations.stamps_a_ns[:, None] - recording.stamps_ns).min(axis=1)
     assert nearest.max() <= 10_000
+
+
+def test_scans_of_a_rear_laser_are_counted_and_nothing_else_is_called_one(tmp_path):
+    front, rear = flaser(np.ones(5)), flaser(np.ones(5)).replace("FLASER", "RLASER")
+    notes = load_recording(write(tmp_path, f"ODOM 0 0 0 0 0 0 1.0 host 1.0\n{front}{rear}{rear}")).notes
+    assert any(note.startswith("2 ") and "rear" in note.lower() for note in notes)
+    notes = load_recording(write(tmp_path, f"ODOM 0 0 0 0 0 0 1.0 host 1.0\n{front}", "b.clf")).notes
+    assert not any("rear" in note.lower() for note in notes)

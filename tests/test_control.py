@@ -66,6 +66,22 @@ def test_pursuit_returns_to_a_path_it_stands_beside():
     assert np.abs(late[:, 1] - 2.0).max() < 0.02
 
 
+@pytest.mark.parametrize("radius", [0.6, 1.0, -0.8])
+def test_pursuit_on_a_circle_steers_its_curvature(radius):
+    turn = np.linspace(0.0, 2.0, 200)
+    path = SE2.from_xyt(4.0 + abs(radius) * np.sin(turn), 4.0 + radius * (1.0 - np.cos(turn)), turn)
+    pursuit = Pursuit(BURGER, PursuitConfig(), DT)
+    pursuit.set_path(path)
+    costmap = big_room()
+    # turned to the path it follows it, and goes on to when it has turned further
+    command = pursuit.command(SE2.from_xyt(4.0, 4.0, 0.1 / radius), Twist(), costmap)
+    for _ in range(60):
+        command = pursuit.command(SE2.from_xyt(4.0, 4.0, 0.0), command, costmap)
+    assert pursuit.state == "follow"
+    assert command.v > 0.1
+    assert command.w / command.v == pytest.approx(1.0 / radius, rel=0.02)
+
+
 def test_ramping_keeps_the_limits_and_the_curvature():
     step = ramped(Twist(0.2, 0.4), Twist(), LIMITS)
     assert step.v == pytest.approx(0.8 * DT)
@@ -230,3 +246,33 @@ def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_accelerati
     )
     assert np.linalg.norm(poses[-1, :2] - [5.0, 4.4]) < 0.05
     assert np.abs(np.diff(commands[:, 0], prepend=0.0)).max() <= BURGER.max_dv * DT + 1e-9
+
+
+@pytest.mark.parametrize(("x", "v_sign"), [(3.92, 1.0), (4.08, -1.0)])
+@pytest.mark.parametrize("aside", [-0.01, 0.0, 0.01])
+def test_pursuit_settles_forwards_from_before_the_goal_and_backwards_from_beyond_it(x, v_sign, aside):
+    path = SE2.from_xyt(np.linspace(3.9, 4.0, 5), np.full(5, 4.0), np.zeros(5))
+    pursuit, costmap, command = Pursuit(BURGER, PursuitConfig(), DT), big_room(), Twist()
+    pursuit.set_path(path)
+    for _ in range(10):
+        command = pursuit.command(SE2.from_xyt(x, 4.0 + aside, 0.0), command, costmap)
+    assert pursuit.state == "settle"
+    assert v_sign * command.v > 0.02
+    # to the left of the goal it steers right when driving on, and left when backing up
+    assert np.sign(command.w) == -np.sign(aside) * v_sign
+
+
+def test_pursuit_looks_as_far_ahead_as_its_speed_asks_and_less_beside_a_wall():
+    """5 cm beside a straight path at full speed: the arc to the point 1.3 s ahead, if there is room."""
+    prompt, costmap, steering = replace(BURGER, max_dv=1e3, max_dw=1e4), big_room(), []
+    for y in (4.0, -0.4):
+        path = SE2.from_xyt(np.linspace(1.0, 7.0, 100), np.full(100, y), np.zeros(100))
+        pursuit, last = Pursuit(prompt, PursuitConfig(), DT), Twist(BURGER.max_v, 0.0)
+        pursuit.set_path(path)
+        pursuit.command(SE2.from_xyt(2.0, y + 0.01, 0.0), last, costmap)
+        assert pursuit.state == "follow"
+        command = pursuit.command(SE2.from_xyt(2.0, y + 0.05, 0.0), last, costmap)
+        steering.append(command.w / command.v)
+    reach = 1.3 * BURGER.max_v
+    assert steering[0] == pytest.approx(-2.0 * 0.05 / (reach**2 + 0.05**2), rel=0.02)
+    assert steering[1] < 1.2 * steering[0]

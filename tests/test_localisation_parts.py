@@ -278,3 +278,18 @@ def test_a_nav2_file_is_read_and_its_strange_keys_are_named():
     data["amcl"]["ros__parameters"]["laser_model_type"] = "magic"
     with pytest.raises(InputError, match="laser_model_type magic"):
         read_nav2(data, where="x.yaml")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
+def test_walls_in_the_outermost_cells_of_a_map_explain_a_beam(turn):
+    row, col = np.indices((11, 11))
+    distance = 0.1 * np.minimum.reduce([row, col, 10 - row, 10 - col]).astype(float)
+    pose, way = np.array([[0.55, 0.55, turn]]), np.array([[0.5, 0.0]])
+    frame, noise = (0.0, 0.0, 0.0, 10.0), (0.05, 0.9, 0.01)
+    assert path_probabilities(distance, frame, pose, np.zeros((1, 2)), way, 1, noise)[0, 0] == pytest.approx(
+        0.91
+    )
+    # a return from beyond the map is as likely as any other
+    assert path_probabilities(distance, frame, pose, np.zeros((1, 2)), 1.5 * way, 1, noise)[
+        0, 0
+    ] == pytest.approx(0.01)

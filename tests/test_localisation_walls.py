@@ -10,7 +10,7 @@ from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.se2 import SE2
-from datasets.types import Scan
+from datasets.types import LidarSpec, Scan
 from pipeline.localisation.beams import prepare
 from pipeline.localisation.linear import multiply, solve
 from pipeline.localisation.surfaces import fit_surfaces
@@ -148,3 +148,41 @@ def test_small_linear_algebra_equals_numpys(n, seed):
     a, b = rng.standard_normal((n, n)) + 3.0 * np.eye(n), rng.standard_normal((n, 3))
     assert np.allclose(multiply(a, b), a @ b)
     assert np.allclose(a @ solve(a, b), b, atol=1e-8)
+
+
+@pytest.mark.parametrize("turned", [-2.5, 0.0, 0.8])
+def test_a_covariance_given_in_the_map_is_meant_in_the_map_however_the_grid_lies_in_it(turned):
+    """One long wall along the map's x: it puts right 5 cm across it where 15 cm were expected, not 1 mm."""
+    T_map_grid = SE2.from_xyt(1.0, -2.0, turned)
+    grid = OccupancyGrid(np.full((120, 120), UNKNOWN, dtype=np.int8), 0.05, T_map_grid)
+    middle = T_map_grid @ np.array([3.0, 3.0])
+    centres = grid.center_of(np.stack(np.indices(grid.cells.shape), axis=-1)) - middle
+    grid.cells[centres[..., 1] < 1.0] = FREE
+    for along in np.linspace(-2.0, 2.0, 2000):
+        grid.cells[tuple(grid.cell_of(middle + np.array([along, 1.0])))] = OCCUPIED
+    points = np.column_stack([np.linspace(-1.2, 1.2, 80), np.full(80, 1.0)])
+    off = []
+    for std in ([1e-3, 0.15, 1e-3], [0.15, 1e-3, 1e-3]):
+        track = WallFilter(
+            fit_surfaces(grid), SE2.from_xyt(middle[0], middle[1] + 0.05, 0.0), np.diag(std) ** 2,
+            scale=0.1, beam_std=0.012, patch_beams=4.0, offset_std=0.007,
+        )  # fmt: skip
+        track.correct(points)
+        off.append(float(track.T_map_base.y) - middle[1])
+    # the wall lies somewhere in its cells
+    assert abs(off[0]) < 0.03
+    assert off[1] == pytest.approx(0.05, abs=0.003)
+
+
+def test_a_lidar_that_turns_the_other_way_is_seen_from_where_it_was():
+    """Beams in the order of their times and against it say the same."""
+    room, T, motion = l_shaped_room(), SE2.from_xyt(2.0, 2.0, 0.3), SE2.from_xyt(0.06, 0.0, 0.0)
+    fraction = np.arange(360) / 360.0
+    T_start_base = SE2.from_xyt(0.06 * fraction, 0.0 * fraction, 0.0 * fraction)
+    seen = room.ranges(T @ T_start_base @ SE2(T_BASE_LIDAR.xyt[None]), LIDAR.angles, 3.5).astype(np.float32)
+    there = prepare(Scan(0, seen, LIDAR), T_BASE_LIDAR, motion).points
+    back = LidarSpec(360, LIDAR.angles[-1], -LIDAR.angle_increment, 0.12, 3.5, -LIDAR.time_increment, 0.2)
+    # its first beam is the last one taken: the base moves back from there
+    last = T_start_base[359]
+    turned = prepare(Scan(0, seen[::-1].copy(), back), T_BASE_LIDAR, motion.inverse()).points
+    assert np.allclose(last @ turned[::-1], there, atol=1e-6)

@@ -9,7 +9,7 @@ from datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from datasets.se2 import SE2
 from planners.costmap import CostmapConfig, costmap_from_grid
 from planners.global_plan import NoPath, PlanConfig, fits, plan_path
-from planners.ompl_planner import OmplConfig, solve
+from planners.ompl_planner import OmplConfig, _with_start, solve
 from planners.smoothing import densify, path_length, relax, shortcut
 from planners.wavefront import descend, wave
 
@@ -254,3 +254,36 @@ def test_a_path_begins_where_the_robot_stands_though_the_goal_is_in_sight(space)
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
     assert plan.length == pytest.approx(0.6, rel=0.02)
     assert plan.planner.startswith("AORRTC")
+
+
+class Line:
+    """Stands for OMPL on a line: states are numbers, and nothing may cross 5."""
+
+    def __init__(self, *states: float) -> None:
+        self.states = list(states)
+
+    def getSolutionPath(self):
+        return self
+
+    def getStates(self):
+        return self.states
+
+    def prepend(self, state):
+        self.states.insert(0, state)
+
+    @staticmethod
+    def distance(a, b):
+        return abs(a - b)
+
+    @staticmethod
+    def checkMotion(a, b):
+        return max(a, b) < 5.0 or min(a, b) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("states", "whole"),
+    [((1.0, 2.0, 3.0), [1.0, 2.0, 3.0]), ((2.0, 3.0), [1.0, 2.0, 3.0]), ((6.0, 7.0), None)],
+)
+def test_a_solution_without_its_start_gets_it_where_it_can_be_joined(states, whole):
+    path = _with_start(Line, Line(*states), 1.0)
+    assert (None if path is None else path.states) == whole

@@ -15,6 +15,7 @@ from planners.costmap import Costmap
 from planners.footprint import footprint_free
 from planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from planners.lattice import HEADINGS, YAWS
+from planners.lattice_search import WIDE, ends
 from planners.ompl_planner import OmplConfig
 from planners.oriented import free_from
 from planners.wavefront import wave
@@ -198,3 +199,14 @@ def test_a_query_is_solved_when_and_only_when_start_and_goal_are_joined(seed):
     assert joined
     assert plain_free(costmap.lethal, model.footprint, plan.poses.xyt).all()
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-9)
+
+
+def test_the_way_to_a_lattice_state_costs_one_and_a_half_times_its_length_in_cells():
+    field = np.full((40, 40), 9.0, dtype=np.float32)
+    numbers = np.full((40, 40), WIDE, dtype=np.int32)
+    yaws = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
+    pose = np.array([2.03, 2.05, 0.0])
+    states, gaps = ends(field, 0.1, BURGER.footprint, numbers, yaws, pose)
+    assert len(states) == 25
+    length = np.hypot(states[:, 1] * 0.1 + 0.05 - pose[0], states[:, 0] * 0.1 + 0.05 - pose[1]) / 0.1
+    np.testing.assert_allclose(gaps, 1.5 * length)

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from datasets.bags.copying import into_mcap
+from datasets.bags.decode import yaw_of
 from datasets.bags.doctor import examine
 from datasets.bags.folder import BagFolder
 from datasets.bags.reader import bag_info, read_commands, read_particles, read_poses
@@ -51,7 +52,10 @@ def test_scans_odometry_laser_pose_and_imu(drive):
     expected = [pose(max(step - 6, 1)).xyt for step in range(6, 181, 6)]
     np.testing.assert_allclose(recording.T_odom_base.xyt, expected, atol=1e-9)
     assert len(recording.odometry) == 180
-    assert recording.imu.angular_velocity.shape == (540, 3)
+    samples = [sample for step in range(1, 181) for sample in observation(step).imu]
+    assert recording.imu.stamps_ns.tolist() == [sample.stamp_ns for sample in samples]
+    np.testing.assert_allclose(recording.imu.angular_velocity, [s.angular_velocity for s in samples])
+    np.testing.assert_allclose(recording.imu.linear_acceleration, [s.linear_acceleration for s in samples])
     assert recording.notes == ()
 
 
@@ -188,6 +192,38 @@ def test_a_lidar_upside_down_is_turned_over(tmp_path):
     }
     assert upright[359] == np.float32(ranges[1])
     assert upright[0] == np.float32(ranges[0])
+
+
+def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
+    """Reading k is taken at bearing -k degrees, k / 1800 s after the message's stamp."""
+    at, ranges = 10**9, np.linspace(1.0, 2.0, 300, dtype=np.float32)
+    over = transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (1, 0, 0, 0))
+    messages = [("/tf_static", TF, 0, tf(over))]
+    messages += [("/odom", ODOMETRY, t, odometry(t, t * 1e-9)) for t in range(0, 2 * 10**9, 50_000_000)]
+    messages += [("/scan", SCAN, at, laser_scan(at, ranges, time_increment=1 / 1800))]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    lidar = recording.lidar
+    order = np.argsort(recording.ranges[0])
+    np.testing.assert_array_equal(recording.ranges[0][order], ranges)
+    bearings = np.degrees(np.unwrap(lidar.angles)[order])
+    np.testing.assert_allclose((bearings + np.arange(300) + 180.0) % 360.0, 180.0, atol=1e-4)
+    times = recording.stamps_ns[0] * 1e-9 + lidar.time_increment * np.arange(300)
+    np.testing.assert_allclose(times[order], 1.0 + np.arange(300) / 1800, atol=1e-6)
+    assert float(recording.T_odom_base.x[0]) == pytest.approx(recording.stamps_ns[0] * 1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("length", [0.2, 1.0, 3.0])
+def test_a_quaternion_s_length_does_not_matter(length):
+    for yaw in np.linspace(-3.1, 3.1, 9):
+        tilted = np.array(
+            [0.1 * math.sin(yaw / 2), 0.1 * math.cos(yaw / 2), math.sin(yaw / 2), math.cos(yaw / 2)]
+        )
+        x, y, z, w = tilted
+        plain = math.atan2(
+            2.0 * (w * z + x * y) / (tilted @ tilted), 1.0 - 2.0 * (y * y + z * z) / (tilted @ tilted)
+        )
+        assert yaw_of(length * tilted) == pytest.approx(plain)
+        assert yaw_of([0.0, 0.0, length * z, length * w]) == pytest.approx(yaw)
 
 
 @pytest.mark.parametrize(
@@ -386,3 +422,32 @@ def test_metadata_that_may_not_be_read_is_one_line_and_nothing_is_tried_beside_i
     monkeypatch.setattr(Path, "read_text", refuse)
     with pytest.raises(InputError, match=r"metadata.yaml: cannot be read \(Permission denied\)$"):
         load_recording(tmp_path)
+
+
+@pytest.mark.parametrize(("gap_s", "noted"), [(0.9, False), (1.1, True)])
+def test_odometry_that_pauses_for_more_than_a_second_is_named(tmp_path, gap_s, noted):
+    times = [*range(0, 10**9, 10**8), *range(9 * 10**8 + round(gap_s * 1e9), 4 * 10**9, 10**8)]
+    over = transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (0, 0, 0, 1))
+    messages = [("/tf_static", TF, 0, tf(over))]
+    messages += [("/odom", ODOMETRY, t, odometry(t, t * 1e-9)) for t in times]
+    messages += [("/scan", SCAN, t, laser_scan(t, np.full(360, 1.0))) for t in (10**9, 3 * 10**9)]
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    assert any(f"a gap of {gap_s:.1f} s" in note for note in recording.notes) == noted
+
+
+def test_every_damaged_message_is_counted_once(tmp_path):
+    messages = [
+        ("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (0, 0, 0, 1)))),
+        *[("/scan", SCAN, t, laser_scan(t, np.full(360, 1.0))) for t in (10**9, 2 * 10**9)],
+    ]
+    folder = write_foreign(tmp_path / "bag", messages)
+    with Writer2(tmp_path / "damaged", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        channels = {}
+        for topic, msgtype, time, message in messages:
+            channels[topic] = channels.get(topic) or writer.add_connection(topic, msgtype, typestore=STORE)
+            writer.write(channels[topic], time, bytes(STORE.serialize_cdr(message, msgtype)))
+        for topic, count in (("/tf_static", 3), ("/scan", 2)):
+            for k in range(count):
+                writer.write(channels[topic], 3 * 10**9 + k, b"\0\1\0\0\xff\xff\xff\xff")
+    assert not any("damaged" in note for note in load_recording(folder).notes)
+    assert any(note.startswith("5 damaged messages") for note in load_recording(tmp_path / "damaged").notes)

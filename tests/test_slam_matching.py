@@ -192,3 +192,15 @@ def test_lidar_off_the_base_is_looked_up_from_its_own_place():
     clouds = make_clouds(log, 30.0)
     result = align(clouds, 1, poses[1] + [0.05, 0.05, 0.03], np.array([0]), poses[:1], gate=0.3, sigma=0.05)
     np.testing.assert_allclose(result.T_map_base.xyt, poses[1], atol=0.015)
+
+
+def test_what_lies_beyond_the_field_s_edges_is_not_found_at_the_opposite_edge():
+    """Points at the lower edge and walls at the upper one: nothing is met, however far is searched."""
+    values = np.zeros((6, 30), dtype=np.uint8)
+    values[-1] = 255
+    field = Field(values, np.zeros(2), 0.1)
+    points = np.column_stack([np.linspace(0.5, 2.5, 20), np.full(20, 0.05)])
+    _, score = best_pose(field, points, np.zeros(3), 0.3, 0.0, 0.05)
+    assert score == 0.0
+    _, score = best_pose(field, points + np.array([0.0, 0.3]), np.zeros(3), 0.3, 0.0, 0.05)
+    assert score == pytest.approx(1.0, abs=1e-3)

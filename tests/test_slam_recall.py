@@ -1,5 +1,8 @@
 """Places recognised where drift is larger than any gate - and never where a building repeats itself."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,8 +16,8 @@ from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
-from pipeline.slam.submaps import laid_on, likeness, make_submap, windows
-from pipeline.slam.tracking import Track, TrackingConfig, between, track_log
+from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
+from pipeline.slam.tracking import Track, TrackingConfig, between, dead_reckoning, track_log
 from tests.slam_rooms import ROOM, around_the_room, recording
 
 
@@ -144,6 +147,23 @@ def test_gap_breaks_the_chain_unless_scans_and_odometry_confirm_each_other(agree
     assert chain.gaps.tolist() == ([] if agrees else [[29, 30]])
 
 
+@pytest.mark.parametrize(("wait_s", "moved_m", "broken"), [(3, 0.2, 0), (3, 0.8, 1), (9, 0.2, 1)])
+def test_a_blind_direction_after_a_gap_hides_nothing_when_it_was_short_and_the_robot_hardly_moved(
+    wait_s, moved_m, broken
+):
+    """Far from the map's origin, heading along its y, in a bare corridor."""
+    poses = np.column_stack([np.full(20, 40.0), 0.4 * np.arange(20) - 60.0, np.full(20, math.pi / 2)])
+    poses[10:, 1] += moved_m - 0.4
+    log = recording(ROOM, poses, odometry=poses)
+    stamps = log.stamps_ns + np.where(np.arange(20) >= 10, wait_s * 10**9, 0)
+    log = replace(log, stamps_ns=stamps)
+    along = np.tile(np.diag([0.0, 1e4, 1e4]), (20, 1, 1))
+    track = dead_reckoning(log, make_clouds(log, 30.0), TrackingConfig())
+    keys = np.arange(20)
+    blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
+    assert witnessed_chain(log, blind).broken.sum() == broken
+
+
 def test_submaps_lie_on_each_other_where_they_belong():
     truth = around_the_room(120, laps=2)
     clouds = make_clouds(recording(ROOM, truth), 30.0)
@@ -191,3 +211,12 @@ def test_recall_costs_nothing_where_the_chain_holds():
     assert result.recognised == []
     stamps = Trajectory(log.stamps_ns, SE2.from_array(truth))
     assert score(result.trajectory.poses, stamps).ate_aligned < 0.02
+
+
+def test_the_turn_between_two_histograms_of_normals_is_among_those_tried():
+    rng = np.random.default_rng(3)
+    query = rng.uniform(0.0, 1.0, HEADINGS) + 10.0 * (np.arange(HEADINGS) % (HEADINGS // 3) == 5)
+    for turn in (0, 7, HEADINGS - 4):
+        tried = _headings(query, np.roll(query, turn))
+        assert {(turn + d) % HEADINGS for d in (-1, 0, 1)} <= set(tried)
+        assert len(tried) < HEADINGS // 2

@@ -5,6 +5,7 @@ import math
 import sys
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 
@@ -169,8 +170,6 @@ def test_a_finished_case_is_not_run_again(tmp_path, no_commands, monkeypatch):
 
 @pytest.fixture(scope="module")
 def scheduler():
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-    pytest.importorskip("duckdb", reason="DuckDB is not installed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:

@@ -7,12 +7,11 @@ import sys
 import time
 from pathlib import Path
 
+import distributed
 import pytest
 
 from datasets.outputs import sha256_tree
 
-pytest.importorskip("distributed", reason="Dask is not installed")
-pytest.importorskip("duckdb", reason="DuckDB is not installed")
 ROOT = Path(__file__).parents[1]
 CAMPAIGN = """
 name: small
@@ -84,8 +83,6 @@ def rows(folder):
 
 def undisturbed(place, monkeypatch):
     """The campaign's folder made in this process, by threads."""
-    import distributed
-
     from pipeline.sweep import sweep
 
     monkeypatch.setenv("RAN", str(place))

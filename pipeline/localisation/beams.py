@@ -50,7 +50,7 @@ def prepare(
     low, high = range_limits or (scan.lidar.range_min, scan.lidar.range_max)
     hit = np.flatnonzero(scan.valid() & (ranges >= low) & (ranges <= high))
     silent = np.flatnonzero(np.isposinf(ranges))
-    sweep = np.zeros(3) if T_start_end is None or scan.lidar.time_increment <= 0.0 else T_start_end.xyt
+    sweep = np.zeros(3) if T_start_end is None or scan.lidar.time_increment == 0.0 else T_start_end.xyt
     lidar = T_base_lidar.xyt
     origins, directions = deskewed(scan.lidar.angles, lidar, sweep, hit)
     silent_origins, silent_directions = deskewed(scan.lidar.angles, lidar, sweep, silent)

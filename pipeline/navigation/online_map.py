@@ -74,7 +74,7 @@ class OnlineMap:
             x, y, yaw = (SE2(self._kept.odometry[-1]).inverse() @ at[0]).xyt
             if np.hypot(x, y) < KEEP_M and abs(yaw) < KEEP_RAD:
                 return
-        motion = sweep_motion(one) if scan.lidar.time_increment > 0.0 else None
+        motion = sweep_motion(one) if scan.lidar.time_increment != 0.0 else None
         self._kept.scans.append(scan)
         self._kept.odometry.append(at.xyt[0])
         self._kept.motion.append(np.zeros(3) if motion is None else motion.xyt[0])

@@ -96,7 +96,7 @@ def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = 
     scan_of, beam_of = np.nonzero(valid)
     points_lidar = lidar.directions[beam_of] * recording.ranges[valid][:, None].astype(np.float64)
     points = recording.T_base_lidar @ points_lidar
-    if lidar.time_increment > 0.0:
+    if lidar.time_increment != 0.0:
         motion = motion if motion is not None else sweep_motion(recording)
         if motion is not None:
             points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))

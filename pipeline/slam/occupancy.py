@@ -94,7 +94,7 @@ def make_checked_grid(
     if rows * cols > MAX_COUNTED:
         raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
     hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
-    if motion is None and lidar.time_increment > 0.0:
+    if motion is None and lidar.time_increment != 0.0:
         motion = sweep_motion(recording)
     sweep = np.zeros((0, 3)) if motion is None else motion.xyt
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)

@@ -207,7 +207,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording, config = _with_sensors(recording, run.config)
     recording = with_gyro(recording) if config.gyro else recording
     usable = config.usable(recording.lidar)
-    motion = sweep_motion(recording) if recording.lidar.time_increment > 0.0 else None
+    motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:
         if config.sensors == "odometry":
@@ -217,7 +217,7 @@ def _session(recording: Recording, run: _Run) -> Session:
 
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    if motion is None and recording.lidar.time_increment > 0.0 and len(recording) > 1:
+    if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
         # nobody says how the robot moved during a sweep but the scans themselves, placed once before
         motion, _ = run.cache.step(
             "sweeps",
