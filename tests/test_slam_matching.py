@@ -163,8 +163,7 @@ def test_pairs_know_their_relative_pose(room):
     off[1] += [0.04, -0.03, 0.02]
     pairs = np.array([[0, 1], [0, 2]])
     relative, information, overlap = linearise_pairs(
-        clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-        clouds.origin, np.arange(5), off, pairs, 0.3, 0.06,
+        clouds, np.arange(5), off, pairs, 0.3, 0.06,
     )  # fmt: skip
     true = (SE2(poses[0]).inverse() @ SE2(poses[1])).xyt
     np.testing.assert_allclose(relative[0], true, atol=0.015)

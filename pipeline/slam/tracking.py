@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, wrap
 from datasets.types import Recording
-from pipeline.slam.align import Alignment, align, observable
+from pipeline.slam.align import Alignment, align
 from pipeline.slam.calibration import Calibration, calibrate
 from pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from pipeline.slam.correlative import best_pose, make_field
@@ -56,9 +56,6 @@ class TrackingConfig(BaseModel):
     field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
     field_resolution_m: float = Field(default=0.1, gt=0.0)
     field_sigma_m: float = Field(default=0.12, gt=0.0)
-    search_m: float = Field(default=0.3, gt=0.0)
-    search_rad: float = Field(default=0.12, gt=0.0)
-    search_step_rad: float = Field(default=0.02, gt=0.0)
     gate_m: float = Field(default=0.3, gt=0.0)
     sigma_m: float = Field(default=0.05, gt=0.0)
     recovery_m: float = Field(default=1.0, gt=0.0)
@@ -224,24 +221,16 @@ class Tracker:
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
-        searched: list[Array] = []
-        points = self.clouds.of(scan)[:: max(1, usable // 90)]
         keys, poses = self._references()
         for source, start in starts:
-            # a start within half a step of the search from another one finds the same peak
-            if any(self._same_search(other, start) for other in searched):
+            # starts this near each other end at the same pose
+            if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
                 continue
-            searched.append(start)
-            coarse, _ = best_pose(
-                self.field, points, start, config.search_m, config.search_rad, config.search_step_rad
-            )
-            if any(np.abs(between(other, coarse)).max() < 0.03 for other in tried):
-                continue
-            tried.append(coarse)
+            tried.append(start)
             result = align(
                 self.clouds,
                 scan,
-                coarse,
+                start,
                 keys,
                 poses,
                 gate=config.gate_m,
@@ -257,12 +246,6 @@ class Tracker:
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
-
-    def _same_search(self, a: Array, b: Array) -> bool:
-        delta, config = np.abs(between(a, b)), self.config
-        return bool(
-            delta[:2].max() <= 0.5 * config.field_resolution_m and delta[2] <= 0.5 * config.search_step_rad
-        )
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window about each centre: the track may be lost."""
@@ -318,7 +301,7 @@ def track_log(
         result, source[scan] = tracker.step(scan)
         poses[scan] = result.T_map_base.xyt
         overlap[scan], rmse[scan] = result.overlap, result.rmse
-        information[scan] = observable(result.information)
+        information[scan] = result.information
     calibration = tracker.calibrated()
     steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
     keys = np.array(tracker.keys)
@@ -343,8 +326,8 @@ def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig)
 
 
 def sees_everything(information: Array) -> bool:
-    """Whether the scan fixed the pose in all directions: the least exceeds the noise of normals well."""
-    seen = np.linalg.eigvalsh(observable(information)[:2, :2])
+    """Whether the scan fixed the pose in all directions."""
+    seen = np.linalg.eigvalsh(information[:2, :2])
     return bool(seen[0] > 0.05 * seen[1] > 0.0)
 
 
