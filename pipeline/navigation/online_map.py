@@ -152,7 +152,8 @@ class OnlineMap:
             self._tracker.start(0, odometry[0])
             information = np.zeros((3, 3))
         else:
-            self._tracker.clouds, self._tracker.odometry = self._clouds.view(), odometry
+            stamps = np.array([kept.stamp_ns for kept in self._kept.scans])
+            self._tracker.extend(self._clouds.view(), odometry, stamps)
             information = self._tracker.step(scan)[0].information
         before = SE2(self._kept.track[-1]) if self._kept.track else None
         self._kept.track.append(self._tracker.pose)

@@ -21,7 +21,7 @@ MAX_HALF_WINDOW = 10
 MIN_NORMAL_DOT = 0.6
 # Of the information along a direction, this many times what errors of the normals fake on average is not
 # believed (see `observable`).
-FAKED = 3.0
+FAKED = 1.5
 # The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
 KERNEL_SIGMAS = 3.0
 # Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point
@@ -135,7 +135,7 @@ def align_kernel(
     prior_information: Array,
     prior_soft: float,
 ) -> tuple[Array, Array, int, int, float, float]:
-    """`align` on plain arrays: pose (3,), information (3, 3), matched and usable points, rms [m], summed cost."""
+    """`align` on plain arrays: pose (3,), information (3, 3), matched, usable, rms [m], summed cost."""
     points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     pose = start_pose.copy()
     lo, hi = clouds.starts[scan], clouds.starts[scan + 1]

@@ -51,7 +51,8 @@ class Clouds(NamedTuple):
 
     `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
     `point_var` is the variance of each point along its normal [m^2], `normal_var` that of the normal's
-    direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point seen there, or -1.
+    direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point
+    seen there, or -1.
     """
 
     points: Array

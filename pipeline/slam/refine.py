@@ -193,7 +193,8 @@ def _half(
     """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan = (tx, ty, dyaw).
 
     Returned are the points with a line, those with a partner, and the information that errors of the
-    normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that `scan` is i and `key` j.
+    normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
+    `scan` is i and `key` j.
     """
     points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     c, s = math.cos(dyaw), math.sin(dyaw)

@@ -36,7 +36,8 @@ from pipeline.slam.tracking import Track
 FILE = "graph.npz"
 FORMAT = 3
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
-# shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the letter is.
+# shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
+# letter is.
 LAYOUT = {
     "stamps_ns": ("i", "s"),
     "ranges": ("f", "sb"),
