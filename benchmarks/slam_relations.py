@@ -82,8 +82,7 @@ def _by_lines(
         poses = np.zeros((2 * len(a), 3))
         poses[1::2] = T
         T, information, overlap = linearise_pairs(
-            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-            clouds.origin, scans, poses, pairs, gate, 0.03,
+            clouds, scans, poses, pairs, gate, 0.03,
         )  # fmt: skip
     seen = np.linalg.eigvalsh(information[:, :2, :2])
     return SE2.from_array(T), (overlap > MIN_OVERLAP) & (seen[:, 0] > 0.05 * seen[:, 1])

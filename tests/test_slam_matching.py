@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.se2 import SE2
-from pipeline.slam.align import align, find_partner, observable, without_direction
+from pipeline.slam.align import FAKED, align, find_partner, observable, without_direction
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.correlative import Field, best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.refine import RefineConfig, linearise_pairs, overlapping_pairs, pair_constraints
@@ -59,7 +59,7 @@ def test_partner_is_the_nearest_point_of_the_scan(room):
     kept = clouds.table[0][clouds.table[0] >= 0]
     assert len(kept) > 0.7 * len(clouds.of(0))
     around = clouds.points[kept[rng.integers(0, len(kept), 300)]] + rng.normal(0.0, 0.04, (300, 2))
-    found = np.array([find_partner(*p, 0, clouds.points, clouds.table, clouds.origin, gate) for p in around])
+    found = np.array([find_partner(*p, 0, clouds, gate) for p in around])
     distances = np.linalg.norm(clouds.points[kept] - around[:, None], axis=2)
     expected = np.where(distances.min(axis=1) < gate, kept[distances.argmin(axis=1)], -1)
     np.testing.assert_array_equal(found, expected)
@@ -88,8 +88,15 @@ def test_corridor_leaves_the_way_along_to_the_prior():
     assert x == pytest.approx(1.25, abs=0.005)
     assert y == pytest.approx(0.0, abs=0.01)
     assert yaw == pytest.approx(0.0, abs=0.005)
-    seen = observable(result.information)
-    assert seen[0, 0] < 0.01 * seen[1, 1]
+    assert result.information[0, 0] < 0.01 * result.information[1, 1]
+
+
+def test_a_direction_counts_as_far_as_it_exceeds_what_noisy_normals_fake():
+    information = np.diag([10.0, 100.0, 50.0])
+    np.testing.assert_allclose(observable(information, 0.0), information)
+    half = observable(information, 5.0 / FAKED)
+    np.testing.assert_allclose(half, np.diag([5.0, 100.0, 50.0]), atol=1e-9)
+    np.testing.assert_allclose(observable(information, 20.0 / FAKED)[0], 0.0, atol=1e-9)
 
 
 def test_directions_are_taken_out_exactly():
@@ -163,8 +170,7 @@ def test_pairs_know_their_relative_pose(room):
     off[1] += [0.04, -0.03, 0.02]
     pairs = np.array([[0, 1], [0, 2]])
     relative, information, overlap = linearise_pairs(
-        clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-        clouds.origin, np.arange(5), off, pairs, 0.3, 0.06,
+        clouds, np.arange(5), off, pairs, 0.3, 0.06,
     )  # fmt: skip
     true = (SE2(poses[0]).inverse() @ SE2(poses[1])).xyt
     np.testing.assert_allclose(relative[0], true, atol=0.015)

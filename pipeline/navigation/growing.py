@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from datasets.se2 import SE2
 from datasets.types import Recording
-from pipeline.slam.clouds import Clouds, make_clouds
+from pipeline.slam.clouds import PER_POINT, Clouds, make_clouds
+from pipeline.slam.range_noise import RangeNoise, range_noise
 
 
 class _Rows:
@@ -36,18 +37,20 @@ class _Rows:
 
 
 class GrowingClouds:
-    """Clouds of all scans so far (see pipeline.slam.clouds)."""
+    """Clouds of all scans so far (see pipeline.slam.clouds); the lidar's noise is that of the first one."""
 
-    def __init__(self) -> None:
-        names = ("points", "normals", "centers", "line_ok", "table")
-        self._rows = {name: _Rows() for name in names}
+    def __init__(self, noise: RangeNoise | None = None) -> None:
+        self._noise = noise
+        self._rows = {name: _Rows() for name in (*PER_POINT, "table")}
         self._starts = [0]
         self._origin = np.zeros(2)
 
     def append(self, recording: Recording, usable_range: float, motion: SE2 | None) -> None:
         """One more scan: a recording of it alone, and how the robot moved during its sweep."""
-        one = make_clouds(recording, usable_range, motion)
-        for name in ("points", "normals", "centers", "line_ok"):
+        if self._noise is None:
+            self._noise = range_noise(recording, usable_range)
+        one = make_clouds(recording, usable_range, motion, self._noise)
+        for name in PER_POINT:
             self._rows[name].append(getattr(one, name))
         self._rows["table"].append(np.where(one.table < 0, -1, one.table + self._starts[-1]).astype(np.int32))
         self._starts.append(self._starts[-1] + len(one.points))

@@ -15,8 +15,7 @@ from datasets.grid import OccupancyGrid
 from datasets.se2 import SE2, Array
 from datasets.types import Observation, Recording, Scan, Trajectory
 from pipeline.navigation.growing import GrowingClouds
-from pipeline.slam.align import observable
-from pipeline.slam.clouds import sweep_motion
+from pipeline.slam.clouds import KNOTS, sweep_motion
 from pipeline.slam.loops import BATCH, LoopFinder
 from pipeline.slam.occupancy import make_grid
 from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
@@ -32,7 +31,7 @@ RECENT = 32
 
 @dataclass
 class _Kept:
-    """What is remembered of the scans kept, in their order: `track` and `motion` are poses (3,)."""
+    """What is remembered of the scans kept, in their order: `track` are poses (3,), `motion` (KNOTS, 3)."""
 
     scans: list[Scan] = field(default_factory=list)
     odometry: list[Array] = field(default_factory=list)
@@ -77,7 +76,7 @@ class OnlineMap:
         motion = sweep_motion(one) if scan.lidar.time_increment != 0.0 else None
         self._kept.scans.append(scan)
         self._kept.odometry.append(at.xyt[0])
-        self._kept.motion.append(np.zeros(3) if motion is None else motion.xyt[0])
+        self._kept.motion.append(np.zeros((KNOTS, 3)) if motion is None else motion.xyt[0])
         self._place(one, motion)
 
     def distrust(self) -> None:
@@ -153,8 +152,9 @@ class OnlineMap:
             self._tracker.start(0, odometry[0])
             information = np.zeros((3, 3))
         else:
-            self._tracker.clouds, self._tracker.odometry = self._clouds.view(), odometry
-            information = observable(self._tracker.step(scan)[0].information)
+            stamps = np.array([kept.stamp_ns for kept in self._kept.scans])
+            self._tracker.extend(self._clouds.view(), odometry, stamps)
+            information = self._tracker.step(scan)[0].information
         before = SE2(self._kept.track[-1]) if self._kept.track else None
         self._kept.track.append(self._tracker.pose)
         self._kept.information.append(information)

@@ -19,9 +19,11 @@ from pipeline.slam.clouds import Clouds
 
 MAX_HALF_WINDOW = 10
 MIN_NORMAL_DOT = 0.6
-# Standard deviation of a fitted line's direction [rad]: what a normal's error alone can fake of
-# information along a straight corridor (see `observable`).
-NORMAL_NOISE_RAD = 0.06
+# Of the information along a direction, this many times what errors of the normals fake on average is not
+# believed (see `observable`).
+FAKED = 1.5
+# The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
+KERNEL_SIGMAS = 3.0
 # Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point
 # slides along its partner's line meanwhile, which the distance to the line does not notice.
 SAME_PARTNERS_M, TURN_REACH_M = 0.005, 2.0
@@ -72,14 +74,8 @@ def align(
     stride = 1 + (int(clouds.starts[scan + 1]) - int(clouds.starts[scan]) - 1) // most_points
     if prior is None or prior_information is None:
         prior, prior_information = np.zeros(3), np.zeros((3, 3))
-    xyt, hessian, matched, usable, rms, cost = align_kernel(
-        clouds.points,
-        clouds.normals,
-        clouds.centers,
-        clouds.line_ok,
-        clouds.starts,
-        clouds.table,
-        clouds.origin,
+    xyt, seen, matched, usable, rms, cost = align_kernel(
+        clouds,
         scan,
         stride,
         np.asarray(T_map_base, dtype=np.float64),
@@ -93,20 +89,13 @@ def align(
         prior_soft,
     )
     overlap, share = (matched / usable, cost / usable) if usable else (0.0, 1.0)
-    return Alignment(SE2(xyt), hessian, overlap, rms, share)
+    return Alignment(SE2(xyt), seen, overlap, rms, share)
 
 
 @njit(cache=True)
-def find_partner(
-    x: float,
-    y: float,
-    key: int,
-    points: Array,
-    table: NDArray,
-    origin: Array,
-    gate: float,
-) -> int:
+def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> int:
     """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
     n_bins = table.shape[1]
     scale = n_bins / (2.0 * math.pi)
     dx, dy = x - origin[0], y - origin[1]
@@ -133,13 +122,7 @@ def find_partner(
 
 @njit(cache=True, nogil=True)
 def align_kernel(
-    points: Array,
-    normals: Array,
-    centers: Array,
-    line_ok: NDArray,
-    starts: NDArray,
-    table: NDArray,
-    origin: Array,
+    clouds: Clouds,
     scan: int,
     stride: int,
     start_pose: Array,
@@ -152,16 +135,17 @@ def align_kernel(
     prior_information: Array,
     prior_soft: float,
 ) -> tuple[Array, Array, int, int, float, float]:
-    """`align` on plain arrays: pose (3,), Hessian (3, 3), matched and usable points, rms [m], summed cost."""
+    """`align` on plain arrays: pose (3,), information (3, 3), matched, usable, rms [m], summed cost."""
+    points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     pose = start_pose.copy()
-    lo, hi = starts[scan], starts[scan + 1]
+    lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
     n_keys = len(keys)
     hessian = np.zeros((3, 3))
     matched, usable, rms, cost = 0, 0, 0.0, 0.0
     relative = np.zeros((n_keys, 4))
     partners = np.empty(((hi - lo - 1) // stride + 1, n_keys), dtype=np.int32)
     moved = 2.0 * SAME_PARTNERS_M
-    inv_s2 = 1.0 / (sigma * sigma)
+    faked = 0.0
     for iteration in range(iterations + 1):
         for k in range(n_keys):
             ck, sk = math.cos(key_poses[k, 2]), math.sin(key_poses[k, 2])
@@ -170,6 +154,7 @@ def align_kernel(
             dyaw = pose[2] - key_poses[k, 2]
             relative[k, 2], relative[k, 3] = math.cos(dyaw), math.sin(dyaw)
         hessian[:] = 0.0
+        faked = 0.0
         g0, g1, g2 = 0.0, 0.0, 0.0
         matched, usable = 0, 0
         squares, weights, cost = 0.0, 0.0, 0.0
@@ -182,6 +167,9 @@ def align_kernel(
             usable += 1
             of_point = partners[(i - lo) // stride]
             px, py = points[i, 0], points[i, 1]
+            kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[i])
+            inv_s2 = 1.0 / kernel2
+            reach = max(gate, math.sqrt(kernel2))
             hit = False
             best_e = 1e9
             for k in range(n_keys):
@@ -189,7 +177,7 @@ def align_kernel(
                 x = relative[k, 0] + c * px - s * py
                 y = relative[k, 1] + s * px + c * py
                 if search:
-                    row = find_partner(x, y, keys[k], points, table, origin, gate)
+                    row = find_partner(x, y, keys[k], clouds, reach)
                     of_point[k] = row if row >= 0 and line_ok[row] else -1
                 row = of_point[k]
                 if row < 0:
@@ -200,12 +188,13 @@ def align_kernel(
                 if bx * normals[i, 0] + by * normals[i, 1] < MIN_NORMAL_DOT:
                     continue
                 e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-                if abs(e) > gate:
+                if abs(e) > reach:
                     continue
                 hit = True
                 best_e = min(best_e, abs(e))
                 w = 1.0 / (1.0 + e * e * inv_s2)
                 w = w * w * inv_s2 / n_keys
+                faked += w * clouds.normal_var[row]
                 j2 = by * px - bx * py
                 hessian[0, 0] += w * bx * bx
                 hessian[0, 1] += w * bx * by
@@ -228,7 +217,7 @@ def align_kernel(
         rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
         if iteration == iterations:
             break
-        step = _step(hessian, g0, g1, g2, pose, prior, prior_information, prior_soft)
+        step = _step(hessian, faked, g0, g1, g2, pose, prior, prior_information, prior_soft)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
@@ -237,12 +226,13 @@ def align_kernel(
         if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
             break
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return pose, hessian, matched, usable, rms, cost
+    return pose, observable(hessian, faked), matched, usable, rms, cost
 
 
 @njit(cache=True)
 def _step(
     hessian: Array,
+    faked: float,
     g0: float,
     g1: float,
     g2: float,
@@ -252,7 +242,7 @@ def _step(
     prior_soft: float,
 ) -> Array:
     """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
-    a = observable(hessian)
+    a = observable(hessian, faked)
     b = -(a @ _safe_solve(hessian, np.array([g0, g1, g2])))
     if prior_information[0, 0] > 0.0:
         # error of the pose seen from the prior, turned into the base frame
@@ -286,13 +276,13 @@ def _safe_solve(a: Array, b: Array) -> Array:
 
 
 @njit(cache=True)
-def observable(hessian: Array) -> Array:
+def observable(hessian: Array, faked: float) -> Array:
     """The information that is not an artefact of noisy normals.
 
     In a featureless corridor every true normal is across; the fitted ones scatter, and their scatter
-    alone puts NORMAL_NOISE_RAD^2 of the total information along the corridor - always pulling towards
-    no motion. Each eigen-direction of the translation, yaw eliminated, must exceed that floor; what
-    is below it is removed, smoothly.
+    alone puts information along the corridor: `faked`, the sum over the points of weight times variance
+    of the normal's direction. What the weaker direction of the translation has, yaw eliminated, counts as
+    far as it exceeds FAKED times that.
     """
     out = hessian.copy()
     a, b, d = hessian[0, 0], hessian[0, 1], hessian[1, 1]
@@ -305,12 +295,7 @@ def observable(hessian: Array) -> Array:
     half = 0.5 * (a - d)
     root = math.sqrt(half * half + b * b)
     weak = 0.5 * (a + d) - root
-    floor = NORMAL_NOISE_RAD * NORMAL_NOISE_RAD * (hessian[0, 0] + hessian[1, 1])
-    if weak > 8.0 * floor:
-        return out
-    keep = 0.0
-    if weak > floor:
-        keep = (weak - floor) / (7.0 * floor)
+    keep = max(0.0, 1.0 - FAKED * faked / weak) if weak > 0.0 else 0.0
     angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
     ux, uy = math.cos(angle), math.sin(angle)
     return without_direction(out, np.array([ux, uy]), keep)

@@ -15,19 +15,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import Array
 from datasets.types import Recording
-from pipeline.slam.tracking import Track
+from pipeline.slam.tracking import AGREE_M, GAP_S, Track, confirms
 
-# Scans further apart than this (and than this many usual periods) have seen nothing of what lies between.
-GAP_S, GAP_PERIODS = 2.0, 8.0
+# A gap is also this many usual periods long.
+GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
 # A match after a gap counts when this share of the scan fits and it is not blind in any direction.
 MIN_OVERLAP, LEAST_OVERLAP, BLIND = 0.5, 0.3, 0.01
 # In a short wait with little motion (metres and radians together) a blind direction hides nothing.
 SHORT_S, SHORT_MOTION = 5.0, 0.5
-# How well scans and odometry must agree across a gap: floors, and shares of the motion.
-AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
 # Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.
 SEEN_DRIFT, BLIND_DRIFT, UNWITNESSED_DRIFT = 0.02, 0.1, 0.4
 ANYWHERE = 1e6
@@ -190,12 +188,7 @@ def _agree(recording: Recording, track: Track, before: int, after: int) -> bool:
         return False
     T, T_odom = track.T_track_base, recording.T_odom_base
     odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
-    apart = (SE2(odometry).inverse() @ (T[before].inverse() @ T[after])).xyt
-    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
-    return bool(
-        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
-        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
-    )
+    return confirms(odometry, (T[before].inverse() @ T[after]).xyt)
 
 
 def _too_fast(recording: Recording, track: Track, before: int, after: int) -> bool:

@@ -1,15 +1,14 @@
 """Every scan of a log as points with surface lines: what all matching works on.
 
-Points of all scans lie in one array, scan i in rows `starts[i]:starts[i + 1]` (the layout keeps the
-numba kernels free of objects). Each point carries the line fitted to its neighbours on the same
+Points of all scans lie in one array, scan i in rows `starts[i]:starts[i + 1]`; the numba kernels take
+the tuple whole. Each point carries the line fitted to its neighbours on the same
 surface; where there is none (lone returns, corners of the visible part) `line_ok` is False.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
+from pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
 from pipeline.slam.threads import in_parts
 
 # Fewer points with a surface line than this place nothing by their lines; so does a scan most of whose
@@ -24,37 +24,46 @@ from pipeline.slam.threads import in_parts
 MIN_LINES, LINE_SHARE = 8, 0.3
 # Fewer points than this place nothing at all.
 MIN_POINTS = 8
+# A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
+# so within one.
+KNOTS = 8
 # A range below this is how some drivers write "no return".
 NOTHING_M = 0.01
 # Between scans farther apart than this the robot may have done anything.
 LONGEST_STEP_S = 1.0
-# Neighbours on a surface are looked for within this many beam spacings, at least this far apart.
-WINDOW_BEAMS = 4
-MIN_WINDOW_M = 0.12
+# Returns further apart than this never lie on one surface [m].
 MAX_GAP_M = 0.6
 # A wall hit at a grazing angle has widely spaced returns: up to this many beam spacings of a
-# perpendicular hit the returns still count as one surface.
-GRAZING = 6.0
+# perpendicular hit (and at least MIN_GAP_M) the returns still count as one surface.
+GRAZING, MIN_GAP_M = 6.0, 0.06
+# A line reaches as far as this from its point, or as far as this many beam spacings; and further, while
+# its direction is less sure than this.
+MIN_REACH_M, REACH_BEAMS, MAX_REACH_M = 0.12, 4.0, 0.6
+SURE_RAD = 0.04
+# A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
+Z_SURFACE = 3.09
+# The direction of a line less sure than this says nothing.
+UNSURE_RAD = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Clouds:
+class Clouds(NamedTuple):
     """Points of many scans; `points`, `normals`, `centers` are (m, 2) in the base frame at the scan's stamp.
 
     `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
-    `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point seen there, or -1.
+    `point_var` is the variance of each point along its normal [m^2], `normal_var` that of the normal's
+    direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point
+    seen there, or -1.
     """
 
     points: Array
     normals: Array
     centers: Array
     line_ok: NDArray[np.bool_]
+    point_var: Array
+    normal_var: Array
     starts: NDArray[np.int64]
     table: NDArray[np.int32]
     origin: Array
-
-    def __len__(self) -> int:
-        return len(self.starts) - 1
 
     def of(self, scan: int) -> Array:
         """Points of one scan, (k, 2)."""
@@ -77,24 +86,33 @@ class Clouds:
         return np.asarray(np.diff(total[self.starts]))
 
 
+PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var")
+"""The arrays of Clouds with a row for each point."""
+
+
 def point_information(points: Array) -> Array:
     """What matched points (n, 2) tell of the pose they are seen from, (3, 3), for errors of 1 m each."""
     n, (x, y) = len(points), points.sum(axis=0)
     return np.array([[n, 0.0, -y], [0.0, n, x], [-y, x, float((points**2).sum())]])
 
 
-def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = None) -> Clouds:
+def make_clouds(
+    recording: Recording, usable_range: float, motion: SE2 | None = None, noise: RangeNoise | None = None
+) -> Clouds:
     """Points of every scan, the robot's motion during the sweep undone.
 
-    `motion` holds, per scan, the base pose at the end of the sweep seen from its start; None uses the
-    log's own odometry where the beams are taken one after another.
+    `motion` (n, KNOTS) is the base's during each sweep as `sweep_motion` gives it; None uses the log's own
+    odometry where the beams are taken one after another. `noise` is the lidar's, None: as the
+    log itself shows it.
     """
+    noise = range_noise(recording, usable_range) if noise is None else noise
     lidar = recording.lidar
     least = max(lidar.range_min, NOTHING_M)
     valid = (recording.ranges >= least) & (recording.ranges <= min(lidar.range_max, usable_range))
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     scan_of, beam_of = np.nonzero(valid)
-    points_lidar = lidar.directions[beam_of] * recording.ranges[valid][:, None].astype(np.float64)
+    ranges = recording.ranges[valid].astype(np.float64)
+    points_lidar = lidar.directions[beam_of] * ranges[:, None]
     points = recording.T_base_lidar @ points_lidar
     if lidar.time_increment != 0.0:
         motion = motion if motion is not None else sweep_motion(recording)
@@ -104,23 +122,30 @@ def make_clouds(recording: Recording, usable_range: float, motion: SE2 | None = 
     increment = abs(lidar.angle_increment)
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
+    point_var, normal_var = noise.variance(ranges), np.zeros(len(points))
     table = np.full((len(recording), n_bins), -1, dtype=np.int32)
 
     def prepare(scans: slice) -> None:
-        _fit_lines(points, starts[scans.start : scans.stop + 1], origin, increment, normals, centers, line_ok)
+        part = starts[scans.start : scans.stop + 1]
+        _fit_lines(points, part, origin, increment, normals, centers, line_ok, point_var, normal_var)
         _bearing_tables(points, starts[scans.start : scans.stop + 1], origin, table[scans])
 
     in_parts(prepare, len(recording))
-    return Clouds(points, normals, centers, line_ok, starts, table, origin)
+    return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
 
 
 def sweep_motion(recording: Recording) -> SE2 | None:
-    """Base pose at the end of each sweep seen from its start, by odometry; None without a stream."""
+    """Base poses (n, KNOTS) during each sweep seen from its start, by odometry; None without a stream.
+
+    The last one is that at the end of the sweep.
+    """
     if recording.odometry is None or len(recording.odometry) < 2:
         return None
-    sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
+    sweep_ns = recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9
+    after_ns = np.round(np.arange(1, KNOTS + 1) / KNOTS * sweep_ns).astype(np.int64)
     start = recording.odometry.at(recording.stamps_ns)
-    return start.inverse() @ recording.odometry.at(recording.stamps_ns + sweep_ns)
+    during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
+    return start[:, None].inverse() @ SE2(during.xyt.reshape(-1, KNOTS, 3))
 
 
 def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
@@ -135,13 +160,17 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     known = (seconds > 0.0) & (seconds < LONGEST_STEP_S)
     speed = np.where(known[:, None], steps / np.where(known, seconds, 1.0)[:, None], 0.0)
     around = np.concatenate([speed[:1], speed, speed[-1:]])
-    return SE2(0.5 * (around[:-1] + around[1:]) * sweep_s)
+    whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
+    return SE2(whole[:, None] * (np.arange(1, KNOTS + 1) / KNOTS)[:, None])
 
 
 def _deskewed(points: Array, motion: SE2, scan_of: NDArray, fraction: Array) -> Array:
-    """Each point moved into the base frame at the sweep's start, the base moving evenly."""
-    delta = motion[scan_of].xyt * fraction[:, None]
-    return SE2(delta) @ points
+    """Each point moved into the base frame at the sweep's start, the base moving evenly between knots."""
+    knots = np.concatenate([np.zeros((len(motion), 1, 3)), motion.xyt], axis=1)
+    at = fraction * KNOTS
+    k = np.minimum(at.astype(np.int64), KNOTS - 1)
+    before, after = knots[scan_of, k], knots[scan_of, k + 1]
+    return SE2(before + (at - k)[:, None] * (after - before)) @ points
 
 
 @njit(cache=True, nogil=True)
@@ -153,49 +182,86 @@ def _fit_lines(
     normals: Array,
     centers: Array,
     ok: NDArray,
+    point_var: Array,
+    normal_var: Array,
 ) -> None:
-    """Total least squares line through each point's neighbours in beam order, into the last three."""
+    """Total least squares line through each point's neighbours in beam order, into the last five.
+
+    The line grows beam by beam to either side for as long as what its returns lie off it is their noise
+    (chi-squared test), up to the reach that makes its direction sure. `point_var` comes in as the
+    variance of the ranges.
+    """
+    range_var = point_var.copy()
+    sums = np.zeros(5)
     for scan in range(len(starts) - 1):
         lo, hi = starts[scan], starts[scan + 1]
         for i in range(lo, hi):
             px, py = points[i, 0], points[i, 1]
-            distance = math.hypot(px - origin[0], py - origin[1])
+            ray_x, ray_y = px - origin[0], py - origin[1]
+            distance = math.hypot(ray_x, ray_y)
+            ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
             spacing = distance * increment
-            radius = min(max(MIN_WINDOW_M, WINDOW_BEAMS * spacing), 2.0 * MAX_GAP_M)
-            gap = min(max(0.5 * MIN_WINDOW_M, GRAZING * spacing), MAX_GAP_M)
-            sx, sy, sxx, sxy, syy, count = 0.0, 0.0, 0.0, 0.0, 0.0, 1
-            for step in (-1, 1):
-                qx, qy = px, py
-                j = i + step
-                while lo <= j < hi:
+            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_GAP_M)
+            farthest = max(MAX_REACH_M, reach)
+            gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_GAP_M)
+            sums[:] = 0.0
+            count = 1
+            ends = [i, i]
+            alive = [True, True]
+            nx, ny, mx, my, var, turn_var = 0.0, 0.0, 0.0, 0.0, range_var[i], 1e9
+            while alive[0] or alive[1]:
+                for side in range(2):
+                    if not alive[side]:
+                        continue
+                    last = ends[side]
+                    j = last - 1 if side == 0 else last + 1
+                    if j < lo or j >= hi:
+                        alive[side] = False
+                        continue
                     x, y = points[j, 0], points[j, 1]
-                    if math.hypot(x - qx, y - qy) > gap or math.hypot(x - px, y - py) > radius:
-                        break
                     dx, dy = x - px, y - py
-                    sx += dx
-                    sy += dy
-                    sxx += dx * dx
-                    sxy += dx * dy
-                    syy += dy * dy
-                    count += 1
-                    qx, qy = x, y
-                    j += step
-            if count < 3:
+                    off = math.hypot(dx, dy)
+                    too_far = off > reach and (off > farthest or turn_var < SURE_RAD * SURE_RAD)
+                    if too_far or math.hypot(x - points[last, 0], y - points[last, 1]) > gap:
+                        alive[side] = False
+                        continue
+                    n = count + 1
+                    sx, sy = sums[0] + dx, sums[1] + dy
+                    sxx, sxy, syy = sums[2] + dx * dx, sums[3] + dx * dy, sums[4] + dy * dy
+                    ax, ay = sx / n, sy / n
+                    cxx, cxy, cyy = sxx / n - ax * ax, sxy / n - ax * ay, syy / n - ay * ay
+                    half = 0.5 * (cxx - cyy)
+                    root = math.sqrt(half * half + cxy * cxy)
+                    large, small = 0.5 * (cxx + cyy) + root, max(0.5 * (cxx + cyy) - root, 0.0)
+                    angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
+                    ux, uy = -math.sin(angle), math.cos(angle)
+                    across = ux * ray_x + uy * ray_y
+                    # few returns close together do not tell how the line stands to the ray
+                    steep = min(1.0, across * across + range_var[i] / max(n * large, 1e-12))
+                    noise = range_var[i] * steep + LEAST_M * LEAST_M
+                    if n >= 3 and n * small > noise * _limit(n - 2):
+                        alive[side] = False
+                        continue
+                    sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
+                    count = n
+                    ends[side] = j
+                    nx, ny, mx, my, var = ux, uy, ax, ay, noise
+                    turn_var = noise / max(n * large, 1e-12)
+            if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
                 continue
-            mx, my = sx / count, sy / count
-            cxx, cxy, cyy = sxx / count - mx * mx, sxy / count - mx * my, syy / count - my * my
-            half = 0.5 * (cxx - cyy)
-            root = math.sqrt(half * half + cxy * cxy)
-            large, small = 0.5 * (cxx + cyy) + root, 0.5 * (cxx + cyy) - root
-            if large < 1e-8 or small > 0.08 * large:
-                continue
-            angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
-            nx, ny = -math.sin(angle), math.cos(angle)
-            if nx * (origin[0] - px) + ny * (origin[1] - py) < 0.0:
+            if nx * ray_x + ny * ray_y > 0.0:
                 nx, ny = -nx, -ny
             normals[i, 0], normals[i, 1] = nx, ny
             centers[i, 0], centers[i, 1] = px + mx, py + my
+            point_var[i], normal_var[i] = var, turn_var
             ok[i] = True
+
+
+@njit(cache=True, nogil=True)
+def _limit(freedom: int) -> float:
+    """Chi-squared that noise alone exceeds as rarely as Z_SURFACE says (Wilson and Hilferty 1931)."""
+    share = 2.0 / (9.0 * freedom)
+    return freedom * (1.0 - share + Z_SURFACE * math.sqrt(share)) ** 3
 
 
 @njit(cache=True, nogil=True)

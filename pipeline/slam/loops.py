@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import Alignment, align, observable, without_direction
+from pipeline.slam.align import Alignment, align, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.factors import Constraint
@@ -244,7 +244,7 @@ class LoopFinder:
             T_j_i=result.T_map_base.xyt,
             overlap=result.overlap,
             rmse=result.rmse,
-            information=observable(result.information),
+            information=result.information,
         )
         if second > config.rival_share * best:
             # the place repeats itself along this line: the loop may not fix the position along it

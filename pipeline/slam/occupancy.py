@@ -21,7 +21,7 @@ from datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
-from pipeline.slam.clouds import NOTHING_M, sweep_motion
+from pipeline.slam.clouds import KNOTS, NOTHING_M, sweep_motion
 
 MAX_COUNTED = 400_000_000
 """Cells to count beams in; most are cut off when the map is trimmed to what is known."""
@@ -96,7 +96,7 @@ def make_checked_grid(
     hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     if motion is None and lidar.time_increment != 0.0:
         motion = sweep_motion(recording)
-    sweep = np.zeros((0, 3)) if motion is None else motion.xyt
+    sweep = np.zeros((0, KNOTS, 3)) if motion is None else motion.xyt
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, False, config.occupied_share)
@@ -237,11 +237,18 @@ def _cast(
                 continue
             x, y, yaw = poses[scan, 0], poses[scan, 1], poses[scan, 2]
             if len(motion) > 0 and n_beams > 1:
-                f = beam / (n_beams - 1)
+                f = beam / (n_beams - 1) * KNOTS
+                k = min(int(f), KNOTS - 1)
+                f -= k
+                mx, my, turn = f * motion[scan, k, 0], f * motion[scan, k, 1], f * motion[scan, k, 2]
+                if k > 0:
+                    mx += (1.0 - f) * motion[scan, k - 1, 0]
+                    my += (1.0 - f) * motion[scan, k - 1, 1]
+                    turn += (1.0 - f) * motion[scan, k - 1, 2]
                 c, s = math.cos(yaw), math.sin(yaw)
-                x += f * (c * motion[scan, 0] - s * motion[scan, 1])
-                y += f * (s * motion[scan, 0] + c * motion[scan, 1])
-                yaw += f * motion[scan, 2]
+                x += c * mx - s * my
+                y += s * mx + c * my
+                yaw += turn
             c, s = math.cos(yaw), math.sin(yaw)
             ox = x + c * T_base_lidar[0] - s * T_base_lidar[1]
             oy = y + s * T_base_lidar[0] + c * T_base_lidar[1]

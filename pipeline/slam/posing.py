@@ -69,8 +69,7 @@ def pose_all_scans(
 
     def aligned(part: slice) -> tuple[Array, Array]:
         return _align_each(
-            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-            clouds.origin, scans[part], poses[scans[part]], track.keys, near[scans[part]], T_map_keys.xyt,
+            clouds, scans[part], poses[scans[part]], track.keys, near[scans[part]], T_map_keys.xyt,
             config.gate_m, config.sigma_m, config.most_points, information,
         )  # fmt: skip
 
@@ -84,13 +83,7 @@ def pose_all_scans(
 
 @njit(cache=True, nogil=True)
 def _align_each(
-    points: Array,
-    normals: Array,
-    centers: Array,
-    line_ok: NDArray,
-    starts: NDArray,
-    table: NDArray,
-    origin: Array,
+    clouds: Clouds,
     scans: NDArray,
     poses: Array,
     keys: NDArray,
@@ -105,9 +98,9 @@ def _align_each(
     out, overlap = poses.copy(), np.zeros(len(scans))
     for k in range(len(scans)):
         scan = scans[k]
-        stride = 1 + (starts[scan + 1] - starts[scan] - 1) // most_points
+        stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // most_points
         pose, _, matched, usable, _, _ = align_kernel(
-            points, normals, centers, line_ok, starts, table, origin, scan, stride, poses[k],
+            clouds, scan, stride, poses[k],
             keys[near[k]], key_poses[near[k]], gate, sigma, ITERATIONS, poses[k], information, 0.0,
         )  # fmt: skip
         out[k] = pose

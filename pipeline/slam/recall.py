@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import align, observable
+from pipeline.slam.align import align
 from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
@@ -190,7 +190,7 @@ def _settled(
     both = np.vstack([at, at_place[::2]])
     pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
     denied = _denied(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
-    information = observable(result.information)
+    information = result.information
     place_found = Recognised(
         query.middle, other.middle, pose, score, float(overlap),
         float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
@@ -210,9 +210,7 @@ def _settled(
 def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:
     """Share of points denied in each pair that sees enough of each other, the worse of both ways."""
     shares = [
-        denied_shares(
-            clouds.points, clouds.starts, clouds.table, clouds.origin, keys, poses, way, WALL_M, THROUGH_M
-        )
+        denied_shares(clouds, keys, poses, way, WALL_M, THROUGH_M)
         for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
     ]
     share = np.fmax(*shares)

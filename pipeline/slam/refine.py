@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import MIN_NORMAL_DOT, _safe_solve, find_partner, observable
+from pipeline.slam.align import KERNEL_SIGMAS, MIN_NORMAL_DOT, _safe_solve, find_partner, observable
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
@@ -126,12 +126,9 @@ def match_pairs(
 ) -> tuple[Array, Array, Array]:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
-        lambda part: linearise_pairs(
-            clouds.points, clouds.normals, clouds.centers, clouds.line_ok, clouds.starts, clouds.table,
-            clouds.origin, keys, T_map_keys.xyt, pairs[part], gate, sigma,
-        ),
+        lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], gate, sigma),
         len(pairs),
-    )  # fmt: skip
+    )
     relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
     bare = np.array([by_points and clouds.placed_by(int(key)) == "points" for key in keys])
     both = np.flatnonzero(bare[pairs[:, 0]] & bare[pairs[:, 1]])
@@ -147,18 +144,7 @@ def match_pairs(
 
 @njit(cache=True, nogil=True)
 def linearise_pairs(
-    points: Array,
-    normals: Array,
-    centers: Array,
-    line_ok: NDArray,
-    starts: NDArray,
-    table: NDArray,
-    origin: Array,
-    keys: NDArray,
-    poses: Array,
-    pairs: NDArray,
-    gate: float,
-    sigma: float,
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, gate: float, sigma: float
 ) -> tuple[Array, Array, Array]:
     """Per pair (i, j): best T_i_j to first order (3,), its information (3, 3), overlap 0..1.
 
@@ -176,48 +162,12 @@ def linearise_pairs(
         dyaw = poses[b, 2] - poses[a, 2]
         h = np.zeros((3, 3))
         g = np.zeros(3)
-        used_b, hit_b = _half(
-            points,
-            normals,
-            centers,
-            line_ok,
-            starts,
-            table,
-            origin,
-            keys[b],
-            keys[a],
-            tx,
-            ty,
-            dyaw,
-            gate,
-            sigma,
-            False,
-            h,
-            g,
-        )
+        used_b, hit_b, faked_b = _half(clouds, keys[b], keys[a], tx, ty, dyaw, gate, sigma, False, h, g)
         c, s = math.cos(dyaw), math.sin(dyaw)
         ix, iy = -c * tx - s * ty, s * tx - c * ty
-        used_a, hit_a = _half(
-            points,
-            normals,
-            centers,
-            line_ok,
-            starts,
-            table,
-            origin,
-            keys[a],
-            keys[b],
-            ix,
-            iy,
-            -dyaw,
-            gate,
-            sigma,
-            True,
-            h,
-            g,
-        )
+        used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], ix, iy, -dyaw, gate, sigma, True, h, g)
         overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
-        seen = observable(h)
+        seen = observable(h, faked_a + faked_b)
         step = -_safe_solve(h, g)
         relative[k, 0] = tx + c * step[0] - s * step[1]
         relative[k, 1] = ty + s * step[0] + c * step[1]
@@ -228,13 +178,7 @@ def linearise_pairs(
 
 @njit(cache=True)
 def _half(
-    points: Array,
-    normals: Array,
-    centers: Array,
-    line_ok: NDArray,
-    starts: NDArray,
-    table: NDArray,
-    origin: Array,
+    clouds: Clouds,
     scan: int,
     key: int,
     tx: float,
@@ -245,21 +189,25 @@ def _half(
     inverted: bool,
     h: Array,
     g: Array,
-) -> tuple[int, int]:
+) -> tuple[int, int, float]:
     """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan = (tx, ty, dyaw).
 
-    The unknown is a right perturbation of T_i_j; `inverted` says that `scan` is i and `key` j.
+    Returned are the points with a line, those with a partner, and the information that errors of the
+    normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
+    `scan` is i and `key` j.
     """
+    points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     c, s = math.cos(dyaw), math.sin(dyaw)
-    used, hit = 0, 0
-    inv_s2 = 1.0 / (sigma * sigma)
-    for r in range(starts[scan], starts[scan + 1]):
+    used, hit, faked = 0, 0, 0.0
+    for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not line_ok[r]:
             continue
         used += 1
         px, py = points[r, 0], points[r, 1]
         x, y = tx + c * px - s * py, ty + s * px + c * py
-        row = find_partner(x, y, key, points, table, origin, gate)
+        kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
+        inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
+        row = find_partner(x, y, key, clouds, reach)
         if row < 0 or not line_ok[row]:
             continue
         nx, ny = normals[row, 0], normals[row, 1]
@@ -267,11 +215,12 @@ def _half(
         if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT:
             continue
         e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-        if abs(e) > gate:
+        if abs(e) > reach:
             continue
         hit += 1
         w = 1.0 / (1.0 + e * e * inv_s2)
         w = w * w * inv_s2
+        faked += w * clouds.normal_var[row]
         if inverted:
             j0, j1, j2 = -nx, -ny, -(x * ny - y * nx)
         else:
@@ -286,4 +235,4 @@ def _half(
         g[1] += w * j1 * e
         g[2] += w * j2 * e
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
-    return used, hit
+    return used, hit, faked

@@ -88,11 +88,10 @@ def check_map(
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
     found = in_parts(
         lambda part: denied_shares(
-            clouds.points, clouds.starts, clouds.table, clouds.origin, track.keys, T_map_keys.xyt,
-            both_ways[part], config.wall_m, config.through_m,
+            clouds, track.keys, T_map_keys.xyt, both_ways[part], config.wall_m, config.through_m
         ),
         len(both_ways),
-    )  # fmt: skip
+    )
     share = np.fmax(*np.concatenate(found).reshape(2, -1))
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
@@ -158,17 +157,10 @@ def _longest_blind(track: Track) -> tuple[int, int] | None:
 
 @njit(cache=True, nogil=True)
 def denied_shares(
-    points: Array,
-    starts: NDArray,
-    table: NDArray,
-    origin: Array,
-    keys: NDArray,
-    poses: Array,
-    pairs: NDArray,
-    wall: float,
-    through: float,
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, wall: float, through: float
 ) -> Array:
     """Per pair: of i's points that j confirms or denies, the share denied; NaN when fewer than 20."""
+    points, starts, table, origin = clouds.points, clouds.starts, clouds.table, clouds.origin
     n_bins = table.shape[1]
     scale = n_bins / (2.0 * math.pi)
     out = np.full(len(pairs), np.nan)

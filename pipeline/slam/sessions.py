@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import Recording
 from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import Clouds
+from pipeline.slam.clouds import PER_POINT, Clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
@@ -93,13 +93,10 @@ def joined_clouds(clouds: list[Clouds]) -> Clouds:
         for cloud, row in zip(clouds, rows, strict=False)
     ]
     return Clouds(
-        np.concatenate([cloud.points for cloud in clouds]),
-        np.concatenate([cloud.normals for cloud in clouds]),
-        np.concatenate([cloud.centers for cloud in clouds]),
-        np.concatenate([cloud.line_ok for cloud in clouds]),
-        np.concatenate([*starts, rows[-1:]]).astype(np.int64),
-        np.concatenate(tables).astype(np.int32),
-        clouds[0].origin,
+        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
+        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
+        table=np.concatenate(tables).astype(np.int32),
+        origin=clouds[0].origin,
     )
 
 

@@ -26,7 +26,7 @@ from datasets.types import LidarSpec, Recording
 from datasets.yaml_files import checked
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import make_clouds
+from pipeline.slam.clouds import KNOTS, make_clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
@@ -35,16 +35,17 @@ from pipeline.slam.slam import LATER, SlamConfig
 from pipeline.slam.tracking import Track
 
 FILE = "graph.npz"
-FORMAT = 2
+FORMAT = 3
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
-# shape: b beams, s scans, k keys, m steps between keys, others alike where the letter is.
+# shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
+# letter is.
 LAYOUT = {
     "stamps_ns": ("i", "s"),
     "ranges": ("f", "sb"),
     "T_base_lidar": ("n", "3"),
     "noise": ("n", "3"),
     "T_odom_base": ("n", "s3"),
-    "motion": ("n", "s3"),
+    "motion": ("n", "sw3"),
     "T_map_keys": ("n", "k3"),
     "unbridged": ("b", "m"),
     "track_T_track_base": ("n", "s3"),
@@ -204,7 +205,7 @@ def _check(stored: dict[str, Any], beams: int) -> None:
     """ValueError unless every array is of its kind and shape and points at what is there: compiled code
     that reads them looks no second time."""
     keys = len(stored["track_keys"])
-    sizes = {"b": beams, "k": keys, "m": keys - 1, "2": 2, "3": 3}
+    sizes = {"b": beams, "k": keys, "m": keys - 1, "w": KNOTS, "2": 2, "3": 3}
     for name, (kind, shape) in LAYOUT.items():
         if name not in stored and name in OPTIONAL:
             continue

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, wrap
 from datasets.types import Recording
-from pipeline.slam.align import Alignment, align, observable
+from pipeline.slam.align import Alignment, align
 from pipeline.slam.calibration import Calibration, calibrate
 from pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from pipeline.slam.correlative import best_pose, make_field
@@ -96,6 +96,25 @@ STEADY_SHARE = 0.05
 # Odometry is calibrated anew whenever the key scans have doubled since this many.
 FIRST_CALIBRATION = 25
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
+# Scans further apart than this [s] have seen nothing of what lies between.
+GAP_S = 2.0
+# How well scans and odometry must agree on a motion: floors [m], [rad], and shares of the motion.
+AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
+# For so many scans after a gap the motion since is open.
+DOUBTED_SCANS = 12
+# A scan fits when its cost is no more than this above what is usual.
+FITS = 0.25
+# Less of a scan than this on the surfaces of others tells nothing.
+LEAST_OVERLAP = 0.3
+
+
+@dataclass
+class Doubt:
+    """What went before a gap: the scan, its pose (3,), and for how many scans it is looked back at."""
+
+    scan: int
+    T_map_base: Array
+    left: int = DOUBTED_SCANS
 
 
 class Tracker:
@@ -107,6 +126,8 @@ class Tracker:
         self.kiss: LidarOdometry | None = None
         self._kiss_scan = -1
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
+        self.stamps = recording.stamps_ns
+        self.doubt: Doubt | None = None
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
         self.velocity = np.zeros(3)
@@ -119,6 +140,10 @@ class Tracker:
         """The first scan defines the map."""
         self.pose = np.array(T_map_base, dtype=np.float64)
         self._add_key(scan)
+
+    def extend(self, clouds: Clouds, T_odom_base: Array, stamps_ns: NDArray[np.int64]) -> None:
+        """The log has gone on: all its scans, with odometry (n, 3) and stamps."""
+        self.clouds, self.odometry, self.stamps = clouds, T_odom_base, stamps_ns
 
     def step(self, scan: int) -> tuple[Alignment, int]:
         """Pose of the next scan."""
@@ -137,19 +162,49 @@ class Tracker:
             starts = [(0, guess)] if odometry_step is None else [(0, guess), (1, steady)]
             result, source = self._by_lines(scan, starts, information)
         new = result.T_map_base.xyt
+        sure = self._judge(scan, result)
         self.velocity = between(self.pose, new)
         self.pose = new
-        if self._moved_enough() and self.can_be_key(scan):
+        if self._moved_enough() and self.can_be_key(scan) and sure:
             self._add_key(scan)
         return result, source
+
+    def _judge(self, scan: int, found: Alignment) -> bool:
+        """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
+
+        Returns whether the pose found may be built on.
+        """
+        if self.odometry is None:
+            return True
+        waited = abs(int(self.stamps[scan]) - int(self.stamps[scan - 1])) > GAP_S * 1e9
+        since = self.doubt or Doubt(scan - 1, self.pose)
+        move = between(since.T_map_base, found.T_map_base.xyt)
+        agreed = confirms(self._odometry_since(since.scan, scan), move)
+        fits = found.cost <= self._usual_cost + FITS
+        since.left -= 1
+        if self.doubt is None and waited:
+            self.doubt = since
+        elif since.left <= 0 or (agreed and fits):
+            self.doubt = None
+        return self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP)
 
     def _by_lines(
         self, scan: int, starts: list[tuple[int, Array]], information: Array
     ) -> tuple[Alignment, int]:
         """The scan on the surfaces of the last key scans; where it fits none, the first start."""
         guess = starts[0][1]
-        best = self._best(scan, starts, guess, information)
-        if best is None or best[2] > self._usual_cost + 0.25:
+        points, config = self.clouds.of(scan)[:: max(1, self.clouds.lines(scan) // 90)], self.config
+        searched, _ = best_pose(
+            self.field, points, guess, config.search_m, config.search_rad, config.search_step_rad
+        )
+        best = self._best(scan, [*starts, (0, searched)], guess, information)
+        if self.doubt is not None:
+            step = self._odometry_since(self.doubt.scan, scan)
+            carried = compose(self.doubt.T_map_base, step)
+            other = self._best(scan, [(0, carried)], carried, self.config.odometry.information(step))
+            if other is not None and (best is None or other[2] < best[2]):
+                best = other
+        if best is None or best[2] > self._usual_cost + FITS:
             wide = self._recover(scan, [pose for _, pose in starts])
             again = self._best(scan, [(3, wide)], guess, information)
             if again is not None and (best is None or again[2] < best[2] - 0.05):
@@ -200,7 +255,11 @@ class Tracker:
     def _odometry_step(self, scan: int) -> Array | None:
         if self.odometry is None:
             return None
-        return self.calibration.corrected(between(self.odometry[scan - 1], self.odometry[scan]))
+        return self._odometry_since(scan - 1, scan)
+
+    def _odometry_since(self, before: int, scan: int) -> Array:
+        assert self.odometry is not None
+        return self.calibration.corrected(between(self.odometry[before], self.odometry[scan]))
 
     def key_odometry(self) -> Array:
         """Raw odometry steps between successive key scans, (keys - 1, 3)."""
@@ -224,24 +283,16 @@ class Tracker:
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
-        searched: list[Array] = []
-        points = self.clouds.of(scan)[:: max(1, usable // 90)]
         keys, poses = self._references()
         for source, start in starts:
-            # a start within half a step of the search from another one finds the same peak
-            if any(self._same_search(other, start) for other in searched):
+            # starts this near each other end at the same pose
+            if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
                 continue
-            searched.append(start)
-            coarse, _ = best_pose(
-                self.field, points, start, config.search_m, config.search_rad, config.search_step_rad
-            )
-            if any(np.abs(between(other, coarse)).max() < 0.03 for other in tried):
-                continue
-            tried.append(coarse)
+            tried.append(start)
             result = align(
                 self.clouds,
                 scan,
-                coarse,
+                start,
                 keys,
                 poses,
                 gate=config.gate_m,
@@ -257,12 +308,6 @@ class Tracker:
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
-
-    def _same_search(self, a: Array, b: Array) -> bool:
-        delta, config = np.abs(between(a, b)), self.config
-        return bool(
-            delta[:2].max() <= 0.5 * config.field_resolution_m and delta[2] <= 0.5 * config.search_step_rad
-        )
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window about each centre: the track may be lost."""
@@ -318,7 +363,7 @@ def track_log(
         result, source[scan] = tracker.step(scan)
         poses[scan] = result.T_map_base.xyt
         overlap[scan], rmse[scan] = result.overlap, result.rmse
-        information[scan] = observable(result.information)
+        information[scan] = result.information
     calibration = tracker.calibrated()
     steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
     keys = np.array(tracker.keys)
@@ -343,9 +388,19 @@ def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig)
 
 
 def sees_everything(information: Array) -> bool:
-    """Whether the scan fixed the pose in all directions: the least exceeds the noise of normals well."""
-    seen = np.linalg.eigvalsh(observable(information)[:2, :2])
+    """Whether the scan fixed the pose in all directions."""
+    seen = np.linalg.eigvalsh(information[:2, :2])
     return bool(seen[0] > 0.05 * seen[1] > 0.0)
+
+
+def confirms(odometry: Array, motion: Array) -> bool:
+    """Whether odometry says of a motion (3,) what the scans say."""
+    apart = between(odometry, motion)
+    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
+    return bool(
+        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
+        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
+    )
 
 
 def compose(a: Array, b: Array) -> Array:

@@ -1,0 +1,62 @@
+"""How noisy a lidar's ranges are, by its own log.
+
+In polar coordinates a wall's 1 / r is a cosine of the bearing, so of three neighbouring beams on one wall
+`u(-d) + u(d) - 2 cos(d) u(0)` with u = 1 / r is zero wherever the wall stands and however it is turned.
+What it is instead is noise, by the median over all triples: those across an edge are too few to move it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from datasets.se2 import Array
+from datasets.types import Recording
+
+# Ranges are not better than this [m]: logs are rounded to centimetres, walls are rough.
+LEAST_M = 0.003
+# Scans looked at; bins of ranges, each a factor wide; triples that make a bin count.
+SCANS, BIN_FACTOR, LEAST_TRIPLES = 400, 1.5, 100
+# Standard deviation of a Gaussian over the median of its absolute value.
+PER_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True)
+class RangeNoise:
+    """Standard deviation of a range r [m]: sqrt(floor_m^2 + (per_m r)^2)."""
+
+    floor_m: float = 0.01
+    per_m: float = 0.0
+
+    def variance(self, ranges: Array) -> Array:
+        """Variance [m^2] of ranges of any shape [m]."""
+        return self.floor_m**2 + (self.per_m * ranges) ** 2
+
+
+def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
+    """The noise of a recording's ranges; the usual centimetre when too few beams tell."""
+    step = max(1, len(recording) // SCANS)
+    r = recording.ranges[::step].astype(np.float64)
+    lidar = recording.lidar
+    valid = (r >= max(lidar.range_min, LEAST_M)) & (r <= min(lidar.range_max, usable_range))
+    whole = valid[:, :-2] & valid[:, 1:-1] & valid[:, 2:]
+    u = 1.0 / np.where(valid, r, 1.0)
+    twice_cos = 2.0 * np.cos(lidar.angle_increment)
+    e = np.abs(u[:, :-2] + u[:, 2:] - twice_cos * u[:, 1:-1])[whole]
+    middle = r[:, 1:-1][whole]
+    sigma = PER_MEDIAN * e * middle**2 / np.sqrt(2.0 + twice_cos**2)
+    bins = np.floor(np.log(middle) / np.log(BIN_FACTOR)).astype(int)
+    rows, wanted = [], []
+    for k in np.unique(bins):
+        inside = bins == k
+        if np.count_nonzero(inside) >= LEAST_TRIPLES:
+            variance = max(float(np.median(sigma[inside])), LEAST_M) ** 2
+            share = np.sqrt(np.count_nonzero(inside)) / variance
+            rows.append([share, share * float(np.median(middle[inside])) ** 2])
+            wanted.append(share * variance)
+    if not rows:
+        return RangeNoise()
+    floor, slope = np.sqrt(scipy.optimize.nnls(np.array(rows), np.array(wanted))[0])
+    return RangeNoise(max(float(floor), LEAST_M), float(slope))
