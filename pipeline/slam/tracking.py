@@ -128,8 +128,10 @@ class Tracker:
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.stamps = recording.stamps_ns
         self.doubt: Doubt | None = None
+        self.settled: range = range(0)
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
+        self._last = 0
         self.velocity = np.zeros(3)
         self.calibration = Calibration()
         self._next_calibration = FIRST_CALIBRATION
@@ -162,7 +164,7 @@ class Tracker:
             starts = [(0, guess)] if odometry_step is None else [(0, guess), (1, steady)]
             result, source = self._by_lines(scan, starts, information)
         new = result.T_map_base.xyt
-        sure = self._judge(scan, result)
+        sure, self._last = self._judge(scan, result), scan
         self.velocity = between(self.pose, new)
         self.pose = new
         if self._moved_enough() and self.can_be_key(scan) and sure:
@@ -185,7 +187,7 @@ class Tracker:
         if self.doubt is None and waited:
             self.doubt = since
         elif since.left <= 0 or (agreed and fits):
-            self.doubt = None
+            self.doubt, self.settled = None, range(since.scan + 1, scan)
         return self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP)
 
     def _by_lines(
@@ -256,6 +258,17 @@ class Tracker:
         if self.odometry is None:
             return None
         return self._odometry_since(scan - 1, scan)
+
+    def take_settled(self) -> list[tuple[int, Array]]:
+        """Scans since a gap, once it is clear what happened in it: their poses (3,) as odometry has them seen
+        from the pose found last. Hypotheses took turns for them before."""
+        found = [
+            (scan, compose(self.pose, self._odometry_since(self._last, scan)))
+            for scan in self.settled
+            if scan not in self.keys
+        ]
+        self.settled = range(0)
+        return found
 
     def _odometry_since(self, before: int, scan: int) -> Array:
         assert self.odometry is not None
@@ -364,6 +377,8 @@ def track_log(
         poses[scan] = result.T_map_base.xyt
         overlap[scan], rmse[scan] = result.overlap, result.rmse
         information[scan] = result.information
+        for before, pose in tracker.take_settled():
+            poses[before] = pose
     calibration = tracker.calibrated()
     steps = None if tracker.odometry is None else calibration.corrected(tracker.key_odometry())
     keys = np.array(tracker.keys)
