@@ -23,8 +23,9 @@ BASELINE_M, BASELINE_RAD = 1.5, 1.0
 MIN_OVERLAP = 0.5
 GATES_M = (0.2, 0.1, 0.1)
 SIGMA_M = 0.03
-# Neighbouring beams err together: the information of a match is worth this much less.
-INFLATION = 50.0
+# Neighbouring beams err together: the information of a match is worth this much less. A point's own is a
+# ninth of what its noise says already, for the kernel is three standard deviations wide.
+INFLATION = 10.0
 # What odometry may be wrong by before anything is known: shares of distance and turn, radian per metre.
 PRIOR = np.array([0.05, 0.05, 0.02])
 # Standard deviations over one baseline before anything is known: x, y [m] and yaw [rad].
