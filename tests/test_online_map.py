@@ -21,7 +21,7 @@ from planners.tasks.guarded import GuardConfig
 
 TRUE = around_the_room(200, laps=2)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
-NOISE = RangeNoise(0.01)
+NOISE = RangeNoise()
 
 
 def drive(online: OnlineMap, upto: int = len(LOG)) -> None:

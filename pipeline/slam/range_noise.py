@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from datasets.se2 import Array
 from datasets.types import Recording
@@ -25,14 +24,14 @@ PER_MEDIAN = 1.4826
 
 @dataclass(frozen=True)
 class RangeNoise:
-    """Standard deviation of a range r [m]: sqrt(floor_m^2 + (per_m r)^2)."""
+    """Standard deviations [m] at some ranges [m], in rising order; straight between them, level beyond."""
 
-    floor_m: float = 0.01
-    per_m: float = 0.0
+    at_m: tuple[float, ...] = (1.0,)
+    sigma_m: tuple[float, ...] = (0.01,)
 
     def variance(self, ranges: Array) -> Array:
         """Variance [m^2] of ranges of any shape [m]."""
-        return self.floor_m**2 + (self.per_m * ranges) ** 2
+        return np.interp(ranges, self.at_m, self.sigma_m) ** 2
 
 
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
@@ -48,15 +47,10 @@ def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     middle = r[:, 1:-1][whole]
     sigma = PER_MEDIAN * e * middle**2 / np.sqrt(2.0 + twice_cos**2)
     bins = np.floor(np.log(middle) / np.log(BIN_FACTOR)).astype(int)
-    rows, wanted = [], []
-    for k in np.unique(bins):
-        inside = bins == k
-        if np.count_nonzero(inside) >= LEAST_TRIPLES:
-            variance = max(float(np.median(sigma[inside])), LEAST_M) ** 2
-            share = np.sqrt(np.count_nonzero(inside)) / variance
-            rows.append([share, share * float(np.median(middle[inside])) ** 2])
-            wanted.append(share * variance)
-    if not rows:
+    known = [inside for k in np.unique(bins) if np.count_nonzero(inside := bins == k) >= LEAST_TRIPLES]
+    if not known:
         return RangeNoise()
-    floor, slope = np.sqrt(scipy.optimize.nnls(np.array(rows), np.array(wanted))[0])
-    return RangeNoise(max(float(floor), LEAST_M), float(slope))
+    return RangeNoise(
+        tuple(float(np.median(middle[inside])) for inside in known),
+        tuple(max(float(np.median(sigma[inside])), LEAST_M) for inside in known),
+    )
