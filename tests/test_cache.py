@@ -279,13 +279,13 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     assert mapped("first", "--explain") == ([], [])
     found, said = mapped("again", "--explain")
     assert found == ["reading", *STEPS]
-    assert said == ["from the cache: reading, " + ", ".join(STEPS) + "; made: nothing"]
+    assert said == ["from the cache: reading, " + ", ".join(STEPS) + "; made anew: nothing"]
     assert (
         sha256_tree(tmp_path / "plain") == sha256_tree(tmp_path / "first") == sha256_tree(tmp_path / "again")
     )
     found, said = mapped("fine", "--set", "grid.resolution_m=0.025")
     assert said == [
-        "from the cache: reading, front end, loops, refinement, scan poses; made: grid, self-check"
+        "from the cache: reading, front end, loops, refinement, scan poses; made anew: grid, self-check"
     ]
     assert mapped("moved", "--laser", "0.1,0,0")[0] == []
     words = ["compare", str(tmp_path / "first"), str(tmp_path / "fine"), "--out", str(tmp_path / "to-fine")]

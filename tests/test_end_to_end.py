@@ -236,4 +236,4 @@ def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path
     assert turtlebag("report", tmp_path / "run", "--no-animation", "--out", tmp_path / "report") == 0
     seen = verify(tmp_path / "report")
     assert (seen.problems, seen.unchecked) == ([], [])
-    assert "0 of 1 goals reached" in (tmp_path / "report" / "index.html").read_text()
+    assert "0 of 1 task succeeded" in (tmp_path / "report" / "index.html").read_text()

@@ -228,7 +228,7 @@ def test_damage_is_files_of_a_package_that_are_not_there(tmp_path):
 
 MISSING = {
     "ompl": "plan --map m.yaml --robot burger --start 0.5,0.5,0 --goal 1.5,1.5,0 --out path",
-    "rich": "doctor",
+    "pydantic": "record --world empty --teleop tour --seed 1 --out path",
 }
 WITHOUT = "import sys; sys.modules['{}'] = None; from pipeline.__main__ import run; sys.exit(run())"
 

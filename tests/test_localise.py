@@ -83,10 +83,11 @@ def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, 
 
 def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_path, capsys):
     truth = load_tum(room_log / "truth/trajectory.tum")
-    save_tum(
-        Trajectory(truth.stamps_ns, SE2.from_xyt(0.0, 1.5, 0.0) @ truth.poses), tmp_path / "trajectory.tum"
-    )
-    assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", "--truth", str(tmp_path)) == 1
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    moved = Trajectory(truth.stamps_ns, SE2.from_xyt(0.0, 1.5, 0.0) @ truth.poses)
+    save_tum(moved, elsewhere / "trajectory.tum")
+    assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", "--truth", str(elsewhere)) == 1
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert (metrics["success"], metrics["true_success"]) == (True, False)
     assert metrics["last_error_m"] == pytest.approx(1.5, abs=0.02)
@@ -95,11 +96,12 @@ def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_p
 
 def test_the_truth_of_another_time_is_one_line(room_log, tmp_path, capsys):
     truth = load_tum(room_log / "truth/trajectory.tum")
-    save_tum(Trajectory(truth.stamps_ns + 10**15, truth.poses), tmp_path / "trajectory.tum")
-    assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", "--truth", str(tmp_path)) == 2
+    later = tmp_path / "later"
+    later.mkdir()
+    save_tum(Trajectory(truth.stamps_ns + 10**15, truth.poses), later / "trajectory.tum")
+    assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", "--truth", str(later)) == 2
     assert (
-        capsys.readouterr().err
-        == f"turtlebag: --truth {tmp_path}: the estimate and the truth share no time\n"
+        capsys.readouterr().err == f"turtlebag: --truth {later}: the estimate and the truth share no time\n"
     )
     assert not (tmp_path / "out").exists()
 

@@ -24,8 +24,8 @@ GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
 # A match after a gap counts when this share of the scan fits and it is not blind in any direction.
 MIN_OVERLAP, LEAST_OVERLAP, BLIND = 0.5, 0.3, 0.01
-# In a short wait with little motion (metres and radians together) a blind direction hides nothing.
-SHORT_S, SHORT_MOTION = 5.0, 0.5
+# In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
+SHORT_S = 5.0
 # Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.
 SEEN_DRIFT, BLIND_DRIFT, UNWITNESSED_DRIFT = 0.02, 0.1, 0.4
 ANYWHERE = 1e6
@@ -150,8 +150,7 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
             continue
         agree = _agree(recording, track, before, after) and not _too_fast(recording, track, before, after)
         wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
-        short = wait < SHORT_S and np.linalg.norm((T[before].inverse() @ T[after]).xyt) < SHORT_MOTION
-        seen = track.overlap[after] >= MIN_OVERLAP and (short or not _blind(track)[after])
+        seen = track.overlap[after] >= MIN_OVERLAP and (wait < SHORT_S or not _blind(track)[after])
         if not (agree and seen):
             broken[step] = True
             contradicted[step] |= not agree
