@@ -7,7 +7,7 @@ from datasets.errors import InputError
 from datasets.grid import FREE, OCCUPIED, UNKNOWN
 from datasets.se2 import SE2
 from pipeline.slam import occupancy
-from pipeline.slam.occupancy import OccupancyConfig, make_grid, thinned
+from pipeline.slam.occupancy import BEHIND_CELLS, OccupancyConfig, make_grid, thinned
 from tests.slam_rooms import LDS, around_the_room, recording, rectangle
 
 U, F, X = UNKNOWN, FREE, OCCUPIED
@@ -22,15 +22,15 @@ def thinned_by_numpy(cells, hits, behind, before):
 
     wall, free = cells == X, cells == F
     faces = np.any(neighbours(free, False), axis=0)
-    best = np.max(
-        [
-            np.where(w & f, h, 0)
-            for w, f, h in zip(
-                neighbours(wall, False), neighbours(faces, False), neighbours(hits, 0), strict=True
-            )
-        ],
-        axis=0,
-    )
+    best = np.zeros(cells.shape)
+    for k in range(4):
+        face, strength, open_ = wall & faces, hits, free
+        between = np.ones(cells.shape, dtype=bool)
+        for _ in range(BEHIND_CELLS):
+            face, strength = neighbours(face, False)[k], neighbours(strength, 0)[k]
+            open_ = neighbours(open_, True)[k]
+            between &= ~open_
+            best = np.maximum(best, np.where(face & between, strength, 0))
     out = np.where(wall & ~faces & (hits < behind * best), U, cells)
     closes = np.any(neighbours(out == U, False), axis=0)
     closes[[0, -1]], closes[:, [0, -1]] = True, True
