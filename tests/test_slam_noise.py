@@ -29,12 +29,12 @@ POSES = around_the_room(120)
 )
 def test_the_noise_of_the_ranges_is_found_in_the_log(floor, slope, square):
     exact = recording(ROOM, POSES, SICK, noise=0.0)
-    sigma = floor + slope * exact.ranges + square * exact.ranges**2
-    noisy = exact.ranges + np.random.default_rng(4).standard_normal(exact.ranges.shape) * sigma
+    variance = floor**2 + (slope * exact.ranges) ** 2 + (square * exact.ranges**2) ** 2
+    noisy = exact.ranges + np.random.default_rng(4).standard_normal(exact.ranges.shape) * np.sqrt(variance)
     found = range_noise(replace(exact, ranges=noisy.astype(np.float32)), 30.0)
     for r in (1.0, 3.0, 5.0):
         assert math.sqrt(found.variance(r)) == pytest.approx(
-            max(floor + slope * r + square * r**2, 0.003), rel=0.2
+            math.hypot(max(floor, 0.003), slope * r, square * r**2), rel=0.2
         )
 
 
@@ -46,7 +46,7 @@ def test_a_log_with_too_few_returns_has_the_usual_noise():
 
 @pytest.mark.parametrize("noise", [0.005, 0.01, 0.03])
 def test_the_directions_of_lines_err_as_much_as_they_say(noise):
-    clouds = make_clouds(recording(ROOM, POSES, LDS, noise=noise), 30.0, noise=RangeNoise((1.0,), (noise,)))
+    clouds = make_clouds(recording(ROOM, POSES, LDS, noise=noise), 30.0, noise=RangeNoise(noise))
     scan = np.repeat(np.arange(len(POSES)), np.diff(clouds.starts))
     ok = clouds.line_ok
     angle = np.arctan2(clouds.normals[:, 1], clouds.normals[:, 0]) + POSES[scan, 2]
@@ -59,9 +59,7 @@ def test_the_directions_of_lines_err_as_much_as_they_say(noise):
 
 def test_no_line_bends_round_the_end_of_a_wall():
     edge = np.array([[2.0, -5.0, 2.0, 0.2], [2.0, 0.2, 2.2, 0.2], [2.2, 0.2, 2.2, 5.0]])
-    clouds = make_clouds(
-        recording(edge, np.zeros((40, 3)), LDS, noise=0.01), 30.0, noise=RangeNoise((1.0,), (0.01,))
-    )
+    clouds = make_clouds(recording(edge, np.zeros((40, 3)), LDS, noise=0.01), 30.0, noise=RangeNoise(0.01))
     ok = clouds.line_ok & (np.abs(clouds.points[:, 1] - 0.2) < 0.3)
     error = np.abs(wrap(4.0 * np.arctan2(clouds.normals[ok, 1], clouds.normals[ok, 0]))) / 4.0
     assert np.count_nonzero(ok) > 200

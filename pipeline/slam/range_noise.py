@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from datasets.se2 import Array
 from datasets.types import Recording
@@ -24,14 +25,19 @@ PER_MEDIAN = 1.4826
 
 @dataclass(frozen=True)
 class RangeNoise:
-    """Standard deviations [m] at some ranges [m], in rising order; straight between them, level beyond."""
+    """Standard deviation of a range r [m]: sqrt(floor_m^2 + (per_m r)^2 + (per_m2 r^2)^2).
 
-    at_m: tuple[float, ...] = (1.0,)
-    sigma_m: tuple[float, ...] = (0.01,)
+    Electronics give a floor, times of flight and tolerances grow with the range, triangulation with its
+    square.
+    """
+
+    floor_m: float = 0.01
+    per_m: float = 0.0
+    per_m2: float = 0.0
 
     def variance(self, ranges: Array) -> Array:
         """Variance [m^2] of ranges of any shape [m]."""
-        return np.interp(ranges, self.at_m, self.sigma_m) ** 2
+        return self.floor_m**2 + (self.per_m * ranges) ** 2 + (self.per_m2 * ranges**2) ** 2
 
 
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
@@ -47,10 +53,16 @@ def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     middle = r[:, 1:-1][whole]
     sigma = PER_MEDIAN * e * middle**2 / np.sqrt(2.0 + twice_cos**2)
     bins = np.floor(np.log(middle) / np.log(BIN_FACTOR)).astype(int)
-    known = [inside for k in np.unique(bins) if np.count_nonzero(inside := bins == k) >= LEAST_TRIPLES]
-    if not known:
+    rows, wanted = [], []
+    for k in np.unique(bins):
+        inside = bins == k
+        if np.count_nonzero(inside) >= LEAST_TRIPLES:
+            # each bin's error is a share of its variance, the smaller the more triples it has
+            variance = max(float(np.median(sigma[inside])), LEAST_M) ** 2
+            share, at = np.sqrt(np.count_nonzero(inside)) / variance, float(np.median(middle[inside]))
+            rows.append([share, share * at**2, share * at**4])
+            wanted.append(share * variance)
+    if not rows:
         return RangeNoise()
-    return RangeNoise(
-        tuple(float(np.median(middle[inside])) for inside in known),
-        tuple(max(float(np.median(sigma[inside])), LEAST_M) for inside in known),
-    )
+    floor, slope, square = np.sqrt(scipy.optimize.nnls(np.array(rows), np.array(wanted))[0])
+    return RangeNoise(max(float(floor), LEAST_M), float(slope), float(square))
