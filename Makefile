@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags mutants study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-bags mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -109,9 +109,11 @@ pictures: demo ## the animations of the README, out of the demo's report
 bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
-bench-slam: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), synthetic logs, simulated worlds
-	$(PY) -m benchmarks.slam
-	$(PY) -m benchmarks.slam_worlds
+bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
+	$(PY) -m benchmarks.slam_campaign --quick
+	$(PY) -m benchmarks.slam3d --quick
+bench-slam-all: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), drives, disturbances; goes on where it was stopped
+	$(PY) -m benchmarks.slam_campaign
 	$(PY) -m benchmarks.slam3d
 bench-localise: $(READY) ## localisation: accuracy, speed, from nothing, kidnapped
 	$(PY) -m benchmarks.localise

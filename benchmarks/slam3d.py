@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks.slam import write
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
+from benchmarks.slam_rows import write
 from datasets import se3
 from datasets.bags.clouds import load_clouds
 from datasets.maps import load_map, save_map

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.slam_plans import Caster, FloorPlan
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.seeds import stream
 from datasets.types import LidarSpec, Recording, Trajectory
@@ -191,14 +191,14 @@ def drifted(poses: Array, wheels: Wheels, lies: tuple[Lie, ...], rng: np.random.
             seen[part.start] += (1.5, 0.5, 0.8)
         else:
             raise ValueError(f"no such lie: {lie.kind}")
-    out = _integrate(poses[0], seen)
+    out = integrate(poses[0], seen)
     # While frozen the last value is repeated; afterwards the odometry is right again, at once.
     index = np.where(np.concatenate([[False], held]), 0, np.arange(len(out)))
     return out[np.maximum.accumulate(index)]
 
 
 @njit(cache=True)
-def _integrate(start: Array, steps: Array) -> Array:
+def integrate(start: Array, steps: Array) -> Array:
     out = np.empty((len(steps) + 1, 3))
     out[0] = start
     for k in range(len(steps)):

@@ -31,6 +31,12 @@ WHEELS = {
 }
 
 
+def wheels_of(seed: int) -> Wheels:
+    """The wheels of a seed: drawn with it where they are not one of WHEELS."""
+    scale, turn, drift = stream(seed, "wheels").uniform(-1.0, 1.0, 3) * (0.03, 0.03, 0.004)
+    return WHEELS.get(seed) or Wheels(float(scale), float(turn), float(drift))
+
+
 def ring(seed: int, range_max: float) -> Log:
     """Corridor ring 20 x 14 m, 2 m wide, not one feature on its walls; three laps."""
     plan = FloorPlan(24.0, 18.0)
@@ -209,7 +215,7 @@ def office(seed: int, what: str = "plain") -> Log:
     lies, change, person = MISHAPS[what]
     log = make_log(
         f"office-{what}-{seed}", office_plan(seed), office_route(), OFFICE_SENSOR,
-        wheels=WHEELS[seed], lies=lies, seed=seed, person=person, pace=1.0,
+        wheels=wheels_of(seed), lies=lies, seed=seed, person=person, pace=1.0,
     )  # fmt: skip
     return change(log)
 
@@ -292,7 +298,7 @@ def arena(seed: int, style: str) -> Log:
     }[style]
     sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
     return make_log(
-        f"arena-{style}-{seed}", plan, np.array(route), sensor, drive=drive, wheels=WHEELS[seed], seed=seed
+        f"arena-{style}-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
     )
 
 
@@ -319,7 +325,7 @@ def rooms(seed: int) -> Log:
     sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.064, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
     drive = Drive(v=0.22, w=1.2, ahead=0.3)
     return make_log(
-        f"rooms-{seed}", plan, np.array(route), sensor, drive=drive, wheels=WHEELS[seed], seed=seed
+        f"rooms-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
     )
 
 
@@ -344,7 +350,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
             break
     sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
     drive = Drive(v=0.22, w=1.0, ahead=0.3)
-    return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=WHEELS[seed], seed=seed)
+    return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
 
 
 LOGS: dict[str, Callable[[], Log]] = {

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 
 CELL = 0.05

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from benchmarks.slam import radish, timed
-from benchmarks.slam_tables import Row, write
+from benchmarks.slam_cases import mapped
+from benchmarks.slam_public import public_data
+from benchmarks.slam_rows import Row, write
 from datasets.recordings import load_recording
 from datasets.relations import Relations, load_relations
 from datasets.se2 import SE2, Array, wrap
@@ -32,6 +33,7 @@ from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.refine import linearise_pairs
+from reports.metrics.relations import nearest
 
 GATES_M = (0.3, 0.15, 0.1, 0.1, 0.1)
 MIN_OVERLAP = 0.6
@@ -54,22 +56,13 @@ def witnesses(folder: Path, name: str) -> Witnesses:
     """All witnesses of a log's relations."""
     recording = load_recording(folder / f"{name}.clf.bz2")
     relations = load_relations(folder / f"{name}.relations")
-    poses = timed(recording)[0].trajectory.poses
-    a, b = (_nearest(recording.stamps_ns, s) for s in (relations.stamps_a_ns, relations.stamps_b_ns))
+    poses = mapped(recording)[0].trajectory.poses
+    a, b = (nearest(recording.stamps_ns, s)[0] for s in (relations.stamps_a_ns, relations.stamps_b_ns))
     clouds = make_clouds(recording, 30.0)
     lines, sure = _by_lines(clouds, a, b, relations.T_a_b)
     points, overlap = _by_points(clouds, a, b, relations.T_a_b)
     ours = poses[a].inverse() @ poses[b]
     return Witnesses(relations.T_a_b, ours, lines, points, sure & (overlap > MIN_OVERLAP))
-
-
-def _nearest(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    right = np.clip(np.searchsorted(ordered, wanted), 1, len(ordered) - 1)
-    left = right - 1
-    nearer = np.where(wanted - ordered[left] <= ordered[right] - wanted, left, right)
-    return np.asarray(order[nearer])
 
 
 def _by_lines(
@@ -176,7 +169,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam_relations"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    folder = radish()
+    folder = public_data()
     if folder is None:
         print("TURTLEBAG_DATA is not set: there are no relations to judge")
         return

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2, Array, wrap
 from datasets.seeds import stream
 from datasets.types import Trajectory
 from reports.metrics.trajectory import fit_rigid
@@ -21,11 +21,17 @@ FOLD_M = 3.0
 
 @dataclass(frozen=True)
 class Score:
-    """Errors in metres and degrees; `folded` is the share of scans laid over a place they never saw."""
+    """Errors in metres and degrees; `folded` is the share of scans laid over a place they never saw.
+
+    `ate` and `ate_worst` have the first pose as their only anchor; after a rigid fit `ate_aligned` and
+    `ate_max` are left, and `yaw_deg` of the yaws.
+    """
 
     ate: float
+    ate_worst: float
     ate_aligned: float
     ate_max: float
+    yaw_deg: float
     relation_m: float
     relation_deg: float
     return_m: float
@@ -43,12 +49,16 @@ def score(estimate: SE2, truth: Trajectory) -> Score:
     fitted = fit_rigid(estimate.xy, true.xy)
     aligned = np.linalg.norm(fitted @ estimate.xy - true.xy, axis=1)
     near, back = _pairs(true, PAIRS)
+    turned = wrap((fitted @ estimate).yaw - true.yaw)
+    anchored = np.linalg.norm(moved.xy - true.xy, axis=1)
     e_near, e_back = _relation_error(estimate, true, near), _relation_error(estimate, true, back)
     both = np.concatenate([e_near, e_back])
     return Score(
-        ate=_rms(np.linalg.norm(moved.xy - true.xy, axis=1)),
+        ate=_rms(anchored),
+        ate_worst=float(anchored.max()),
         ate_aligned=_rms(aligned),
         ate_max=float(aligned.max()),
+        yaw_deg=float(np.degrees(_rms(turned))),
         relation_m=float(both[:, 0].mean()),
         relation_deg=float(np.degrees(both[:, 1].mean())),
         return_m=float(e_back[:, 0].mean()) if len(e_back) else 0.0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.relations import Relations
 from datasets.se2 import Array, wrap
@@ -21,8 +22,8 @@ def relation_errors(estimate: Trajectory, relations: Relations) -> tuple[Array, 
     the two relative poses - and the same two by Cartographer's: norm and angle of
     (p_a^-1 p_b) * expected^-1.
     """
-    a, found_a = _nearest(estimate.stamps_ns, relations.stamps_a_ns)
-    b, found_b = _nearest(estimate.stamps_ns, relations.stamps_b_ns)
+    a, found_a = nearest(estimate.stamps_ns, relations.stamps_a_ns)
+    b, found_b = nearest(estimate.stamps_ns, relations.stamps_b_ns)
     both = found_a & found_b
     T_est = estimate.poses[a[both]].inverse() @ estimate.poses[b[both]]
     T_true = relations.T_a_b[both]
@@ -38,8 +39,8 @@ def relations_metrics(estimate: Trajectory, relations: Relations) -> dict[str, A
     return {"relations": _summary(trans, rot), "relations_cartographer": _summary(trans_c, rot_c)}
 
 
-def _nearest(stamps: Stamps, wanted: Stamps) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the nearest stamp (unsorted stamps allowed) and whether it is near enough."""
+def nearest(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """For each wanted stamp the index of the nearest (in any order), and whether it is near enough."""
     order = np.argsort(stamps, kind="stable")
     ordered = stamps[order]
     right = np.clip(np.searchsorted(ordered, wanted), 1, max(len(ordered) - 1, 1))

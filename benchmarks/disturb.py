@@ -1,0 +1,300 @@
+"""Logs made harder, each in one known way, together with what is known of them: relations and true poses.
+
+Each way is a function of a `Known` and a Generator. What is done to the scans of a log, to its odometry and
+to its time is done to its truth as well, so that the new log is scored as the old one was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from benchmarks.slam_drives import integrate
+from datasets.relations import Relations
+from datasets.se2 import SE2, Array, wrap
+from datasets.seeds import stream
+from datasets.types import ImuLog, Recording, Trajectory
+from reports.metrics.relations import nearest
+
+Mask = NDArray[np.bool_]
+NO_RELATIONS = Relations(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), SE2.identity(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A log and what is known of it.
+
+    `reference` holds a pose for each scan (n,), NaN where nobody knows it; `which` says which of the
+    undisturbed log's relations are left.
+    """
+
+    recording: Recording
+    reference: SE2
+    relations: Relations
+    which: NDArray[np.int64]
+
+    @property
+    def odometry(self) -> SE2:
+        """Odometry at each scan; ValueError when the log has none."""
+        if self.recording.T_odom_base is None:
+            raise ValueError(f"{self.recording.source}: no odometry to disturb")
+        return self.recording.T_odom_base
+
+
+def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
+    """An undisturbed log."""
+    return Known(recording, reference, relations, np.arange(len(relations)))
+
+
+def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
+    """The log in one of MODES."""
+    return MODES[mode](log, stream(seed, mode))
+
+
+# Scans lost.
+
+
+def with_scans(log: Known, keep: Mask | slice) -> Known:
+    """The log with these scans only, and the relations whose two scans are left."""
+    r = log.recording
+    recording = replace(
+        r,
+        stamps_ns=r.stamps_ns[keep],
+        ranges=r.ranges[keep],
+        T_odom_base=None if r.T_odom_base is None else r.T_odom_base[keep],
+    )
+    pairs = log.relations
+    left = np.ones(len(pairs), dtype=bool)
+    for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
+        left &= nearest(recording.stamps_ns, wanted)[1]
+    return Known(recording, log.reference[keep], chosen(pairs, left), log.which[left])
+
+
+def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
+    """Some of the relations, by index or mask."""
+    return Relations(relations.stamps_a_ns[which], relations.stamps_b_ns[which], relations.T_a_b[which])
+
+
+def times(recording: Recording) -> Array:
+    """Seconds since the first scan, (n,)."""
+    return np.asarray((recording.stamps_ns - recording.stamps_ns[0]) * 1e-9)
+
+
+def places(log: Known, count: int, rng: np.random.Generator | None = None) -> list[int]:
+    """Up to `count` scans far from each other in time: where the robot turns most, or with `rng` anywhere."""
+    t, n = times(log.recording), len(log.recording)
+    turn = np.convolve(np.abs(steps(log.odometry)[:, 2]), np.ones(15), "same")
+    order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
+    margin, apart = min(60, n // 10), min(60.0, log.recording.duration() / (2 * count))
+    found: list[int] = []
+    for i in order[(order >= margin) & (order < n - margin)]:
+        if len(found) < count and all(abs(t[i] - t[j]) > apart for j in found):
+            found.append(int(i))
+    return found
+
+
+def around(log: Known, centres: list[int], seconds: float) -> Mask:
+    """Scans within a stretch of so many seconds about one of the centres, (n,)."""
+    t = times(log.recording)
+    return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
+
+
+def gaps(log: Known, centres: list[int], seconds: float) -> Known:
+    """Scans lost in a stretch about each centre."""
+    return with_scans(log, ~around(log, centres, seconds))
+
+
+# Odometry.
+
+
+def steps(T: SE2) -> Array:
+    """Each pose as seen from the one before, (n - 1, 3)."""
+    return (T[:-1].inverse() @ T[1:]).xyt
+
+
+def with_odometry(log: Known, T_odom_base: SE2) -> Known:
+    """The log with another odometry at its scans.
+
+    Between two scans the full-rate stream, where there is one, takes its share of what has changed.
+    """
+    r, old = log.recording, log.odometry
+    odometry = r.odometry
+    if odometry is not None:
+        k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
+        extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
+        spans = np.diff(r.stamps_ns)[k]
+        share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
+        within = old[k].inverse() @ odometry.poses
+        poses = T_odom_base[k] @ within @ SE2.identity(len(k)).interpolate(extra, share)
+        odometry = Trajectory(odometry.stamps_ns, poses)
+    return replace(log, recording=replace(r, T_odom_base=T_odom_base, odometry=odometry))
+
+
+def with_steps(log: Known, moved: ArrayLike) -> Known:
+    """The log whose odometry makes these steps (n - 1, 3) from where it started."""
+    poses = integrate(log.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
+    return with_odometry(log, SE2.from_array(poses))
+
+
+def bias(log: Known, rng: np.random.Generator) -> Known:
+    """Wheels 5 % long that turn by a degree a metre."""
+    moved = steps(log.odometry)
+    moved[:, 0] *= 1.05
+    moved[:, 2] += np.deg2rad(1.0) * np.abs(moved[:, 0])
+    return with_steps(log, moved)
+
+
+def noisy(log: Known, rng: np.random.Generator) -> Known:
+    """Wheel noise of 5 % of the way, and of 10 degrees a radian turned."""
+    moved = steps(log.odometry)
+    way, turn = np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2])
+    moved[:, 0] += 0.05 * way * rng.standard_normal(len(moved))
+    moved[:, 2] += 0.17 * turn * rng.standard_normal(len(moved)) + 0.03 * way * rng.standard_normal(
+        len(moved)
+    )
+    return with_steps(log, moved)
+
+
+def late(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry 0.3 s late."""
+    t, T = times(log.recording), log.odometry
+    order = np.argsort(t, kind="stable")
+    yaw = np.unwrap(T.yaw[order])
+    x, y, yaw = (np.interp(t - 0.3, t[order], values) for values in (T.x[order], T.y[order], yaw))
+    return with_odometry(log, SE2.from_xyt(x, y, yaw))
+
+
+def stuck(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry that stands still for 3 s in five turns, and never makes up for it."""
+    moved = steps(log.odometry)
+    moved[around(log, places(log, 5), 3.0)[:-1]] = 0.0
+    return with_steps(log, moved)
+
+
+def jump(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry that jumps by 2 m and 60 degrees three times."""
+    moved = steps(log.odometry)
+    for i in places(log, 3, rng):
+        way = rng.uniform(-np.pi, np.pi)
+        moved[i] += [2.0 * np.cos(way), 2.0 * np.sin(way), np.deg2rad(60.0)]
+    return with_steps(log, moved)
+
+
+# Ranges.
+
+
+def with_ranges(log: Known, ranges: ArrayLike) -> Known:
+    """The log with other ranges (n_scans, n_beams)."""
+    return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
+
+
+def without_returns(log: Known, lost: ArrayLike) -> Known:
+    """The log with no return on these beams."""
+    return with_ranges(log, np.where(lost, np.inf, log.recording.ranges))
+
+
+def shortened(log: Known, metres: float) -> Known:
+    """No returns from beyond a range."""
+    return without_returns(log, log.recording.ranges > metres)
+
+
+def outside(log: Known, degrees: float) -> Mask:
+    """Beams beside a view of so many degrees straight ahead of the lidar, (n_beams,)."""
+    return np.abs(wrap(log.recording.lidar.angles)) > np.deg2rad(0.5 * degrees) + 1e-9
+
+
+def drop30(log: Known, rng: np.random.Generator) -> Known:
+    """No return on 30 % of the beams."""
+    return without_returns(log, rng.random(log.recording.ranges.shape) < 0.3)
+
+
+def noise3(log: Known, rng: np.random.Generator) -> Known:
+    """Noise of 3 cm on every range."""
+    ranges = log.recording.ranges
+    noised = np.maximum(ranges + 0.03 * rng.standard_normal(ranges.shape), 0.05)
+    return with_ranges(log, np.where(np.isfinite(ranges), noised, ranges))
+
+
+# All of it.
+
+
+def mirrored(T: SE2) -> SE2:
+    """Poses in the mirror that stands along the x axis."""
+    return SE2.from_array(T.xyt * [1.0, -1.0, -1.0])
+
+
+def mirrored_scans(log: Known) -> Known:
+    """The log whose lidar hangs upside down and does not say so."""
+    lidar = log.recording.lidar
+    lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
+    return replace(log, recording=replace(log.recording, lidar=lidar))
+
+
+def mirror(log: Known, rng: np.random.Generator) -> Known:
+    """The world in a mirror: left is right for scans, odometry, gyro and truth."""
+    r, pairs = mirrored_scans(log).recording, log.relations
+    imu, odometry = r.imu, r.odometry
+    recording = replace(
+        r,
+        T_base_lidar=mirrored(r.T_base_lidar),
+        T_odom_base=mirrored(log.odometry),
+        odometry=None if odometry is None else replace(odometry, poses=mirrored(odometry.poses)),
+        imu=None
+        if imu is None
+        else ImuLog(
+            imu.stamps_ns,
+            imu.angular_velocity * [-1.0, 1.0, -1.0],
+            imu.linear_acceleration * [1.0, -1.0, 1.0],
+        ),
+    )
+    relations = replace(pairs, T_a_b=mirrored(pairs.T_a_b))
+    return Known(recording, mirrored(log.reference), relations, log.which)
+
+
+def reverse(log: Known, rng: np.random.Generator) -> Known:
+    """The log played backwards. ValueError for a lidar whose beams are not taken all at once."""
+    r, pairs = log.recording, log.relations
+    if r.lidar.time_increment != 0.0:
+        raise ValueError(f"{r.source}: a turning lidar cannot be played backwards")
+    ends = r.stamps_ns[0] + r.stamps_ns[-1]
+    odometry, imu = r.odometry, r.imu
+    recording = replace(
+        r,
+        stamps_ns=ends - r.stamps_ns[::-1],
+        ranges=r.ranges[::-1],
+        T_odom_base=log.odometry[::-1],
+        odometry=None
+        if odometry is None
+        else Trajectory(ends - odometry.stamps_ns[::-1], odometry.poses[::-1]),
+        imu=None
+        if imu is None
+        else ImuLog(ends - imu.stamps_ns[::-1], -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]),
+    )
+    relations = Relations(ends - pairs.stamps_a_ns, ends - pairs.stamps_b_ns, pairs.T_a_b)
+    return Known(recording, log.reference[::-1], relations, log.which)
+
+
+Mode = Callable[[Known, np.random.Generator], Known]
+MODES: dict[str, Mode] = {
+    "gap3": lambda log, rng: gaps(log, places(log, 5), 3.0),
+    "gap20": lambda log, rng: gaps(log, places(log, 3, rng), 20.0),
+    "half": lambda log, rng: with_scans(log, slice(None, None, 2)),
+    "third": lambda log, rng: with_scans(log, slice(None, None, 3)),
+    "bias": bias,
+    "noisy": noisy,
+    "late": late,
+    "stuck": stuck,
+    "jump": jump,
+    "range8": lambda log, rng: shortened(log, 8.0),
+    "fov120": lambda log, rng: without_returns(log, outside(log, 120.0)),
+    "drop30": drop30,
+    "noise3": noise3,
+    "mirror": mirror,
+    "reverse": reverse,
+}
+"""gap3 loses 3 s of scans in each of five turns, gap20 20 s three times; half and third keep every second
+and third scan; range8 sees 8 m far, fov120 120 degrees wide."""

@@ -1,0 +1,204 @@
+"""The campaign of the mapper: logs, drives and disturbances that nobody tuned on, row by row.
+
+python -m benchmarks.slam_campaign [SUITE ...] [--quick] [--limit N] [--only PATTERN] [--workers N]
+                                   [--minutes M] [--keep] [--out DIR]
+
+Suites:
+  logs       the public logs, with what others published
+  disturbed  the Radish logs with relations in fifteen modes (benchmarks.disturb)
+  drives     300 simulated drives: five places, two robots, every script, unseen seeds
+  fast50     house, burger, `fast`, seeds 1001-1050, realistic and clean sensors
+  synthetic  the synthetic logs (benchmarks.slam_logs), as they are and with four other lidars
+  detector   the self-check on good and bad maps (benchmarks.slam_detector)
+  worlds     the drives of docs/results.md
+  ablation   each part of the mapper switched off
+  growth     cost of one, two, four times the drive
+
+Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
+suite's cases is fixed, and any first part of it (--limit) is a fair sample; --quick takes a small one of
+the first six. Every map is a row, a JSON line in DIR/rows: the same command goes on where it was stopped.
+Rows of other code are measured again, unless --keep. The summary is of all rows there are. Errors [m, deg]
+are those of the relations where a log has any, else after a rigid fit (`anchored`: with the first pose as
+the only anchor). CPU seconds are those of mapping alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from benchmarks import slam_targets as targets
+from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
+from benchmarks.slam_detector import detection, detector_cases
+from benchmarks.slam_parts import ablation_cases, ablation_table, growth_cases
+from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
+from benchmarks.slam_rows import Case, Row, Rows, code_of, shown, write
+from benchmarks.workers import in_processes
+
+MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
+SIMULATED = (*MAPPER, "sim")
+DISTURBED = (*MAPPER, "benchmarks/disturb.py")
+SYNTHETIC = (*DISTURBED, *(f"benchmarks/slam_{name}.py" for name in ("logs", "drives", "plans")))
+LIMIT_MINUTES = 30.0
+BASICS = ("case", "scans", "m", "deg", "worst_m")
+ENDS = ("verdict", "reasons", "loops", "cpu_s", "error")
+EXACT = (*BASICS, "anchored_m", "anchored_worst_m")
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Cases with one table; `summary` are tables of many rows, `judge` says what was asked."""
+
+    cases: Sequence[Case]
+    columns: tuple[str, ...]
+    judge: Callable[[list[Row]], list[Row]] | None = None
+    summary: Callable[[list[Row]], list[Row]] | None = None
+    quick: int = 0
+    code: tuple[str, ...] = MAPPER
+
+
+def suites(out: Path, data: Path | None) -> dict[str, Suite]:
+    """Every suite by name; without the public logs those that need them have no cases."""
+    files = Files(out, code_of(MAPPER))
+    relations = ("case", "scans", "m", "deg", "before_m", "before_deg", "ratio", "scored by")
+    world = (*EXACT, "within", "iou", "walls", "stuck")
+    return {
+        "logs": Suite(
+            log_cases(data, files) if data else [],
+            (*BASICS, *COLUMNS, *ENDS),
+            targets.logs,
+            quick=99,
+        ),
+        "disturbed": Suite(
+            disturbed_cases(data, files) if data else [],
+            (*relations, *ENDS),
+            targets.disturbed,
+            quick=15,
+            code=DISTURBED,
+        ),
+        "drives": Suite(
+            drive_cases(),
+            (*world, *ENDS),
+            targets.drives,
+            targets.by("world", "robot", "teleop"),
+            quick=24,
+            code=SIMULATED,
+        ),
+        "fast50": Suite(
+            fast_cases(), (*EXACT, *ENDS), targets.fast50, targets.by("sensors"), quick=8, code=SIMULATED
+        ),
+        "synthetic": Suite(
+            synthetic_cases(out),
+            (*EXACT, "near_deg", "folded", "driven_m", "odometry_m", *ENDS),
+            summary=targets.by("lidar"),
+            quick=30,
+            code=SYNTHETIC,
+        ),
+        "detector": Suite(
+            detector_cases(),
+            ("half", *EXACT, *ENDS),
+            targets.detector,
+            detection,
+            quick=36,
+            code=(*SYNTHETIC, "sim"),
+        ),
+        "worlds": Suite(world_cases(out), (*world, "near_deg", *ENDS), code=SIMULATED),
+        "ablation": Suite(
+            ablation_cases(data), (*EXACT, *ENDS), targets.ablation, ablation_table, code=SYNTHETIC
+        ),
+        "growth": Suite(
+            growth_cases(), ("case", "scans", "m", "cpu_s", "ms a scan", "error"), code=SYNTHETIC
+        ),
+    }
+
+
+def chosen(suite: Suite, limit: int | None, pattern: str) -> Suite:
+    """The suite's first cases of those that fit a pattern."""
+    cases = [case for case in suite.cases if fnmatch.fnmatch(case.name, pattern)]
+    return replace(suite, cases=cases[:limit])
+
+
+def measure(name: str, suite: Suite, rows: Rows, workers: int, limit_s: float) -> None:
+    """Measure what has no row yet."""
+    waiting = [case for case in suite.cases if not rows.has(case.name)]
+    print(f"{name}: {len(suite.cases)} cases, {len(waiting)} to measure", flush=True)
+    for case, row in in_processes(waiting, workers, limit_s):
+        row = rows.add(case.name, row)
+        keys = ("error",) if "error" in row else ("m", "worst_m", "anchored_worst_m", "verdict", "cpu_s")
+        told = ", ".join(f"{key} {shown(row[key])}" for key in keys if row.get(key) is not None)
+        print(f"  {case.name}: {told}", flush=True)
+
+
+def tables(out: Path, name: str, suite: Suite, rows: list[Row]) -> None:
+    """Write and print a suite's tables."""
+    write(out, name, rows, suite.columns)
+    if suite.summary and rows:
+        write(out, f"{name}-summary", suite.summary(rows))
+
+
+def summary(name: str, suite: Suite, rows: list[Row]) -> list[Row]:
+    """What was asked of a suite, and what its rows come to."""
+    judged = suite.judge(rows) if suite.judge and rows else []
+    return [{"suite": name, "maps": f"{len(rows)} of {len(suite.cases)}", **line} for line in judged]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure what is asked for, print and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
+    parser.add_argument("--quick", action="store_true", help="a sample that takes less than 20 minutes")
+    parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=LIMIT_MINUTES,
+        metavar="M",
+        help="a case that takes longer is an error",
+    )
+    parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam"))
+    args = parser.parse_args(argv)
+    data = public_data()
+    known = suites(args.out.absolute(), data)
+    names = args.suites or [name for name, suite in known.items() if suite.quick or not args.quick]
+    if wrong := [name for name in names if name not in known]:
+        parser.error(f"no suite {wrong[0]!r}: there are {', '.join(known)}")
+    if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
+        parser.error("--workers, --limit and --minutes must be positive")
+    if data is None:
+        print(
+            "TURTLEBAG_DATA names no folder with a folder `radish`: the public logs are left out", flush=True
+        )
+    args.out.mkdir(parents=True, exist_ok=True)
+    rows = {
+        name: Rows(args.out / "rows" / f"{name}.jsonl", code_of(suite.code), keep=args.keep)
+        for name, suite in known.items()
+    }
+    with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
+        os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
+        for name in names:
+            limit = known[name].quick if args.quick and args.limit is None else args.limit
+            suite = chosen(known[name], limit, args.only)
+            try:
+                measure(name, suite, rows[name], args.workers, 60.0 * args.minutes)
+            except KeyboardInterrupt:
+                print("stopped; the same command goes on from here", file=sys.stderr)
+                raise SystemExit(130) from None
+            tables(args.out, name, suite, rows[name].of(suite.cases))
+    write(
+        args.out,
+        "summary",
+        [line for name, suite in known.items() for line in summary(name, suite, rows[name].of(suite.cases))],
+    )
+
+
+if __name__ == "__main__":
+    main()

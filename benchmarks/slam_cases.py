@@ -1,0 +1,244 @@
+"""Simulated drives and synthetic logs of the mapper's campaign, and how a map is measured."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.disturb import (
+    Known,
+    known,
+    outside,
+    shortened,
+    times,
+    with_ranges,
+    with_scans,
+)
+from benchmarks.slam_logs import LOGS
+from benchmarks.slam_rows import Case, Row
+from benchmarks.slam_scores import score
+from datasets.grid import OccupancyGrid
+from datasets.maps import load_map, save_map
+from datasets.recordings import load_recording
+from datasets.se2 import SE2
+from datasets.seeds import stream
+from datasets.trajectories import load_tum
+from datasets.types import Recording, Trajectory
+from pipeline.record import record
+from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from reports.metrics.map import map_metrics, occupied, visible_surface
+from sim.simulator import Sensors, SimConfig
+from sim.teleop import script_names
+
+PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
+ROBOTS = ("burger", "waffle_pi")
+ROUNDS = 5
+TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
+DOCUMENTED = (
+    *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
+    *((world, robot, "tour", seed) for world, robot in TUTORIAL for seed in (2, 3)),
+    *((f"office:{seed}", "burger", "tour", seed) for seed in (31, 32, 33)),
+)
+"""The drives whose figures the documentation shows."""
+
+
+# One map, measured.
+
+
+def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tuple[SlamResult, Row]:
+    """The map of a log, and what its row says whatever is known of the truth.
+
+    CPU seconds are those of mapping alone, with everything loaded and compiled.
+    """
+    warm_up()
+    start = time.process_time()
+    result = run_slam(recording, SlamConfig.model_validate(settings or {}))
+    spent = time.process_time() - start
+    check = result.check.as_metrics()
+    return result, {
+        "scans": len(recording),
+        "cpu_s": round(spent, 2),
+        "verdict": check["verdict"],
+        "reasons": check["reasons"],
+        "loops": sum(loop.accepted for loop in result.loops),
+    }
+
+
+@cache
+def warm_up() -> None:
+    """Compile the kernels and load the libraries, so that no row pays for it."""
+    for name in ("posts-1", "arena-slow-1"):
+        log = LOGS[name]()
+        run_slam(with_scans(known(log.recording, log.truth.poses), slice(60)).recording, SlamConfig())
+
+
+def errors(poses: SE2, reference: SE2) -> Row:
+    """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
+
+    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `anchored_*` with the first pose as the only
+    anchor; `near_deg` that of poses near each other; `folded` as in `Score`.
+    """
+    sure = np.isfinite(reference.xyt).all(axis=1)
+    stamps = np.arange(int(sure.sum()))
+    found = score(poses[sure], Trajectory(stamps, reference[sure]))
+    return {
+        "m": found.ate_aligned,
+        "deg": found.yaw_deg,
+        "worst_m": found.ate_max,
+        "anchored_m": found.ate,
+        "anchored_worst_m": found.ate_worst,
+        "near_deg": found.relation_deg,
+        "folded": found.folded,
+    }
+
+
+def picture(result: SlamResult, out: Path, name: str) -> None:
+    """The map as pgm, yaml and png."""
+    folder = out / "maps"
+    folder.mkdir(parents=True, exist_ok=True)
+    name = name.replace(":", "_").replace("/", "_")
+    save_map(result.grid, folder, name)
+    Image.open(folder / f"{name}.pgm").save(folder / f"{name}.png")
+
+
+# Simulated drives.
+
+
+def driven(
+    world: str, robot: str, teleop: str, seed: int, sensors: Sensors
+) -> tuple[Known, OccupancyGrid, int]:
+    """A simulated drive: log and truth, the true map, and the exit code (1: the robot got stuck)."""
+    with tempfile.TemporaryDirectory() as scratch:
+        drive = Path(scratch) / "drive"
+        code = record(world, robot, teleop, seed, drive, sim=SimConfig(sensors=sensors))
+        recording, truth = load_recording(drive), load_tum(drive / "truth" / "trajectory.tum")
+        true_map = load_map(drive / "truth" / "map.yaml")
+    return known(recording, truth.at(recording.stamps_ns)), true_map, code
+
+
+def drive_row(
+    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
+) -> Row:
+    """A simulated drive, its trajectory and its map against the exact truth."""
+    log, true_map, code = driven(world, robot, teleop, seed, sensors)
+    result, row = mapped(log.recording)
+    if pictures is not None:
+        picture(result, pictures, f"{world}-{robot}-{teleop}-{seed}-{sensors}")
+    found: Any = map_metrics(result.grid, true_map)
+    row |= errors(result.trajectory.poses, log.reference)
+    seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
+    return row | {
+        "within": found["occupied_error_m"]["within_one_cell"],
+        "iou": found["iou"],
+        "walls": float(occupied(result.grid).sum() / seen),
+        "stuck": code != 0,
+    }
+
+
+def drive_case(
+    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
+) -> Case:
+    """The case of a simulated drive."""
+    about = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "sensors": sensors}
+    name = "-".join(map(str, about.values()))
+    return Case(name, partial(drive_row, world, robot, teleop, seed, sensors, pictures), about)
+
+
+def drive_cases() -> list[Case]:
+    """Drives of every place, robot and script; of each number of them from the first as many of each kind.
+
+    Every drive has a seed of its own, and so has the world where worlds are made of seeds.
+    """
+    scripts, cases = script_names(), []
+    for number in range(ROUNDS * len(PLACES) * len(ROBOTS) * len(scripts)):
+        turn, place = divmod(number, len(PLACES))
+        robot, teleop = ROBOTS[(turn + place) % 2], scripts[(turn // 2 + place) % len(scripts)]
+        cases.append(
+            drive_case(world_of(PLACES[place], 5001 + number), robot, teleop, 5001 + number, "realistic")
+        )
+    return cases
+
+
+def world_of(place: str, seed: int) -> str:
+    """The world of a seed; the tutorial's two are always the same."""
+    return place if place.startswith("turtlebot3") else f"{place}:{seed}"
+
+
+def fast_cases() -> list[Case]:
+    """Fifty fast drives through the house, with either set of sensors."""
+    sets: tuple[Sensors, ...] = ("realistic", "clean")
+    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in sets]
+
+
+def world_cases(out: Path) -> list[Case]:
+    """The drives of the documentation, with either set of sensors."""
+    sets: tuple[Sensors, ...] = ("realistic", "clean")
+    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in sets]
+
+
+# Synthetic logs.
+
+
+def lidar_of(log: Known, metres: float) -> Known:
+    """The log of a lidar that reaches so far."""
+    short = shortened(log, metres).recording
+    reach = min(metres, short.lidar.range_max)
+    return replace(log, recording=replace(short, lidar=replace(short.lidar, range_max=reach)))
+
+
+def slower(log: Known, period: float) -> Known:
+    """The log of a lidar that takes a scan every so many seconds."""
+    every = round(period / float(np.median(np.diff(times(log.recording)))))
+    return with_scans(log, slice(None, None, max(1, every)))
+
+
+def at_range_max(log: Known) -> Known:
+    """The log of a driver that says range_max where nothing came back."""
+    ranges = log.recording.ranges
+    return with_ranges(log, np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
+
+
+def narrow(log: Known) -> Known:
+    """The log of a lidar that sees 120 degrees."""
+    return with_ranges(log, np.where(outside(log, 120.0), np.nan, log.recording.ranges))
+
+
+VARIANTS: dict[str, Callable[[Known], Known]] = {
+    "as it is": lambda log: log,
+    "3.5 m": lambda log: lidar_of(log, 3.5),
+    "120 deg": narrow,
+    "1 Hz": lambda log: slower(log, 1.0),
+    "range_max": at_range_max,
+}
+
+
+def synthetic_row(name: str, variant: str, pictures: Path) -> Row:
+    """A synthetic log with one of VARIANTS of its lidar, against the exact truth."""
+    made = LOGS[name]()
+    log = VARIANTS[variant](known(made.recording, made.truth.poses))
+    result, row = mapped(log.recording)
+    picture(result, pictures, f"{name}-{variant}".replace(" ", "_"))
+    wheels = errors(log.odometry, log.reference)["m"]
+    return row | errors(result.trajectory.poses, log.reference) | {
+        "driven_m": made.truth.length(), "odometry_m": wheels
+    }  # fmt: skip
+
+
+def synthetic_cases(out: Path) -> list[Case]:
+    """Every synthetic log in every variant, in an order drawn once and for all."""
+    pairs = [(name, variant) for name in LOGS for variant in VARIANTS]
+    return [
+        Case(
+            f"{name}, {variant}", partial(synthetic_row, name, variant, out), {"log": name, "lidar": variant}
+        )
+        for k in stream(1, "synthetic cases").permutation(len(pairs))
+        for name, variant in [pairs[k]]
+    ]

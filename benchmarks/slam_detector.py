@@ -1,0 +1,214 @@
+"""The self-check as a detector of bad maps: maps of unseen seeds, with scans and wheels disturbed.
+
+Kinds of disturbance marked `build` may be looked at while the self-check is made; those marked `score`
+only tell how good it is. A map is bad when a scan lies more than BAD_M off, or TIMES the median worst of
+the undisturbed maps of its own world and robot; all after a rigid fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.disturb import (
+    MODES,
+    Known,
+    Mask,
+    Mode,
+    around,
+    mirrored,
+    mirrored_scans,
+    places,
+    shortened,
+    steps,
+    times,
+    with_odometry,
+    with_ranges,
+    with_scans,
+    with_steps,
+)
+from benchmarks.disturb import known as known_log
+from benchmarks.intervals import wilson
+from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_of
+from benchmarks.slam_drives import Log
+from benchmarks.slam_logs import arena, office, rooms
+from benchmarks.slam_rows import Case, Row
+from datasets.se2 import SE2
+from datasets.seeds import stream
+
+BAD_M, TIMES = 0.2, 5.0
+PLAINS, TURNS = 4, 2
+"""Undisturbed maps for one of each kind, and how often each kind comes in a world."""
+SCRIPTS = ("fast", "random_walk", "wall_follow")
+SYNTHETIC: dict[str, Callable[[int], Log]] = {
+    "synthetic arena": lambda seed: arena(seed, ("slow", "fast", "spiral")[seed % 3]),
+    "synthetic rooms": rooms,
+    "synthetic office": office,
+}
+
+
+def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
+    """Scans of one stretch of the log, (n,)."""
+    return around(log, places(log, 1, rng), share * log.recording.duration())
+
+
+def elsewhere(log: Known, rng: np.random.Generator) -> Known:
+    """A tenth of the scans were taken at another time, half a log away."""
+    there = stretch(log, 0.1, rng)
+    other = np.roll(log.recording.ranges, len(there) // 2, axis=0)
+    ranges = np.where(there[:, None], other, log.recording.ranges)
+    reference = np.where(there[:, None], np.nan, log.reference.xyt)
+    return replace(with_ranges(log, ranges), reference=SE2(reference))
+
+
+def repeated(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that says the same for 5 s, three times."""
+    index = np.arange(len(log.recording))
+    held = around(log, places(log, 3, rng), 5.0)
+    return with_ranges(log, log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
+
+
+def slipped(log: Known, rng: np.random.Generator) -> Known:
+    """Wheels that spin for a tenth of the log: three times the way."""
+    moved = steps(log.odometry)
+    moved[stretch(log, 0.1, rng)[:-1], :2] *= 3.0
+    return with_steps(log, moved)
+
+
+def counted_back(log: Known, rng: np.random.Generator) -> Known:
+    """Wheels that count the wrong way for a tenth of the log."""
+    moved = steps(log.odometry)
+    moved[stretch(log, 0.1, rng)[:-1], :2] *= -1.0
+    return with_steps(log, moved)
+
+
+def carried(log: Known, rng: np.random.Generator) -> Known:
+    """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
+    away = stretch(log, 0.1, rng)
+    moved = steps(log.odometry)
+    moved[away[:-1]] = 0.0
+    return with_scans(with_steps(log, moved), ~away)
+
+
+def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
+    moved = steps(log.odometry)
+    moved[:, 2] += np.deg2rad(1.5) * np.diff(times(log.recording))
+    turned = with_steps(log, moved)
+    return replace(turned, recording=replace(turned.recording, imu=None))
+
+
+def mirrored_odometry(log: Known) -> Known:
+    """Left and right wheel exchanged, and no gyro to tell."""
+    log = replace(log, recording=replace(log.recording, imu=None))
+    return with_odometry(log, log.odometry[0] @ mirrored(log.odometry[0].inverse() @ log.odometry))
+
+
+KINDS: dict[str, tuple[str, Mode]] = {
+    "gap3": ("build", MODES["gap3"]),
+    "half": ("build", MODES["half"]),
+    "bias": ("build", MODES["bias"]),
+    "late": ("build", MODES["late"]),
+    "stuck": ("build", MODES["stuck"]),
+    "drop30": ("build", MODES["drop30"]),
+    "short sight": ("build", lambda log, rng: shortened(log, 0.4 * log.recording.lidar.range_max)),
+    "elsewhere": ("build", elsewhere),
+    "slipped": ("build", slipped),
+    "mirrored scans": ("build", lambda log, rng: mirrored_scans(log)),
+    "gap20": ("score", MODES["gap20"]),
+    "third": ("score", MODES["third"]),
+    "noisy": ("score", MODES["noisy"]),
+    "jump": ("score", MODES["jump"]),
+    "fov120": ("score", MODES["fov120"]),
+    "noise3": ("score", MODES["noise3"]),
+    "repeated": ("score", repeated),
+    "counted back": ("score", counted_back),
+    "carried": ("score", carried),
+    "yaw bias": ("score", yaw_bias),
+    "mirrored odometry": ("score", lambda log, rng: mirrored_odometry(log)),
+    "long ranges": ("score", lambda log, rng: with_ranges(log, 1.05 * log.recording.ranges)),
+}
+"""Half and function of each kind; `plain` is undisturbed, and of the half of its case's number."""
+
+
+def source(place: str, robot: str, seed: int) -> Known:
+    """A log nobody has seen, short enough for many of them."""
+    if place in SYNTHETIC:
+        log = SYNTHETIC[place](seed)
+        return known_log(log.recording, log.truth.poses)
+    return driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed, "realistic")[0]
+
+
+def detector_row(place: str, robot: str, seed: int, kind: str) -> Row:
+    """A log with one kind of disturbance, against its truth."""
+    log = source(place, robot, seed)
+    if kind != "plain":
+        log = KINDS[kind][1](log, stream(seed, kind))
+    result, row = mapped(log.recording)
+    return row | errors(result.trajectory.poses, log.reference)
+
+
+def detector_cases() -> list[Case]:
+    """Every kind TURNS times in every world and with every robot, one world after the other."""
+    groups = [(place, robot) for place in PLACES for robot in ROBOTS] + [(place, "") for place in SYNTHETIC]
+    kinds = [*KINDS, *["plain"] * PLAINS] * TURNS
+    orders = [stream(number, "detector cases").permutation(len(kinds)) for number in range(len(groups))]
+    cases = []
+    for turn in range(len(kinds)):
+        for number, (place, robot) in enumerate(groups):
+            kind, seed = kinds[orders[number][turn]], 7001 + turn * len(groups) + number
+            half = KINDS[kind][0] if kind in KINDS else ("build", "score")[turn % 2]
+            about = {"world": place, "robot": robot, "seed": seed, "kind": kind, "half": half}
+            name = "-".join(str(about[key]) for key in ("world", "robot", "seed", "kind"))
+            cases.append(Case(name, partial(detector_row, place, robot, seed, kind), about))
+    return cases
+
+
+def judged(rows: Sequence[Row]) -> list[Row]:
+    """The rows with `bad`, whether the map is; those without a map are left out.
+
+    A world whose undisturbed maps are fewer than three is judged by BAD_M alone.
+    """
+    rows = [row for row in rows if "error" not in row]
+    found = []
+    for row in rows:
+        plains = [
+            other["worst_m"]
+            for other in rows
+            if other["kind"] == "plain" and (other["world"], other["robot"]) == (row["world"], row["robot"])
+        ]
+        limit = min(BAD_M, TIMES * float(np.median(plains))) if len(plains) >= 3 else BAD_M
+        found.append({**row, "limit_m": limit, "bad": row["worst_m"] > limit, "far": row["worst_m"] > BAD_M})
+    return found
+
+
+def rate(rows: Sequence[Row], verdict: str) -> str:
+    """How many have a verdict, and Wilson's 95 % interval of the share."""
+    count = sum(row["verdict"] == verdict for row in rows)
+    low, high = wilson(count, len(rows))
+    return f"{count} of {len(rows)} ({100 * low:.1f}..{100 * high:.1f} %)"
+
+
+def detection(rows: Sequence[Row]) -> list[Row]:
+    """False "good" and false "doubtful", for all, each half and each kind."""
+    found = judged(rows)
+    parts = {"all": found}
+    for half in ("build", "score"):
+        parts[half] = [row for row in found if row["half"] == half]
+    for kind in ("plain", *KINDS):
+        half = f"{KINDS[kind][0]}: " if kind in KINDS else ""
+        parts[f"{half}{kind}"] = [row for row in found if row["kind"] == kind]
+    return [
+        {
+            "maps": name,
+            "n": len(part),
+            'bad ones called "good"': rate([r for r in part if r["bad"]], "good"),
+            f'beyond {BAD_M} m called "good"': rate([r for r in part if r["far"]], "good"),
+            'others called "doubtful"': rate([r for r in part if not r["bad"]], "doubtful"),
+        }
+        for name, part in parts.items()
+        if part
+    ]

@@ -1,0 +1,149 @@
+"""The public logs of the mapper's campaign, as they are and disturbed, scored by their relations."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.disturb import MODES, chosen, disturbed, known
+from benchmarks.slam_cases import errors, mapped, picture
+from benchmarks.slam_rows import Case, Row
+from datasets.kept import read_kept, write_kept
+from datasets.recordings import load_recording
+from datasets.relations import Relations, load_relations
+from datasets.se2 import SE2
+from datasets.trajectories import load_tum
+from datasets.types import Recording, Trajectory
+from reports.metrics.relations import relations_metrics
+from reports.metrics.trajectory import associate
+
+RADISH = ("mit-csail", "fr079", "intel")
+ENOUGH_RELATIONS = 300
+COLUMNS = ("scan matching", "RBPF", "Graph Mapping 2009", "Cartographer 2016")
+# Mean translational [m] / rotational [deg] error as published: scan matching, gmapping (RBPF), Graph
+# Mapping 2009, Cartographer 2016.
+PUBLISHED = {
+    "intel": ("0.220", "0.070", "0.031 / 1.3", "0.0229 / 0.453"),
+    "fr079": ("0.258", "0.061", "0.056 / 0.6", "0.0452 / 0.538"),
+    "mit-csail": ("0.106", "0.049", "0.004 / 0.05", "0.0319 / 0.369"),
+    "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
+    "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
+}
+
+
+def public_data() -> Path | None:
+    """The folder in TURTLEBAG_DATA, with the logs in its folders `radish` and `wild`."""
+    root = os.environ.get("TURTLEBAG_DATA")
+    return Path(root) if root and (Path(root) / "radish").is_dir() else None
+
+
+@dataclass(frozen=True)
+class Files:
+    """Folders of a campaign; `code` is in the names of what is kept there for other cases."""
+
+    out: Path
+    code: str
+
+    def kept(self, name: str) -> Path:
+        """File of a map's trajectory."""
+        return self.out / "kept" / f"{name}-{self.code}"
+
+
+def by_relations(estimate: Trajectory, relations: Relations) -> Row:
+    """Mean errors of relations, by metricEvaluator's definition and by Cartographer's."""
+    found = relations_metrics(estimate, relations)
+    ours, theirs = found["relations"], found["relations_cartographer"]
+    return {
+        "m": ours["trans_m"]["mean"],
+        "deg": ours["rot_deg"]["mean"],
+        "relations": ours["n"],
+        "cartographer_m": theirs["trans_m"]["mean"],
+        "cartographer_deg": theirs["rot_deg"]["mean"],
+    }
+
+
+@lru_cache(maxsize=1)
+def read(log: Path) -> Recording:
+    """A log; the last one is kept at hand."""
+    return load_recording(log)
+
+
+def stem(log: Path) -> str:
+    """The name of a log's truth beside it, without what kind it is."""
+    return log.name.split(".clf")[0]
+
+
+def log_row(log: Path, files: Files) -> Row:
+    """A public log, scored by its relations, or after a rigid fit to reference poses, or not at all."""
+    result, row = mapped(read(log))
+    name, at = stem(log), result.trajectory
+    keep(files.kept(name), at.poses)
+    picture(result, files.out, name)
+    relations, reference = (log.with_name(f"{name}.{kind}") for kind in ("relations", "reference.tum"))
+    if relations.is_file():
+        row |= by_relations(at, load_relations(relations))
+    elif reference.is_file():
+        pairs = associate(at, load_tum(reference))
+        row |= errors(pairs.T_map_base, pairs.T_world_base)
+    return row
+
+
+def keep(file: Path, poses: SE2) -> None:
+    """Keep poses for other cases."""
+    content = io.BytesIO()
+    np.save(content, poses.xyt)
+    write_kept(file, content.getvalue())
+
+
+def undisturbed(log: Path, files: Files) -> Trajectory:
+    """The map's trajectory of a log as it is: kept, or made."""
+    recording, file = read(log), files.kept(stem(log))
+    if read_kept(file) is None:
+        keep(file, mapped(recording)[0].trajectory.poses)
+    found = read_kept(file)
+    assert found is not None
+    return Trajectory(recording.stamps_ns, SE2(np.load(io.BytesIO(found))))
+
+
+def disturbed_row(log: Path, mode: str, files: Files) -> Row:
+    """A log in one of MODES, beside the undisturbed one by the same relations.
+
+    Where too few relations are left, the errors are those against the undisturbed map.
+    """
+    before = undisturbed(log, files)
+    relations = load_relations(log.with_name(f"{stem(log)}.relations"))
+    harder = disturbed(known(read(log), before.poses, relations), mode)
+    result, row = mapped(harder.recording)
+    if len(harder.which) < ENOUGH_RELATIONS:
+        return row | errors(result.trajectory.poses, harder.reference) | {"scored by": "undisturbed map"}
+    row |= by_relations(result.trajectory, harder.relations) | {"scored by": f"{len(harder.which)} relations"}
+    same = by_relations(before, chosen(relations, harder.which))
+    return row | {"before_m": same["m"], "before_deg": same["deg"], "ratio": row["m"] / same["m"]}
+
+
+def log_cases(data: Path, files: Files) -> list[Case]:
+    """The public logs there are."""
+    found = [data / "radish" / f"{name}.clf.bz2" for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
+    cases = []
+    for log in filter(Path.is_file, found):
+        published = dict(zip(COLUMNS, PUBLISHED.get(stem(log), ()), strict=False))
+        cases.append(Case(stem(log), partial(log_row, log, files), published))
+    return cases
+
+
+def disturbed_cases(data: Path, files: Files) -> list[Case]:
+    """Each public log with relations in each mode; the first fifteen are each mode once."""
+    logs = [log for name in RADISH if (log := data / "radish" / f"{name}.clf.bz2").is_file()]
+    return [
+        Case(
+            f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), {"log": stem(log), "mode": mode}
+        )
+        for shift in range(len(logs))
+        for k, mode in enumerate(MODES)
+        for log in [logs[(k + shift) % len(logs)]]
+    ]

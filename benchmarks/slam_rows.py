@@ -1,0 +1,122 @@
+"""Rows of the mapper's campaign: one JSON line a case, kept, and tables made of them."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from datasets.fingerprints import fingerprint
+
+Row = dict[str, Any]
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One map to make: `measure` gives the errors, `about` says what it is. Both go to another process."""
+
+    name: str
+    measure: Callable[[], Row]
+    about: Row = field(default_factory=dict)
+
+
+def code_of(places: tuple[str, ...]) -> str:
+    """Fingerprint of the code in folders and files of the project; comments and docstrings do not count."""
+    found = [path for place in places for path in (ROOT / place, *(ROOT / place).rglob("*.py"))]
+    files = sorted(path for path in found if path.is_file())
+    return fingerprint([(path.relative_to(ROOT).as_posix(), _bare(path)) for path in files])[:16]
+
+
+@cache
+def _bare(path: Path) -> str:
+    """The code of a file without comments and docstrings."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [line for line in body if not _is_text(line)]  # type: ignore[attr-defined]
+    return ast.dump(tree)
+
+
+def _is_text(line: ast.AST) -> bool:
+    return (
+        isinstance(line, ast.Expr)
+        and isinstance(line.value, ast.Constant)
+        and isinstance(line.value.value, str)
+    )
+
+
+class Rows:
+    """The rows of a suite in a file of JSON lines that only grows: a row is on disk when `add` returns.
+
+    A row of other code counts with `keep` only. A line that was cut when the power went is none.
+    """
+
+    def __init__(self, file: Path, code: str, *, keep: bool = False) -> None:
+        self._file, self._code = file, code
+        self._found: dict[str, Row] = {}
+        file.parent.mkdir(parents=True, exist_ok=True)
+        text = file.read_text() if file.exists() else ""
+        self._cut = not text.endswith("\n") and text != ""
+        for line in text.splitlines():
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            mine, had = row["code"] == code, self._found.get(row["case"])
+            if mine or (keep and (had is None or had["code"] != code)):
+                self._found[row["case"]] = row
+
+    def has(self, case: str) -> bool:
+        """Whether that case was measured."""
+        return case in self._found
+
+    def add(self, case: str, row: Row) -> Row:
+        """Keep the row of a case."""
+        row = {"case": case, **row, "code": self._code}
+        with self._file.open("a") as file:
+            file.write(("\n" if self._cut else "") + json.dumps(row) + "\n")
+        self._cut = False
+        self._found[case] = row
+        return row
+
+    def of(self, cases: Iterable[Case]) -> list[Row]:
+        """The rows there are, in the order of the cases."""
+        return [self._found[case.name] for case in cases if case.name in self._found]
+
+
+def shown(value: Any) -> str:
+    """A value as a table shows it."""
+    if isinstance(value, float):
+        return f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
+    if isinstance(value, list):
+        return "; ".join(map(str, value))
+    return "" if value is None else str(value)
+
+
+def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
+    """A table of rows; without `columns` those of the first."""
+    columns = list(columns) or list(rows[0])
+    lines = ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
+    lines += ["| " + " | ".join(shown(row.get(c)).replace("|", "/") for c in columns) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = ()) -> None:
+    """A CSV file with all of the rows, and `columns` of it as a markdown table in a file and printed."""
+    if not rows:
+        return
+    everything = list(dict.fromkeys(key for row in rows for key in row))
+    with (out / f"{name}.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, everything, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    text = markdown(rows, columns)
+    (out / f"{name}.md").write_text(text)
+    print(f"\n{name}\n\n{text}", flush=True)

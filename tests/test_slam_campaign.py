@@ -1,0 +1,166 @@
+"""The mapper's campaign: its order, its rows and its verdicts."""
+
+import json
+import os
+import time
+from functools import partial
+
+from benchmarks import slam_campaign, slam_rows, slam_targets
+from benchmarks.slam_cases import drive_cases
+from benchmarks.slam_detector import KINDS, detection, detector_cases, judged
+from benchmarks.slam_rows import Case, Rows
+from benchmarks.workers import in_processes
+
+
+def test_any_first_part_of_the_drives_has_as_many_of_each_kind():
+    cases = drive_cases()
+    assert len(cases) == len({case.name for case in cases}) == 300
+    for first in (10, 60, 120):
+        for key in ("robot", "world"):
+            values = [case.about[key].partition(":")[0] for case in cases[:first]]
+            assert len({values.count(value) for value in values}) == 1
+    kinds = [
+        tuple(case.about[key].partition(":")[0] for key in ("world", "robot", "teleop")) for case in cases
+    ]
+    assert len(set(kinds[:60])) == 60
+
+
+def test_the_detector_has_five_hundred_maps_and_two_halves_that_share_no_kind():
+    cases = detector_cases()
+    assert len(cases) == len({case.name for case in cases}) >= 500
+    halves = {half: {kind for kind, (of, _) in KINDS.items() if of == half} for half in ("build", "score")}
+    assert len(halves["build"]) >= 10
+    assert len(halves["score"]) >= 10
+    assert {case.about["half"] for case in cases if case.about["kind"] == "plain"} == {"build", "score"}
+
+
+def found(worst, verdict, kind="plain", half="build"):
+    return {"world": "w", "robot": "r", "kind": kind, "half": half, "worst_m": worst, "verdict": verdict}
+
+
+def test_bad_is_far_off_or_five_times_the_median_of_its_own_world():
+    rows = [found(0.01, "good")] * 3 + [found(0.06, "good", "late"), found(0.3, "doubtful", "third", "score")]
+    assert [row["bad"] for row in judged(rows)] == [False] * 3 + [True, True]
+    assert [row["bad"] for row in judged(rows[3:])] == [False, True]  # no undisturbed maps to compare with
+    lines = {line["maps"]: line for line in detection([*rows, {"error": "x", **found(9.0, "good")}])}
+    assert lines["all"]["n"] == 5
+    assert lines["build"]['bad ones called "good"'].startswith("1 of 1")
+    assert lines["score"]['bad ones called "good"'].startswith("0 of 1")
+    assert lines["score: third"]["n"] == 1
+    assert [line["met"] for line in slam_targets.detector(rows)] == ["NO", "yes", "NO", "yes", "yes", "yes"]
+
+
+def test_rows_of_the_same_code_are_kept_and_a_cut_line_is_none(tmp_path):
+    file, cases = tmp_path / "s.jsonl", [Case(name, dict) for name in "abc"]
+    rows = Rows(file, "code 1")
+    rows.add("a", {"m": 1.0})
+    rows.add("b", {"m": 2.0})
+    with file.open("a") as cut:
+        cut.write('{"case": "c", "m"')
+    again = Rows(file, "code 1")
+    assert again.of(cases) == [
+        {"case": "a", "m": 1.0, "code": "code 1"},
+        {"case": "b", "m": 2.0, "code": "code 1"},
+    ]
+    assert not again.has("c")
+    again.add("c", {"m": 3.0})
+    assert len(Rows(file, "code 1").of(cases)) == 3
+    other = Rows(file, "code 2")
+    assert not other.of(cases)
+    other.add("a", {"m": 4.0})
+    assert [row["m"] for row in Rows(file, "code 1", keep=True).of(cases)] == [1.0, 2.0, 3.0]
+    assert [row["m"] for row in Rows(file, "code 2", keep=True).of(cases)] == [4.0, 2.0, 3.0]
+
+
+def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
+    cases = [
+        Case("raises", partial(int, "x"), {"kind": 1}),
+        Case("dies", partial(os._exit, 3)),
+        Case("hangs", partial(time.sleep, 60.0)),
+        Case("works", partial(dict, m=1.0), {"kind": 2}),
+        Case("works too", partial(dict, m=2.0)),
+    ]
+    rows = {case.name: row for case, row in in_processes(cases, 2, 6.0)}
+    assert "ValueError" in rows["raises"]["error"]
+    assert rows["raises"]["kind"] == 1
+    assert "died" in rows["dies"]["error"]
+    assert "more than" in rows["hangs"]["error"]
+    assert rows["works"] == {"kind": 2, "m": 1.0}
+    assert rows["works too"] == {"m": 2.0}
+
+
+def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
+    def suites(out, data):
+        cases = [Case(str(k), partial(dict, m=k / 10)) for k in range(3)]
+        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/intervals.py",))}
+
+    monkeypatch.setattr(slam_campaign, "suites", suites)
+    monkeypatch.delenv("TURTLEBAG_DATA", raising=False)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    slam_campaign.main(["few", "--limit", "1", "--out", str(tmp_path / "out"), "--workers", "1"])
+    assert "1 cases, 1 to measure" in capsys.readouterr().out
+    slam_campaign.main(["few", "--out", str(tmp_path / "out"), "--workers", "1"])
+    told = capsys.readouterr().out
+    assert "3 cases, 2 to measure" in told
+    assert "public logs are left out" in told
+    assert "| 2 | 0.2000 |" in told
+    lines = (tmp_path / "out/rows/few.jsonl").read_text().splitlines()
+    assert [json.loads(line)["case"] for line in lines] == ["0", "1", "2"]
+    assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
+
+
+def test_the_summary_is_of_all_rows_there_are(tmp_path, monkeypatch):
+    def suites(out, data):
+        def judge(rows):
+            return [slam_targets.target("all", "some", str(len(rows)), True)]
+
+        return {
+            name: slam_campaign.Suite(
+                [Case(f"{name}{k}", partial(dict, m=1.0)) for k in range(2)], ("case",), judge, code=("none",)
+            )
+            for name in "ab"
+        }
+
+    monkeypatch.setattr(slam_campaign, "suites", suites)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    for asked in (["a"], ["b", "--limit", "1"]):
+        slam_campaign.main([*asked, "--out", str(tmp_path), "--workers", "1"])
+    lines = (tmp_path / "summary.csv").read_text().splitlines()
+    assert lines[1:] == ["a,2 of 2,all,some,2,yes", "b,1 of 2,all,some,1,yes"]
+
+
+def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):
+    monkeypatch.setattr(slam_rows, "ROOT", tmp_path)
+    file, found = tmp_path / "a.py", []
+    for text in ("x = 1\n", "# why\nx = 1\n", '"""What."""\n\nx = 1\n', "x = 2\n"):
+        file.write_text(text)
+        slam_rows._bare.cache_clear()
+        found.append(slam_rows.code_of(("a.py",)))
+    slam_rows._bare.cache_clear()
+    assert found[0] == found[1] == found[2] != found[3]
+
+
+def test_targets_are_judged_by_the_figures_they_name():
+    rows = [{"case": "intel", "m": 0.01259, "deg": 0.2}, {"case": "aces", "m": 0.03, "deg": 0.4}]
+    assert [line["met"] for line in slam_targets.logs(rows)] == ["yes", "NO"]
+    assert [line["met"] for line in slam_targets.logs([{"case": "fhw", "error": "x"}])] == ["NO"]
+    rows = [
+        {"mode": "half", "log": "intel", "ratio": 1.4},
+        {"mode": "half", "log": "fr079", "ratio": 1.6},
+        {"mode": "third", "log": "intel", "ratio": 1.9},
+        {"mode": "gap3", "log": "intel", "error": "x"},
+    ]
+    assert [line["met"] for line in slam_targets.disturbed(rows)] == ["NO", "yes", "NO"]
+    drive = {
+        "m": 0.01,
+        "worst_m": 0.04,
+        "anchored_m": 0.01,
+        "anchored_worst_m": 0.04,
+        "cpu_s": 1.0,
+        "verdict": "good",
+    }
+    bad = {**drive, "worst_m": 0.3, "anchored_worst_m": 0.3}
+    assert [line["met"] for line in slam_targets.drives([drive] * 30)] == ["yes"] * 3
+    assert [line["met"] for line in slam_targets.drives([drive] * 29 + [bad])] == ["NO", "yes", "yes"]
+    assert [line["met"] for line in slam_targets.drives([drive] * 28 + [bad] * 2)] == ["NO", "NO", "NO"]
+    assert slam_targets.spread([drive, bad, {"error": "x"}])["errors"] == 1
