@@ -162,26 +162,26 @@ def detector_cases() -> list[Case]:
             kind, seed = kinds[orders[number][turn]], 7001 + turn * len(groups) + number
             half = KINDS[kind][0] if kind in KINDS else ("build", "score")[turn % 2]
             about = {"world": place, "robot": robot, "seed": seed, "kind": kind, "half": half}
-            name = "-".join(str(about[key]) for key in ("world", "robot", "seed", "kind"))
+            name = "-".join(str(part) for part in (place, robot, seed, kind) if part)
             cases.append(Case(name, partial(detector_row, place, robot, seed, kind), about))
     return cases
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:
-    """The rows with `bad`, whether the map is; those without a map are left out.
+    """The rows with `bad`, whether the map is, and its limit; a row without a map stays as it is.
 
     A world whose undisturbed maps are fewer than three is judged by BAD_M alone.
     """
-    rows = [row for row in rows if "error" not in row]
+    plains: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        if row["kind"] == "plain" and "error" not in row:
+            plains.setdefault((row["world"], row["robot"]), []).append(row["worst_m"])
+    limits = {of: min(BAD_M, TIMES * float(np.median(w))) for of, w in plains.items() if len(w) >= 3}
     found = []
     for row in rows:
-        plains = [
-            other["worst_m"]
-            for other in rows
-            if other["kind"] == "plain" and (other["world"], other["robot"]) == (row["world"], row["robot"])
-        ]
-        limit = min(BAD_M, TIMES * float(np.median(plains))) if len(plains) >= 3 else BAD_M
-        found.append({**row, "limit_m": limit, "bad": row["worst_m"] > limit, "far": row["worst_m"] > BAD_M})
+        limit = limits.get((row["world"], row["robot"]), BAD_M)
+        bad = {} if "error" in row else {"limit_m": limit, "bad": row["worst_m"] > limit}
+        found.append({**row, **bad})
     return found
 
 
@@ -194,7 +194,7 @@ def rate(rows: Sequence[Row], verdict: str) -> str:
 
 def detection(rows: Sequence[Row]) -> list[Row]:
     """False "good" and false "doubtful", for all, each half and each kind."""
-    found = judged(rows)
+    found = [row for row in judged(rows) if "bad" in row]
     parts = {"all": found}
     for half in ("build", "score"):
         parts[half] = [row for row in found if row["half"] == half]
@@ -206,7 +206,7 @@ def detection(rows: Sequence[Row]) -> list[Row]:
             "maps": name,
             "n": len(part),
             'bad ones called "good"': rate([r for r in part if r["bad"]], "good"),
-            f'beyond {BAD_M} m called "good"': rate([r for r in part if r["far"]], "good"),
+            f'beyond {BAD_M} m called "good"': rate([r for r in part if r["worst_m"] > BAD_M], "good"),
             'others called "doubtful"': rate([r for r in part if not r["bad"]], "doubtful"),
         }
         for name, part in parts.items()
