@@ -6,7 +6,14 @@ import pytest
 from datasets.se2 import SE2
 from pipeline.slam.align import FAKED, align, find_partner, observable, without_direction
 from pipeline.slam.clouds import make_clouds
-from pipeline.slam.correlative import Field, best_and_rival, best_pose, make_field, points_in_map
+from pipeline.slam.correlative import (
+    UNSEEN,
+    Field,
+    best_and_rival,
+    best_pose,
+    make_field,
+    points_in_map,
+)
 from pipeline.slam.refine import RefineConfig, linearise_pairs, overlapping_pairs, pair_constraints
 from tests.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
 
@@ -124,6 +131,41 @@ def test_search_finds_a_pose_far_off(room):
     assert score > 0.6
 
 
+def test_what_was_seen_empty_denies_and_what_was_not_seen_does_not():
+    """One scan from within the room: its free space, its walls, and what lies behind them."""
+    clouds = make_clouds(recording(ROOM, np.array([[1.5, 1.2, 0.3]]), noise=0.0), 30.0)
+    field = make_field(clouds, np.array([0]), np.array([[1.5, 1.2, 0.3]]), 0.05, 0.05)
+
+    def value(x, y):
+        return field.values[tuple(((np.array([y, x]) - field.corner[::-1]) / field.resolution).astype(int))]
+
+    assert value(1.5, 3.0) == 0  # in view
+    assert value(0.0, 1.5) > 200  # the wall
+    assert value(4.5, 3.6) == UNSEEN  # behind the pillar
+
+
+def test_a_scan_of_space_nobody_saw_agrees_with_what_was_seen():
+    """Half a circle looking up the room, matched with one that looks down it from the same place."""
+    poses = np.array([[1.5, 3.0, 0.9], [1.5, 3.0, -1.4]])
+    clouds = make_clouds(recording(ROOM, poses, SICK), 30.0)
+    found = align(clouds, 1, poses[1], np.array([0]), poses[:1], gate=0.2, sigma=0.05, iterations=0)
+    assert found.overlap < 0.5
+    assert found.agreement > 0.95
+
+
+def test_a_scan_laid_where_others_looked_through_is_denied():
+    poses = np.array([[1.5, 3.0, 0.2], [1.5, 3.0, 0.4]])
+    clouds = make_clouds(recording(ROOM, poses, SICK), 30.0)
+    truly, aside = (
+        align(clouds, 1, poses[1] + off, np.array([0]), poses[:1], gate=0.2, sigma=0.05, iterations=0)
+        for off in (np.zeros(3), np.array([-0.6, 0.0, 0.2]))
+    )
+    assert truly.agreement > 0.95
+    assert aside.known > 0.4
+    assert aside.agreement < 0.6
+    assert aside.cost > truly.cost + 0.3
+
+
 def test_search_scores_as_numpy_does():
     rng = np.random.default_rng(2)
     values = rng.integers(0, 255, (20, 30)).astype(np.uint8)
@@ -136,7 +178,8 @@ def test_search_scores_as_numpy_does():
         cols = np.floor((moved[:, 0] + 1.0) / 0.1).astype(int) + round(x / 0.1)
         rows = np.floor((moved[:, 1] + 1.0) / 0.1).astype(int) + round(y / 0.1)
         inside = (rows >= 0) & (rows < 20) & (cols >= 0) & (cols < 30)
-        return values[rows[inside], cols[inside]].sum() / (255.0 * 40)
+        seen = values[rows[inside], cols[inside]].sum(dtype=int)
+        return (seen + UNSEEN * np.count_nonzero(~inside)) / (255.0 * 40)
 
     offsets = np.arange(-2, 3) * 0.1
     best = max(reference(x, y, yaw) for x in offsets for y in offsets for yaw in np.arange(-2, 3) * 0.05)
@@ -201,12 +244,14 @@ def test_lidar_off_the_base_is_looked_up_from_its_own_place():
 
 
 def test_what_lies_beyond_the_field_s_edges_is_not_found_at_the_opposite_edge():
-    """Points at the lower edge and walls at the upper one: nothing is met, however far is searched."""
+    """Points at the lower edge and walls at the upper one: the walls are not met, however far is searched;
+    outside the field nothing is known."""
     values = np.zeros((6, 30), dtype=np.uint8)
     values[-1] = 255
     field = Field(values, np.zeros(2), 0.1)
     points = np.column_stack([np.linspace(0.5, 2.5, 20), np.full(20, 0.05)])
-    _, score = best_pose(field, points, np.zeros(3), 0.3, 0.0, 0.05)
-    assert score == 0.0
+    pose, score = best_pose(field, points, np.zeros(3), 0.3, 0.0, 0.05)
+    assert score == pytest.approx(UNSEEN / 255.0, abs=1e-4)
+    assert pose[1] < 0.0
     _, score = best_pose(field, points + np.array([0.0, 0.3]), np.zeros(3), 0.3, 0.0, 0.05)
     assert score == pytest.approx(1.0, abs=1e-3)

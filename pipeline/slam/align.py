@@ -22,6 +22,9 @@ MIN_NORMAL_DOT = 0.6
 # Of the information along a direction, this many times what errors of the normals fake on average is not
 # believed (see `observable`).
 FAKED = 1.5
+# Besides its noise the direction of a surface varies as much as this [rad^2] with where it is looked at from:
+# walls are not planes, and lines bend round their ends.
+SURFACE_VAR = 0.07**2
 # The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
 KERNEL_SIGMAS = 3.0
 # Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point
@@ -38,8 +41,8 @@ class Alignment:
 
     `information` is (3, 3) in the base frame at `T_map_base` (x, y, yaw), from the points alone, with
     directions the scan cannot see taken out; `overlap` is the fraction of the scan's points that found
-    a partner within the gate, `rmse` their distance to the lines [m], `cost` the mean robust cost of a
-    point: 0 on a line, 1 without a partner.
+    a partner within the gate, `rmse` their distance to the lines [m], `known` the fraction that lies where
+    the key scans looked, and `cost` their mean robust cost: 0 on a line, 1 without a partner.
     """
 
     T_map_base: SE2
@@ -47,6 +50,12 @@ class Alignment:
     overlap: float
     rmse: float
     cost: float
+    known: float = 1.0
+
+    @property
+    def agreement(self) -> float:
+        """The fraction that found a partner of the points that could."""
+        return self.overlap / self.known if self.known > 0.0 else 0.0
 
 
 def align(
@@ -74,7 +83,7 @@ def align(
     stride = 1 + (int(clouds.starts[scan + 1]) - int(clouds.starts[scan]) - 1) // most_points
     if prior is None or prior_information is None:
         prior, prior_information = np.zeros(3), np.zeros((3, 3))
-    xyt, seen, matched, usable, rms, cost = align_kernel(
+    xyt, seen, matched, usable, unknown, rms, cost = align_kernel(
         clouds,
         scan,
         stride,
@@ -88,8 +97,9 @@ def align(
         prior_information,
         prior_soft,
     )
-    overlap, share = (matched / usable, cost / usable) if usable else (0.0, 1.0)
-    return Alignment(SE2(xyt), seen, overlap, rms, share)
+    known = usable - unknown
+    overlap = matched / usable if usable else 0.0
+    return Alignment(SE2(xyt), seen, overlap, rms, cost / known if known else 1.0, known / max(usable, 1))
 
 
 @njit(cache=True)
@@ -134,8 +144,9 @@ def align_kernel(
     prior: Array,
     prior_information: Array,
     prior_soft: float,
-) -> tuple[Array, Array, int, int, float, float]:
-    """`align` on plain arrays: pose (3,), information (3, 3), matched, usable, rms [m], summed cost."""
+) -> tuple[Array, Array, int, int, int, float, float]:
+    """`align` on plain arrays: pose (3,), information (3, 3), points matched, usable, and in space that no
+    key scan saw; rms [m], summed cost of all others."""
     points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     pose = start_pose.copy()
     lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
@@ -194,7 +205,7 @@ def align_kernel(
                 best_e = min(best_e, abs(e))
                 w = 1.0 / (1.0 + e * e * inv_s2)
                 w = w * w * inv_s2 / n_keys
-                faked += w * clouds.normal_var[row]
+                faked += w * (clouds.normal_var[row] + SURFACE_VAR)
                 j2 = by * px - bx * py
                 hessian[0, 0] += w * bx * bx
                 hessian[0, 1] += w * bx * by
@@ -225,8 +236,38 @@ def align_kernel(
         moved += abs(step[0]) + abs(step[1]) + TURN_REACH_M * abs(step[2])
         if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
             break
+    unknown = 0
+    for i in range(lo, hi, stride):
+        if line_ok[i] and partners[(i - lo) // stride].max() < 0:
+            unseen = True
+            for k in range(n_keys):
+                c, s = relative[k, 2], relative[k, 3]
+                x = relative[k, 0] + c * points[i, 0] - s * points[i, 1]
+                y = relative[k, 1] + s * points[i, 0] + c * points[i, 1]
+                unseen = unseen and not sees(x, y, keys[k], clouds, gate)
+            unknown += unseen
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return pose, observable(hessian, faked), matched, usable, rms, cost
+    return pose, observable(hessian, faked), matched, usable, unknown, rms, cost - unknown
+
+
+@njit(cache=True)
+def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
+    """Whether scan `key` had (x, y), in its base frame, in view: all beams about that bearing reached it but
+    for `margin` [m], and there are at least two of them."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
+    n_bins = table.shape[1]
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
+    beams = 0
+    for k in range(b - 1, b + 2):
+        row = table[key, k % n_bins]
+        if row < 0:
+            continue
+        if math.hypot(points[row, 0] - origin[0], points[row, 1] - origin[1]) < r - margin:
+            return False
+        beams += 1
+    return beams >= 2
 
 
 @njit(cache=True)

@@ -1,7 +1,8 @@
 """Correlative scan matching: the best pose within a window by exhaustive scoring on a smoothed field.
 
 After Olson (2009), "Real-time correlative scan matching": the field holds, per cell, how near the
-nearest reference point is; a pose's score is the mean of the field under the scan's points.
+nearest reference point is; a pose's score is the mean of the field under the scan's points. What no
+reference scan saw is neither hit nor miss: a robot that enters a room is not held back at its door.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from datasets.kernels import njit
 from datasets.se2 import Array
 from pipeline.slam.clouds import Clouds
+
+# The score of a cell that nothing saw, 0..255.
+UNSEEN = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +36,15 @@ def make_field(
     """Smoothed field of key scans at poses (k, 3); a point's influence falls off with `sigma` [m]."""
     points = points_in_map(clouds.points, clouds.starts, np.asarray(keys, dtype=np.int64), T_map_keys)
     if len(points) == 0:
-        return Field(np.zeros((1, 1), dtype=np.uint8), np.zeros(2), resolution)
+        return Field(np.full((1, 1), UNSEEN, dtype=np.uint8), np.zeros(2), resolution)
     margin = 3.0 * sigma + 2.0 * resolution
     corner = points.min(axis=0) - margin
     cols, rows = np.ceil((points.max(axis=0) + margin - corner) / resolution).astype(int) + 1
     reach = math.ceil(3.0 * sigma / resolution)
     offsets = np.arange(-reach, reach + 1) * resolution
     stamp = np.exp(-(offsets[:, None] ** 2 + offsets[None, :] ** 2) / (2.0 * sigma * sigma))
-    values = np.zeros((rows, cols), dtype=np.uint8)
+    values = np.full((rows, cols), UNSEEN, dtype=np.uint8)
+    _see_through(values, clouds, np.asarray(keys, dtype=np.int64), T_map_keys, corner, resolution)
     _splat(values, points, corner, resolution, np.round(255.0 * stamp).astype(np.uint8))
     return Field(values, corner, resolution)
 
@@ -111,6 +116,27 @@ def points_in_map(points: Array, starts: NDArray, keys: NDArray, poses: Array) -
 
 
 @njit(cache=True)
+def _see_through(
+    values: NDArray, clouds: Clouds, keys: NDArray, poses: Array, corner: Array, resolution: float
+) -> None:
+    """Nothing is where beams of the scans `keys` passed."""
+    rows, cols = values.shape
+    for k in range(len(keys)):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        ox = (poses[k, 0] + c * clouds.origin[0] - s * clouds.origin[1] - corner[0]) / resolution
+        oy = (poses[k, 1] + s * clouds.origin[0] + c * clouds.origin[1] - corner[1]) / resolution
+        for i in range(clouds.starts[keys[k]], clouds.starts[keys[k] + 1]):
+            x, y = clouds.points[i, 0], clouds.points[i, 1]
+            dx = (poses[k, 0] + c * x - s * y - corner[0]) / resolution - ox
+            dy = (poses[k, 1] + s * x + c * y - corner[1]) / resolution - oy
+            steps = int(max(abs(dx), abs(dy)))
+            for step in range(steps):
+                col, row = math.floor(ox + dx * step / steps), math.floor(oy + dy * step / steps)
+                if 0 <= row < rows and 0 <= col < cols:
+                    values[row, col] = 0
+
+
+@njit(cache=True)
 def _splat(values: NDArray, points: Array, corner: Array, resolution: float, stamp: NDArray) -> None:
     reach = stamp.shape[0] // 2
     done = np.zeros(values.shape, dtype=np.bool_)
@@ -148,7 +174,7 @@ def _search(
     for a in range(-n_yaw, n_yaw + 1):
         yaw = center[2] + a * step_rad
         c, s = math.cos(yaw), math.sin(yaw)
-        sums[:] = 0
+        sums[:] = n * UNSEEN
         for i in range(n):
             x = (center[0] + c * points[i, 0] - s * points[i, 1] - corner[0]) / resolution
             y = (center[1] + s * points[i, 0] + c * points[i, 1] - corner[1]) / resolution
@@ -160,7 +186,7 @@ def _search(
                 for dc in range(side):
                     q = col + dc - n_xy
                     if 0 <= q < cols:
-                        sums[dr, dc] += values[r, q]
+                        sums[dr, dc] += int(values[r, q]) - UNSEEN
         for dr in range(side):
             for dc in range(side):
                 # a hair of preference for the centre, so that a flat score means "stay"

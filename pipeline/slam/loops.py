@@ -24,7 +24,7 @@ from pipeline.slam.correlative import best_and_rival, best_pose, make_field, poi
 from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import optimise
-from pipeline.slam.tracking import between, sees_everything
+from pipeline.slam.tracking import LEAST_OVERLAP, between, sees_everything
 
 
 class LoopConfig(BaseModel):
@@ -101,6 +101,8 @@ def close_loops(
 
 
 BATCH = 24
+# A key is looked for at so many of the places within its gate, the nearest first.
+PLACES = 3
 
 
 class LoopFinder:
@@ -149,7 +151,7 @@ class LoopFinder:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
         for i in batch:
-            if i % self.config.every == 0:
+            if i % self.config.every == 0 or i == len(self.keys) - 1:
                 loop = self._query(i)
                 if loop is not None:
                     found.append(loop)
@@ -187,12 +189,16 @@ class LoopFinder:
         if not near.any():
             return None
         old, distance, gates = old[near], distance[near], gates[near]
-        pick = int(np.argmin(distance + 0.05 * spread[old]))
-        j, gate = int(old[pick]), float(gates[pick])
-        turn_gate = min(
-            config.turn_gate_rad + config.turn_drift_per_m * float(spread[j]), config.max_turn_gate_rad
-        )
-        return self._match(i, j, gate, turn_gate)
+        tried: list[Loop] = []
+        for pick in np.argsort(distance + 0.05 * spread[old], kind="stable").tolist():
+            j, gate = int(old[pick]), float(gates[pick])
+            if any(abs(j - loop.j) <= 2 * config.group for loop in tried):
+                continue
+            turn_gate = config.turn_gate_rad + config.turn_drift_per_m * float(spread[j])
+            tried.append(self._match(i, j, gate, min(turn_gate, config.max_turn_gate_rad)))
+            if tried[-1].accepted or len(tried) == PLACES:
+                break
+        return max(tried, key=lambda loop: (loop.accepted, loop.score))
 
     def _spread(self, i: int) -> Array:
         """Shortest path through the graph from key i to each older key [m]: what drift grows with."""
@@ -252,7 +258,7 @@ class LoopFinder:
             dx, dy = rival - coarse[:2]
             along = np.array([c * dx + s * dy, -s * dx + c * dy]) / np.hypot(dx, dy)
             loop = replace(loop, information=without_direction(loop.information, along, 0.0))
-        if result.overlap < config.min_overlap:
+        if result.overlap < LEAST_OVERLAP or result.agreement < config.min_overlap:
             return replace(loop, verdict="low overlap")
         if result.rmse > config.max_rmse_m:
             return replace(loop, verdict="bad fit")

@@ -99,7 +99,7 @@ def _align_each(
     for k in range(len(scans)):
         scan = scans[k]
         stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // most_points
-        pose, _, matched, usable, _, _ = align_kernel(
+        pose, _, matched, usable, _, _, _ = align_kernel(
             clouds, scan, stride, poses[k],
             keys[near[k]], key_poses[near[k]], gate, sigma, ITERATIONS, poses[k], information, 0.0,
         )  # fmt: skip

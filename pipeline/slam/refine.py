@@ -17,7 +17,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import KERNEL_SIGMAS, MIN_NORMAL_DOT, _safe_solve, find_partner, observable
+from pipeline.slam.align import (
+    KERNEL_SIGMAS,
+    MIN_NORMAL_DOT,
+    SURFACE_VAR,
+    _safe_solve,
+    find_partner,
+    observable,
+)
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
@@ -220,7 +227,7 @@ def _half(
         hit += 1
         w = 1.0 / (1.0 + e * e * inv_s2)
         w = w * w * inv_s2
-        faked += w * clouds.normal_var[row]
+        faked += w * (clouds.normal_var[row] + SURFACE_VAR)
         if inverted:
             j0, j1, j2 = -nx, -ny, -(x * ny - y * nx)
         else:

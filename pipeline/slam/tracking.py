@@ -317,7 +317,9 @@ class Tracker:
             )
             e = between(prior, result.T_map_base.xyt)
             surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
-            cost = result.cost + 0.01 * float(surprise)
+            # what the key scans could not see is neither hit nor miss
+            fit = result.known * result.cost + (1.0 - result.known) * self._usual_cost
+            cost = fit + 0.01 * float(surprise)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
