@@ -27,7 +27,7 @@ SUBJECTS = {
     "pipeline/slam": ["slam_*", "online_map"],
     "pipeline/localisation": ["amcl*", "localisation_*", "localise"],
     "planners": [
-        "plan", "plan_narrow", "plan_footprint", "plan_motion", "plan_lattice", "costmap", "control", "control_kernels", "rolling", "frontier", "avoid",
+        "plan", "plan_narrow", "plan_footprint", "plan_motion", "plan_lattice", "plan_tasks", "plan_guard", "costmap", "control", "control_kernels", "rolling", "frontier", "avoid",
         "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
     ],
     "datasets": [

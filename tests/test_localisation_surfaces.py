@@ -142,9 +142,7 @@ def test_surfaces_lie_in_a_padded_frame_and_are_known_as_far_as_they_reach():
     made = fit_surfaces(grid)
     walls_on_map = grid.center_of(np.argwhere(cells == OCCUPIED))
     on_map = made.T_map_surfaces @ made.points
-    np.testing.assert_allclose(
-        on_map[3:-3], (grid.center_of(np.argwhere(cells == OCCUPIED)))[3:-3], atol=2e-3
-    )
+    np.testing.assert_allclose(on_map[3:-3], walls_on_map[3:-3], atol=2e-3)
     np.testing.assert_allclose(made.normals, np.tile([0.0, -1.0], (14, 1)), atol=0.15)
     assert made.patches == 1
     assert set(np.unique(made.trust)) <= {module.ROUGH_WEIGHT, 1.0}
