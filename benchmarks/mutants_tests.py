@@ -27,8 +27,9 @@ SUBJECTS = {
     "pipeline/slam": ["slam_*", "online_map"],
     "pipeline/localisation": ["amcl*", "localisation_*", "localise"],
     "planners": [
-        "plan", "plan_narrow", "costmap", "control", "rolling", "frontier", "avoid",
-        "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
+        "plan", "plan_narrow", "plan_footprint", "plan_motion", "plan_lattice", "plan_live", "plan_guard",
+        "plan_tasks", "costmap", "control", "control_kernels", "control_pursuit", "rolling", "frontier",
+        "avoid", "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
     ],
     "datasets": [
         "bag_*", "carmen", "maps", "recordings", "runlog", "types", "se2", "trajectories",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from datasets.grid import OccupancyGrid
-from datasets.se2 import Array
+from datasets.se2 import SE2, Array
 from pipeline.localisation.field import free_cells
 
 
@@ -21,6 +21,7 @@ class FreeSpace:
         if len(self._cells) == 0:
             raise ValueError("the map has no free cell to be in")
         cells = self._cells[rng.integers(len(self._cells), size=count)]
-        jitter = rng.uniform(-0.5, 0.5, size=(count, 2)) * self._grid.resolution
+        within = rng.uniform(-0.5, 0.5, size=(count, 2)) * self._grid.resolution
         yaw = rng.uniform(-np.pi, np.pi, size=count)
-        return np.column_stack([self._grid.center_of(cells) + jitter, yaw])
+        turned = SE2.from_xyt(0.0, 0.0, float(self._grid.T_map_grid.yaw)) @ within
+        return np.column_stack([self._grid.center_of(cells) + turned, yaw])

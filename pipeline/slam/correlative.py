@@ -192,7 +192,7 @@ def _search(
                 # a hair of preference for the centre, so that a flat score means "stay"
                 off = abs(dr - n_xy) + abs(dc - n_xy) + abs(a)
                 over_yaw[dr, dc] = max(over_yaw[dr, dc], sums[dr, dc])
-                score = sums[dr, dc] - 1e-3 * n * off
+                score = sums[dr, dc] - 1e-3 * max(n, 1) * off
                 if score > best:
                     best = score
                     pose[0] = center[0] + (dc - n_xy) * resolution
