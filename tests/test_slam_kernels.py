@@ -13,6 +13,7 @@ from pipeline.slam.align import (
     MIN_NORMAL_DOT,
     PRIOR_SHARE,
     SAME_PARTNERS_M,
+    SURFACE_VAR,
     _safe_solve,
     _step,
     _wrap,
@@ -55,7 +56,7 @@ class Normals:
         w = share / kernel2 / (1.0 + e * e / kernel2) ** 2
         self.h += w * np.outer(j, j)
         self.g += w * j * e
-        self.faked += w * normal_var
+        self.faked += w * (normal_var + SURFACE_VAR)
         self.squares += w * e * e
         self.weights += w
         return e
@@ -79,27 +80,39 @@ def counts(clouds, row, found, T_key_scan, reach):
     return error if turned @ normal >= MIN_NORMAL_DOT and abs(error(np.zeros(3))) <= reach else None
 
 
+def in_view(clouds, xy, key, margin):
+    """Whether at least two of the three beams of `key` nearest that bearing are there, and none ends before."""
+    offset = xy - clouds.origin
+    bins = clouds.table.shape[1]
+    middle = int((math.atan2(offset[1], offset[0]) + math.pi) * bins / (2 * math.pi))
+    rows = [clouds.table[key, b % bins] for b in (middle - 1, middle, middle + 1)]
+    ranges = [np.hypot(*(clouds.points[row] - clouds.origin)) for row in rows if row >= 0]
+    return len(ranges) >= 2 and min(ranges) >= np.hypot(*offset) - margin
+
+
 def plain_align(clouds, scan, stride, pose, keys, key_poses, gate, sigma, iterations, *prior):
     """The kernel with every partner looked up anew in each round."""
     rows = [r for r in range(clouds.starts[scan], clouds.starts[scan + 1], stride) if clouds.line_ok[r]]
     for iteration in range(iterations + 1):
-        normals, matched, cost = Normals(), 0, 0.0
+        normals, matched, unknown, cost = Normals(), 0, 0, 0.0
         for row in rows:
             kernel2 = max(sigma**2, KERNEL_SIGMAS**2 * clouds.point_var[row])
-            errors = []
+            errors, unseen = [], True
             for key, key_pose in zip(keys, key_poses, strict=True):
                 T = (SE2(key_pose).inverse() @ SE2(pose)).xyt
                 found, reach = partner(clouds, row, T, key, gate, kernel2)
+                unseen &= found is None and not in_view(clouds, SE2(T) @ clouds.points[row], key, gate)
                 error = None if found is None else counts(clouds, row, found, T, reach)
                 if error is not None:
                     errors.append(abs(normals.add(error, kernel2, clouds.normal_var[found], 1.0 / len(keys))))
             matched += bool(errors)
             q = min(errors, default=np.inf) ** 2 / kernel2
-            cost += q / (1.0 + q) if errors else 1.0
+            unknown += unseen
+            cost += q / (1.0 + q) if errors else float(not unseen)
         if iteration < iterations:
             pose = moved_by(pose, _step(normals.h, normals.faked, *normals.g, pose, *prior))
     rms = math.sqrt(normals.squares / normals.weights) if normals.weights else 0.0
-    return pose, observable(normals.h, normals.faked), matched, len(rows), rms, cost
+    return pose, observable(normals.h, normals.faked), matched, len(rows), unknown, rms, cost
 
 
 NO_PRIOR = (np.zeros(3), np.zeros((3, 3)), 0.0)
@@ -122,8 +135,8 @@ def test_what_a_scan_tells_of_its_pose_is_what_the_lines_it_meets_say(clouds, of
     expected = plain_align(*args, 0)
     np.testing.assert_allclose(found[0], pose, atol=1e-12)
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-5 * np.abs(expected[1]).max())
-    assert found[2:4] == expected[2:4]
-    assert found[4:] == pytest.approx(expected[4:], rel=1e-6)
+    assert found[2:5] == expected[2:5]
+    assert found[5:] == pytest.approx(expected[5:], rel=1e-6)
 
 
 def test_steps_follow_one_another_until_they_are_tiny(clouds):
@@ -153,11 +166,13 @@ def test_the_outcome_is_in_shares_of_the_points_and_every_nth_of_many_is_used(cl
         np.testing.assert_array_equal(result.T_map_base.xyt, raw[0])
         np.testing.assert_array_equal(result.information, raw[1])
         assert result.overlap == raw[2] / raw[3]
-        assert (result.rmse, result.cost) == (raw[4], raw[5] / raw[3])
+        known = raw[3] - raw[4]
+        assert (result.known, result.rmse, result.cost) == (known / raw[3], raw[5], raw[6] / known)
+        assert result.agreement == pytest.approx(raw[2] / known)
     blind = align(
         clouds._replace(line_ok=0 * clouds.line_ok), 4, POSES[4], keys, POSES[keys], gate=0.3, sigma=0.05
     )
-    assert (blind.overlap, blind.cost, blind.rmse) == (0.0, 1.0, 0.0)
+    assert (blind.overlap, blind.cost, blind.rmse, blind.agreement) == (0.0, 1.0, 0.0, 0.0)
 
 
 def spread(seed):

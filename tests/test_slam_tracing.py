@@ -9,7 +9,7 @@ from datasets.grid import FREE, OCCUPIED, UNKNOWN
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.slam.clouds import KNOTS, make_clouds
-from pipeline.slam.correlative import Field, best_and_rival, best_pose, make_field
+from pipeline.slam.correlative import UNSEEN, Field, best_and_rival, best_pose, make_field
 from pipeline.slam.occupancy import (
     OccupancyConfig,
     _beside,
@@ -237,9 +237,18 @@ def test_a_field_holds_how_near_the_nearest_point_is():
     reach = math.ceil(3.0 * sigma / res)
     value = np.round(255.0 * np.exp(-np.sum((around * res) ** 2, axis=-1) / (2.0 * sigma**2)))
     value[np.abs(around).max(axis=-1) > reach] = 0.0
-    np.testing.assert_array_equal(field.values, value.max(axis=-1))
+    # what a beam passed through is empty, all else unseen
+    seen = np.zeros((rows, cols), dtype=bool)
+    for k in (2, 0):
+        lidar = (SE2(poses[k]) @ clouds.origin - field.corner) / res
+        for end in (SE2(poses[k]) @ clouds.of(k) - field.corner) / res:
+            steps = int(np.abs(end - lidar).max())
+            way = np.floor(lidar + (end - lidar) * (np.arange(steps) / max(steps, 1))[:, None]).astype(int)
+            way = way[((way >= 0) & (way < [cols, rows])).all(axis=1)]
+            seen[way[:, 1], way[:, 0]] = True
+    np.testing.assert_array_equal(field.values, np.maximum(value.max(axis=-1), np.where(seen, 0, UNSEEN)))
     empty = make_field(clouds, np.zeros(0, dtype=np.int64), np.zeros((0, 3)), res, sigma)
-    assert empty.values.tolist() == [[0]]
+    assert empty.values.tolist() == [[UNSEEN]]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -257,7 +266,7 @@ def test_the_best_pose_and_its_rival_are_those_of_all_that_can_be_tried(seed):
             for dc in range(-3, 4):
                 c, r = (cells + np.array([dc, dr])).T
                 ok = (r >= 0) & (r < 14) & (c >= 0) & (c < 19)
-                scores[dr, dc, a] = int(values[r[ok], c[ok]].sum())
+                scores[dr, dc, a] = int(values[r[ok], c[ok]].sum()) + UNSEEN * np.count_nonzero(~ok)
     liked = {k: s - 1e-3 * len(points) * sum(map(abs, k)) for k, s in scores.items()}
     dr, dc, a = max(liked, key=lambda k: liked[k])
     pose, score, rival, second = best_and_rival(field, points, center, window, turn, step, 0.25)
