@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
 from datasets.errors import InputError
+from datasets.returns import no_return_value
 from datasets.se2 import SE2, Array
 from datasets.trajectories import stamp_from_text
 from datasets.types import LidarSpec, Recording, Stamps
@@ -26,9 +27,6 @@ FAR = 49.99
 
 _END_OF_TIME_S = 2.0**31
 """ROS's seconds are 32 bits wide; a larger stamp is damage, and so is one before 1970."""
-
-_SPIKE_SHARE = 0.005
-"""Share of all readings that must equal the largest one for it to count as "no return"."""
 
 
 @dataclass(slots=True)
@@ -202,34 +200,18 @@ def _replace(lines: _Lines, keep: list[int]) -> None:
 def _normalised(readings: Array, notes: list[str]) -> tuple[NDArray[np.float32], float]:
     """REP-117 ranges and the largest range: codes for "no return" become +inf, readings <= 0 NaN."""
     readings = np.where(readings > 0.0, readings, np.nan)
-    limit = no_return_value(readings)
+    # a long code does not hide a short one
+    limit = min(no_return_value(np.where(readings < FAR, readings, np.nan)), FAR)
     far = readings >= limit
     near = readings[~far & np.isfinite(readings)]
     if not near.size:
         notes.append("no beam of the whole log measured anything")
     elif far.any():
-        notes.append(f"readings of {limit:g} m and more are 'no return' ({100.0 * far.mean():.1f} %)")
-    range_max = float(math.ceil(near.max())) if near.size else FAR
+        least = readings[far].min()
+        notes.append(f"readings of {least:g} m and more are 'no return' ({100.0 * far.mean():.1f} %)")
+    range_max = float(math.floor(near.max()) + 1) if near.size else FAR
     ranges = np.where(far, np.inf, readings).astype(np.float32)
     return ranges, range_max
-
-
-def no_return_value(readings: Array) -> float:
-    """Least reading that means "no return" [m]; +inf when the log has no such code.
-
-    Anything past 50 m is one (the SICK's are 81.83 and 81.91); otherwise the largest reading is,
-    when it stands out as a spike of equal values.
-    """
-    finite = readings[np.isfinite(readings)]
-    if not finite.size:
-        return math.inf
-    top = float(finite.max())
-    if top >= FAR:
-        return float(finite[finite >= FAR].min())
-    spike = np.count_nonzero(finite == top)
-    below = np.count_nonzero((finite < top) & (finite > 0.95 * top))
-    stands_out = _SPIKE_SHARE * finite.size <= spike <= 0.9 * finite.size and spike > 3 * below
-    return top if stands_out else math.inf
 
 
 def _field_of_view(lines: _Lines, notes: list[str]) -> tuple[float, float]:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.carmen import no_return_value
 from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
+from datasets.returns import no_return_value
 
 RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")

@@ -296,7 +296,7 @@ def test_angles_that_change_with_every_scan_keep_the_walls_straight(tmp_path):
 def test_readings_are_normalised(tmp_path):
     ranges = np.array([0.0, 0.05, 1.0, 3.5, 4.0, np.inf, -np.inf, np.nan])
     recording = load_recording(write_foreign(tmp_path / "bag", [("/scan", SCAN, 0, laser_scan(0, ranges))]))
-    expected = [np.nan, -np.inf, 1.0, 3.5, np.inf, np.inf, -np.inf, np.nan]
+    expected = [np.nan, -np.inf, 1.0, np.inf, np.inf, np.inf, -np.inf, np.nan]
     np.testing.assert_array_equal(recording.ranges[0], np.array(expected, dtype=np.float32))
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datasets.bags.decode import RawScan
 from datasets.bags.units import directed, limits_in_millimetres, ranges_in_millimetres
+from datasets.returns import no_return_value
 from datasets.se2 import Array
 from datasets.types import LidarSpec
 
@@ -159,10 +160,10 @@ def _places(key: _Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
 
 
 def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
-    """REP-117: 0 and below is no measurement, past range_max no return, within range_min too near."""
+    """REP-117: 0 and below is no measurement, from range_max on no return, within range_min too near."""
     with np.errstate(invalid="ignore"):
         zero = np.isfinite(ranges) & (ranges <= 0.0)
-        far = np.isfinite(ranges) & (ranges > np.float32(lidar.range_max))
+        far = np.isfinite(ranges) & lidar.silent(ranges)
         near = (ranges > 0.0) & (ranges < np.float32(lidar.range_min))
     ranges[zero], ranges[far], ranges[near] = np.nan, np.inf, -np.inf
     if zero.any():
@@ -170,7 +171,16 @@ def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
             f"{100.0 * zero.mean():.1f} % of the readings are 0: taken for invalid, not for free space"
         )
     if far.any():
-        notes.append(f"{100.0 * far.mean():.1f} % of the readings are past range_max: taken for no return")
+        notes.append(
+            f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: taken for no return"
+        )
+    limit = no_return_value(ranges)
+    piled = np.isfinite(ranges) & (ranges >= limit)
+    if piled.any():
+        ranges[piled] = np.inf
+        notes.append(
+            f"{100.0 * piled.mean():.1f} % of the readings pile up at {limit:g} m: taken for no return"
+        )
     return ranges
 
 

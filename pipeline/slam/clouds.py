@@ -27,8 +27,6 @@ MIN_POINTS = 8
 # A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
 # so within one.
 KNOTS = 8
-# A range below this is how some drivers write "no return".
-NOTHING_M = 0.01
 # Between scans farther apart than this the robot may have done anything.
 LONGEST_STEP_S = 1.0
 # Returns further apart than this never lie on one surface [m].
@@ -107,8 +105,7 @@ def make_clouds(
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
     lidar = recording.lidar
-    least = max(lidar.range_min, NOTHING_M)
-    valid = (recording.ranges >= least) & (recording.ranges <= min(lidar.range_max, usable_range))
+    valid = lidar.returns(recording.ranges) & (recording.ranges <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     scan_of, beam_of = np.nonzero(valid)
     ranges = recording.ranges[valid].astype(np.float64)

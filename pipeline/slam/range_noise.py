@@ -43,9 +43,8 @@ class RangeNoise:
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     """The noise of a recording's ranges; the usual centimetre when too few beams tell."""
     step = max(1, len(recording) // SCANS)
-    r = recording.ranges[::step].astype(np.float64)
-    lidar = recording.lidar
-    valid = (r >= max(lidar.range_min, LEAST_M)) & (r <= min(lidar.range_max, usable_range))
+    lidar, ranges = recording.lidar, recording.ranges[::step]
+    valid, r = lidar.returns(ranges) & (ranges <= usable_range), ranges.astype(np.float64)
     whole = valid[:, :-2] & valid[:, 1:-1] & valid[:, 2:]
     u = 1.0 / np.where(valid, r, 1.0)
     twice_cos = 2.0 * np.cos(lidar.angle_increment)
