@@ -210,6 +210,13 @@ class Recording:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    @cached_property
+    def stride(self) -> int:
+        """How many beams the lidar's own are apart; more than 1 where geometries share a finer grid."""
+        scan, beam = np.nonzero(~np.isnan(self.ranges[:: 1 + len(self) // 400]))
+        apart = np.diff(beam)[np.diff(scan) == 0]
+        return int(np.bincount(apart).argmax()) if len(apart) else 1
+
     def scan(self, index: int) -> Scan:
         """One sweep of the log."""
         return Scan(int(self.stamps_ns[index]), self.ranges[index], self.lidar)

@@ -104,3 +104,22 @@ def test_what_walls_give_is_no_pile():
     before_it[:, :20] = 10.0  # many beams at one value, but others see as far again
     assert no_return_value(before_it) == np.inf
     assert no_return_value(np.where(np.arange(180) < 60, 1.0, 3.0)[None]) == np.inf
+
+
+def test_beams_put_on_a_finer_grid_have_the_same_noise_lines_and_open_space(corridor):
+    """Interlaced scans leave other columns empty than the one before; nothing else may change."""
+    ranges = np.full((len(corridor), 4 * SICK.n_beams), np.nan, dtype=np.float32)
+    ranges[:, ::4] = corridor.ranges
+    lidar = replace(NEAR, n_beams=4 * SICK.n_beams, angle_increment=SICK.angle_increment / 4)
+    finer = replace(corridor, ranges=ranges, lidar=lidar)
+    assert (corridor.stride, finer.stride) == (1, 4)
+    noise, expected = (vars(range_noise(one, 30.0)) for one in (finer, corridor))
+    assert noise == pytest.approx(expected)
+    ours, theirs = make_clouds(finer, 30.0), make_clouds(corridor, 30.0)
+    np.testing.assert_allclose(ours.normals, theirs.normals, atol=1e-9)
+    np.testing.assert_array_equal(ours.line_ok, theirs.line_ok)
+    assert ours.table.shape == theirs.table.shape
+    grids = [
+        make_grid(one, SE2.from_array(DRIVE), OccupancyConfig(), 30.0).cells for one in (finer, corridor)
+    ]
+    np.testing.assert_array_equal(*grids)

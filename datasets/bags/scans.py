@@ -26,7 +26,7 @@ _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 
 
-class _Geometry(NamedTuple):
+class Geometry(NamedTuple):
     """What must be equal for two scans to share their beams; the sweep time may vary with the motor."""
 
     angle_min: float
@@ -48,16 +48,30 @@ class _Geometry(NamedTuple):
 def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
     """(n_scans, n_beams) REP-117 ranges and the geometry of the beams; ValueError when there is none.
 
-    The most frequent geometry is kept. Scans of another are resampled to the nearest beam, which
-    leaves NaN where they have none; a scanner whose angles change all the time (LDS-02) is put on
-    a finer grid, so that no reading is turned by more than an eighth of its increment.
+    The angles are those of `on_one_grid`, the readings in metres and normalised.
     """
     keys = [_geometry(scan) for scan in scans]
     usable = Counter(key for key in keys if key.usable())
     if not usable:
         raise ValueError("no scan has a usable geometry")
-    main, count = usable.most_common(1)[0]
-    lidar = _lidar(main, scans, notes)
+    lidar = _lidar(usable.most_common(1)[0][0], scans, notes)
+    ranges, lidar = on_one_grid([scan.ranges for scan in scans], keys, lidar, notes)
+    lidar = _in_metres(ranges, lidar, notes)
+    return _normalised(ranges, lidar, notes), lidar
+
+
+def on_one_grid(
+    scans: Sequence[Ranges], keys: Sequence[Geometry], lidar: LidarSpec, notes: list[str]
+) -> tuple[Ranges, LidarSpec]:
+    """Scans of any geometries as (n_scans, n_beams), and the beams they are put on.
+
+    `lidar` is the most frequent geometry, which is kept. Scans of another are resampled to the nearest
+    beam, which leaves NaN where they have none; a scanner whose angles change all the time (LDS-02,
+    interlacing SICKs) is put on a finer grid, so that no reading is turned by more than an eighth of
+    its increment.
+    """
+    usable = Counter(key for key in keys if key.usable())
+    count = usable.most_common(1)[0][1]
     beside = sum(number for key, number in usable.items() if not _aligned(key, lidar))
     if beside > 0.1 * len(scans):
         lidar = _finer(lidar)
@@ -66,22 +80,21 @@ def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarS
         notes.append(f"{len(scans) - count} scans of another geometry resampled to {lidar.n_beams} beams")
     if len(usable) < len(set(keys)):
         notes.append(f"{sum(key not in usable for key in keys)} scans without a usable geometry left empty")
-    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=np.float32)
+    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=scans[0].dtype)
     places = {key: _places(key, lidar) for key in usable}
     for row, scan, key in zip(ranges, scans, keys, strict=True):
         if key in usable:
             beams = places[key]
-            row[beams[beams >= 0]] = scan.ranges[beams >= 0]
-    lidar = _in_metres(ranges, lidar, notes)
-    return _normalised(ranges, lidar, notes), lidar
+            row[beams[beams >= 0]] = scan[beams >= 0]
+    return ranges, lidar
 
 
-def _geometry(scan: RawScan) -> _Geometry:
+def _geometry(scan: RawScan) -> Geometry:
     angle_min, angle_max, increment, _, _, range_min, range_max = scan.geometry
-    return _Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
+    return Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
 
 
-def _lidar(key: _Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
+def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
     step, range_min, range_max = key.step(), key.range_min, key.range_max
     steps = (key.angle_max - key.angle_min) / step if step else 0.0
     if abs(steps - (key.n - 1)) > 0.5:
@@ -126,7 +139,7 @@ def _finer(lidar: LidarSpec) -> LidarSpec:
     return replace(lidar, n_beams=n, angle_increment=step, time_increment=lidar.time_increment * share)
 
 
-def _offsets(key: _Geometry, lidar: LidarSpec) -> Array:
+def _offsets(key: Geometry, lidar: LidarSpec) -> Array:
     """Where the beams of a geometry fall on the grid of `lidar`, in beams of the grid, (n,)."""
     angles = key.angle_min + key.step() * np.arange(key.n)
     half = 0.5 * abs(lidar.angle_increment)
@@ -134,14 +147,14 @@ def _offsets(key: _Geometry, lidar: LidarSpec) -> Array:
     return ((ahead + half) % (2.0 * math.pi) - half) / abs(lidar.angle_increment)
 
 
-def _same_beams(key: _Geometry, lidar: LidarSpec) -> bool:
+def _same_beams(key: Geometry, lidar: LidarSpec) -> bool:
     return lidar.angle_increment == 0.0 or (key.angle_min, key.step()) == (
         lidar.angle_min,
         lidar.angle_increment,
     )
 
 
-def _aligned(key: _Geometry, lidar: LidarSpec) -> bool:
+def _aligned(key: Geometry, lidar: LidarSpec) -> bool:
     """Whether the beams of a geometry lie on those of `lidar`."""
     if _same_beams(key, lidar):
         return True
@@ -149,7 +162,7 @@ def _aligned(key: _Geometry, lidar: LidarSpec) -> bool:
     return float(np.abs(offsets - np.rint(offsets)).max()) <= _ALIGNED
 
 
-def _places(key: _Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
+def _places(key: Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
     """Index on the grid for each beam of a geometry, -1 for those outside it."""
     if _same_beams(key, lidar):  # also where the last beam meets the first, as Gazebo's does
         return np.where(np.arange(key.n) < lidar.n_beams, np.arange(key.n), -1)

@@ -116,7 +116,7 @@ def make_clouds(
         if motion is not None:
             points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
-    increment = abs(lidar.angle_increment)
+    increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
     point_var, normal_var = noise.variance(ranges), np.zeros(len(points))

@@ -45,11 +45,12 @@ def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     step = max(1, len(recording) // SCANS)
     lidar, ranges = recording.lidar, recording.ranges[::step]
     valid, r = lidar.returns(ranges) & (ranges <= usable_range), ranges.astype(np.float64)
-    whole = valid[:, :-2] & valid[:, 1:-1] & valid[:, 2:]
+    d = recording.stride
+    whole = valid[:, : -2 * d] & valid[:, d:-d] & valid[:, 2 * d :]
     u = 1.0 / np.where(valid, r, 1.0)
-    twice_cos = 2.0 * np.cos(lidar.angle_increment)
-    e = np.abs(u[:, :-2] + u[:, 2:] - twice_cos * u[:, 1:-1])[whole]
-    middle = r[:, 1:-1][whole]
+    twice_cos = 2.0 * np.cos(d * lidar.angle_increment)
+    e = np.abs(u[:, : -2 * d] + u[:, 2 * d :] - twice_cos * u[:, d:-d])[whole]
+    middle = r[:, d:-d][whole]
     sigma = PER_MEDIAN * e * middle**2 / np.sqrt(2.0 + twice_cos**2)
     bins = np.floor(np.log(middle) / np.log(BIN_FACTOR)).astype(int)
     rows, wanted = [], []
