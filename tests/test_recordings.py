@@ -209,7 +209,35 @@ def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
     np.testing.assert_allclose((bearings + np.arange(300) + 180.0) % 360.0, 180.0, atol=1e-4)
     times = recording.stamps_ns[0] * 1e-9 + lidar.time_increment * np.arange(300)
     np.testing.assert_allclose(times[order], 1.0 + np.arange(300) / 1800, atol=1e-6)
-    assert float(recording.T_odom_base.x[0]) == pytest.approx(recording.stamps_ns[0] * 1e-9, abs=1e-6)
+    assert recording.stamps_ns.tolist() == [at]  # what a trajectory is to carry
+    assert float(recording.T_odom_base.x[0]) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("static", [False, True], ids=["no static transforms", "another frame"])
+def test_odometry_on_tf_counts_where_nothing_tells_the_lidar_s_place(tmp_path, static):
+    sits = (-0.032, 0.0, 0.172), (0.0, 0.0, 0.0, 1.0)
+    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "laser", *sits)))] if static else []
+    for k in range(11):
+        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, k * 10**8, tf(link)))
+        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
+    assert any("odometry from /tf (odom -> base_link)" in note for note in recording.notes)
+    assert any("no fixed transform base_link -> base_scan" in note for note in recording.notes)
+    assert not any("no odometry" in note for note in recording.notes)
+
+
+def test_of_several_odometries_on_tf_the_one_that_carries_the_lidar_counts(tmp_path):
+    sits = (0.1, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)
+    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "base_scan", *sits)))]
+    for k in range(11):
+        other = transform(k * 10**8, "cart_odom", "cart", (0, 0.1 * k, 0), (0, 0, 0, 1))
+        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, k * 10**8, tf(other, link)))
+        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
 
 
 @pytest.mark.parametrize("length", [0.2, 1.0, 3.0])

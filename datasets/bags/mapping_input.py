@@ -51,8 +51,7 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
             sensor_matrix(bag.path, streams.frames, odometry.base, scans[0].frame, notes), notes
         )
         if over:
-            ranges, lidar = turned_over(ranges, lidar)
-            stamps = stamps - round((lidar.n_beams - 1) * lidar.time_increment * 1e9)
+            lidar = turned_over(lidar)
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
     streams.note_left_out(notes)

@@ -197,16 +197,6 @@ def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
     return ranges
 
 
-def turned_over(ranges: Ranges, lidar: LidarSpec) -> tuple[Ranges, LidarSpec]:
-    """The scans of a lidar mounted upside down, as one of the upright geometry would have given them."""
-    last = lidar.angle_min + (lidar.n_beams - 1) * lidar.angle_increment
-    upright = LidarSpec(
-        lidar.n_beams,
-        -last,
-        lidar.angle_increment,
-        lidar.range_min,
-        lidar.range_max,
-        -lidar.time_increment,
-        lidar.scan_time,
-    )
-    return np.ascontiguousarray(ranges[:, ::-1]), upright
+def turned_over(lidar: LidarSpec) -> LidarSpec:
+    """The beams of a lidar mounted upside down, as seen from above; each keeps its time within the sweep."""
+    return replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
