@@ -48,6 +48,7 @@ def build_map(
     config: Path | None = None,
     settings: Sequence[str] = (),
     laser: SE2 | None = None,
+    upside_down: bool = False,
     also: Sequence[Path] = (),
     continued: Path | None = None,
     topic: str | None = None,
@@ -65,9 +66,10 @@ def build_map(
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
     of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
-    which the map is saved too, as `map_saver -f` would. `laser` overrides
-    where the input says the laser sits on the robot. InputError when anything given cannot be used,
-    before anything is written. With `cache` only the steps are done whose inputs it does not know.
+    which the map is saved too, as `map_saver -f` would. `laser` and
+    `upside_down` override how the input says the laser sits on the robot. InputError when anything given
+    cannot be used, before anything is written. With `cache` only the steps are done whose inputs it does
+    not know.
     """
     check_free(out, force=force, kind="folder")
     _require_name(named)
@@ -77,7 +79,7 @@ def build_map(
     cache = cache or StageCache()
     earlier = None if continued is None else load_session(continued)
     try:
-        recordings = [_recording(path, laser, topic, cache) for path in (source, *also)]
+        recordings = [_recording(path, (laser, upside_down), topic, cache) for path in (source, *also)]
     except NoScans as error:
         if not error.clouds:
             raise
@@ -163,17 +165,17 @@ def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], Slam
     return lambda: resolved
 
 
-def _recording(path: Path, laser: SE2 | None, topic: str | None, cache: StageCache) -> Recording:
+def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, cache: StageCache) -> Recording:
     """An input, from the cache when its bytes were read before; InputError when they change meanwhile."""
     before = signatures(path)
     content = sha256_tree(path) if cache.on and path.exists() else {}
 
     def read() -> Recording:
-        recording = load_recording(path, T_base_lidar=laser, topic=topic)
+        recording = load_recording(path, T_base_lidar=laser[0], upside_down=laser[1], topic=topic)
         require_same(path, before)  # before it is kept under the hash of what was there at first
         return recording
 
-    return cache.step("reading", [str(path), content, laser, topic], read)[0]
+    return cache.step("reading", [str(path), content, *laser, topic], read)[0]
 
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:

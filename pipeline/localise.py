@@ -63,6 +63,7 @@ def localise(
     *,
     initial_pose: SE2 | str | None = None,
     T_base_lidar: SE2 | None = None,
+    upside_down: bool = False,
     truth: Path | None = None,
     config: LocaliseConfig | None = None,
     seed: int = 1,
@@ -77,7 +78,8 @@ def localise(
     watch = Stopwatch()
     config = config or LocaliseConfig()
     check_free(out, force=force, kind="folder")
-    grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
+    grid = load_map(map_yaml)
+    recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:

@@ -26,6 +26,10 @@ _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 
 
+TURNED_OVER = "the laser hangs upside down; its scans were turned over"
+"""The note of a recording whose laser does."""
+
+
 class Geometry(NamedTuple):
     """What must be equal for two scans to share their beams; the sweep time may vary with the motor."""
 
