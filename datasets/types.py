@@ -194,7 +194,8 @@ class Recording:
     whatever the source said for "no return". `T_odom_base` is the odometry pose at each scan's
     stamp, (n_scans,), or None when the log has none; `odometry` is its full-rate stream where there
     is one (None for CARMEN logs, whose odometry comes with each scan). `notes` holds one line for
-    everything that was skipped or repaired while reading.
+    everything that was skipped or repaired while reading. `odometry_late_s` is a delay of the odometry
+    that was undone.
     """
 
     source: str
@@ -206,6 +207,7 @@ class Recording:
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
+    odometry_late_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -23,6 +23,7 @@ from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, log_notes, track
 from pipeline.map_lines import tell_map
+from pipeline.slam.delay import delay_metrics
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
@@ -102,6 +103,8 @@ def build_map(
         result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
     cache.trim()
     recording = result.session.recording
+    read = {note for one in recordings for note in one.notes}
+    log_notes(note for note in recording.notes if note not in read)
     slam_s = watch.seconds()
     metrics = {**summary(recording, result), **references.metrics(result.trajectory, result.grid)}
     with staged_output(out, force=force) as folder:
@@ -233,5 +236,6 @@ def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResul
             "rejected": len(result.loops) - accepted,
         },
         "log_s": recording.duration(),
+        **delay_metrics(recording),
         "self_check": result.check.as_metrics(),
     }

@@ -26,6 +26,7 @@ from pipeline.console import length, log, log_notes, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from pipeline.localisation.parameters import AmclConfig
+from pipeline.slam.delay import delay_metrics, in_time, odometry_delay
 from reports.metrics.navigation import THERE_M
 from reports.metrics.trajectory import associate, summary
 
@@ -80,6 +81,7 @@ def localise(
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
+    recording = in_time(recording, odometry_delay(recording))
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:
@@ -91,7 +93,7 @@ def localise(
         except ValueError as error:
             raise InputError(f"--truth {truth}: {error}") from None
     log_notes(recording.notes)
-    metrics = {"scans": len(recording), "log_s": recording.duration(), **outcome}
+    metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
     with staged_output(out, force=force) as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
