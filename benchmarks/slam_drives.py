@@ -105,14 +105,14 @@ def make_log(
     rng = stream(seed, name)
     odometry = drifted(poses, wheels, lies, rng)
     sweep = sensor.spec.time_increment * sensor.spec.n_beams
-    times = np.arange(0.0, (len(poses) - 2) * DT - sweep, sensor.period)
+    times = np.arange(max(0.0, -sweep), (len(poses) - 2) * DT - max(0.0, sweep), sensor.period)
     jitter = 0.02 * sensor.period if sensor.spec.time_increment == 0.0 else 0.0
     times = np.abs(times + rng.normal(0.0, jitter, len(times)) if jitter else times)
     ranges = measure(Caster(plan), poses, times, sensor, rng, person)
     stamps = np.round((times + 100.0) * 1e9).astype(np.int64)
     T_odom_base, T_world_base = at_times(odometry, times), at_times(poses, times)
     stream_30hz = None
-    if sensor.spec.time_increment > 0.0:
+    if sensor.spec.time_increment != 0.0:
         t = np.arange(0.0, (len(poses) - 1) * DT, 1.0 / 30.0)
         stream_30hz = Trajectory(np.round((t + 100.0) * 1e9).astype(np.int64), at_times(odometry, t))
     recording = Recording(

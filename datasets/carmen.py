@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.bags.scans import Geometry, on_one_grid
 from datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
 from datasets.errors import InputError
+from datasets.returns import no_return_value
 from datasets.se2 import SE2, Array
 from datasets.trajectories import stamp_from_text
 from datasets.types import LidarSpec, Recording, Stamps
@@ -24,11 +26,11 @@ from datasets.types import LidarSpec, Recording, Stamps
 FAR = 49.99
 """No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""
 
+_HALF_CIRCLES = (180, 181, 360, 361)
+"""Numbers of beams of a SICK that sees half a circle."""
+
 _END_OF_TIME_S = 2.0**31
 """ROS's seconds are 32 bits wide; a larger stamp is damage, and so is one before 1970."""
-
-_SPIKE_SHARE = 0.005
-"""Share of all readings that must equal the largest one for it to count as "no return"."""
 
 
 @dataclass(slots=True)
@@ -53,17 +55,16 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
     """Recording from the unpacked content of a log; `path` names it in messages."""
     found, params, broken, rear = _collect(content)
     lines = found[b"FLASER"] if found[b"FLASER"].stamps else found[b"ROBOTLASER1"]
-    lines = _one_size(lines, notes)
-    values = _numbers(lines, broken)
-    if not lines.stamps:
+    keys = _geometries(lines, notes)
+    stamps, values, lidar = _on_one_grid(lines, keys, broken, notes)
+    if not len(stamps):
         what = "only damaged scan lines" if broken else "no FLASER or ROBOTLASER1 line"
         raise InputError(f"{path}: {what} in the log; is it a CARMEN log with laser data?")
     if broken:
         notes.append(f"{len(broken)} damaged lines skipped, the first is line {min(broken)}")
     if rear:
         notes.append(f"{rear} rear laser scans (RLASER) not used")
-    n = lines.beams[0]
-    stamps = np.array(lines.stamps, dtype=np.int64)
+    n = lidar.n_beams
     if stands_still(stamps):
         notes.append(f"every stamp is {stamps[0] * 1e-9:.6f}; the order of the file is all that is known")
     values = _in_metres(values, stamps, notes)
@@ -74,12 +75,11 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
     if T_base_lidar is None:
         T_base_lidar = _laser_pose(poses_base, poses_lidar, params, notes)
     ranges, range_max = _normalised(values[:, :n], notes)
-    angle_min, increment = _field_of_view(lines, notes)
     return Recording(
         source=str(path),
         stamps_ns=stamps,
         ranges=ranges,
-        lidar=LidarSpec(n, angle_min, increment, 0.0, range_max, scan_time=_period(stamps)),
+        lidar=replace(lidar, range_max=range_max, scan_time=_period(stamps)),
         T_base_lidar=T_base_lidar,
         T_odom_base=poses_base,
         notes=tuple(notes),
@@ -135,14 +135,57 @@ def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None
         lines.views.append(view)
 
 
-def _one_size(lines: _Lines, notes: list[str]) -> _Lines:
-    """Only the scans with the most frequent number of beams."""
+def _geometries(lines: _Lines, notes: list[str]) -> list[Geometry | None]:
+    """The beams of each scan; None for one whose field of view nobody knows.
+
+    The half circle that FLASER lines leave unsaid is that of the SICK's numbers of beams, and of the most
+    frequent number.
+    """
     sizes = Counter(lines.beams)
-    if len(sizes) < 2:
-        return lines
-    n, count = sizes.most_common(1)[0]
-    notes.append(f"{len(lines.beams) - count} scans with other than {n} beams skipped")
-    return _select(lines, [index for index, size in enumerate(lines.beams) if size == n])
+    usual = sizes.most_common(1)[0][0] if sizes else 0
+    if not lines.views:
+        known = {*_HALF_CIRCLES, usual}
+        if usual and usual not in _HALF_CIRCLES:
+            notes.append(f"{usual} beams: a field of view of 180 degrees is assumed")
+        if sizes.keys() - known:
+            unknown = sum(count for n, count in sizes.items() if n not in known)
+            notes.append(f"{unknown} scans with other than {usual} beams skipped")
+        views = [(-math.pi / 2.0, math.pi / max(n - n % 2, 1)) for n in lines.beams]
+    else:
+        known, views = set(lines.beams), lines.views
+    return [
+        Geometry(first, first + (n - 1) * step, step, 0.0, FAR, n) if n in known else None
+        for n, (first, step) in zip(lines.beams, views, strict=True)
+    ]
+
+
+def _on_one_grid(
+    lines: _Lines, keys: list[Geometry | None], broken: list[int], notes: list[str]
+) -> tuple[Stamps, Array, LidarSpec]:
+    """Stamps (n,), readings and the two poses (n, n_beams + 6) in the file's order, and the beams.
+
+    Rows that hold anything but numbers are left out and counted in `broken`.
+    """
+    parts, found = [], []
+    geometries = [key for key in dict.fromkeys(keys) if key is not None]
+    if len(geometries) > 1:
+        geometries = [key for key in geometries if key.usable()]
+    for key in geometries:
+        part = _select(lines, [index for index, other in enumerate(keys) if other == key])
+        parts.append((_numbers(part, broken), part))
+        found += [key] * len(part.stamps)
+    if not found:
+        return np.empty(0, dtype=np.int64), np.empty((0, 6)), LidarSpec(1, 0.0, 0.0, 0.0, FAR)
+    order = np.argsort([number for _, part in parts for number in part.line_numbers], kind="stable")
+    stamps = np.array([stamp for _, part in parts for stamp in part.stamps], dtype=np.int64)[order]
+    main = Counter(found).most_common(1)[0][0]
+    lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
+    if len(parts) == 1:
+        return stamps, parts[0][0], lidar
+    rows = [row for values, _ in parts for row in values]
+    rows, found = [rows[index] for index in order], [found[index] for index in order]
+    readings, lidar = on_one_grid([row[:-6] for row in rows], found, lidar, notes)
+    return stamps, np.hstack([readings, [row[-6:] for row in rows]]), lidar
 
 
 def _select(lines: _Lines, keep: list[int]) -> _Lines:
@@ -202,48 +245,20 @@ def _replace(lines: _Lines, keep: list[int]) -> None:
 def _normalised(readings: Array, notes: list[str]) -> tuple[NDArray[np.float32], float]:
     """REP-117 ranges and the largest range: codes for "no return" become +inf, readings <= 0 NaN."""
     readings = np.where(readings > 0.0, readings, np.nan)
-    limit = no_return_value(readings)
+    # a long code does not hide a short one
+    limit = min(no_return_value(np.where(readings < FAR, readings, np.nan)), FAR)
     far = readings >= limit
     near = readings[~far & np.isfinite(readings)]
     if not near.size:
         notes.append("no beam of the whole log measured anything")
     elif far.any():
-        notes.append(f"readings of {limit:g} m and more are 'no return' ({100.0 * far.mean():.1f} %)")
-    range_max = float(math.ceil(near.max())) if near.size else FAR
+        least, measured = readings[far].min(), np.count_nonzero(np.isfinite(readings))
+        notes.append(
+            f"readings of {least:g} m and more are 'no return' ({100.0 * far.sum() / measured:.1f} %)"
+        )
+    range_max = float(math.floor(near.max()) + 1) if near.size else FAR
     ranges = np.where(far, np.inf, readings).astype(np.float32)
     return ranges, range_max
-
-
-def no_return_value(readings: Array) -> float:
-    """Least reading that means "no return" [m]; +inf when the log has no such code.
-
-    Anything past 50 m is one (the SICK's are 81.83 and 81.91); otherwise the largest reading is,
-    when it stands out as a spike of equal values.
-    """
-    finite = readings[np.isfinite(readings)]
-    if not finite.size:
-        return math.inf
-    top = float(finite.max())
-    if top >= FAR:
-        return float(finite[finite >= FAR].min())
-    spike = np.count_nonzero(finite == top)
-    below = np.count_nonzero((finite < top) & (finite > 0.95 * top))
-    stands_out = _SPIKE_SHARE * finite.size <= spike <= 0.9 * finite.size and spike > 3 * below
-    return top if stands_out else math.inf
-
-
-def _field_of_view(lines: _Lines, notes: list[str]) -> tuple[float, float]:
-    """First angle and increment [rad]: stated, or the half circle that FLASER lines leave unsaid."""
-    if lines.views:
-        views = Counter(lines.views)
-        if len(views) > 1:
-            notes.append("the stated field of view changes; the most frequent one is used")
-        return views.most_common(1)[0][0]
-    n = lines.beams[0]
-    if n not in (180, 181, 360, 361):
-        notes.append(f"{n} beams: a field of view of 180 degrees is assumed")
-    steps = n - 1 if n % 2 and n > 1 else n
-    return -math.pi / 2.0, math.pi / steps
 
 
 def _laser_pose(T_odom_base: SE2, T_odom_lidar: SE2, params: dict[bytes, bytes], notes: list[str]) -> SE2:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from datasets.bags.mapping_input import read_for_mapping
+from datasets.bags.scans import TURNED_OVER, turned_over
 from datasets.bags.source import is_bag, open_bag
 from datasets.carmen import is_carmen, parse_carmen
 from datasets.errors import InputError
@@ -13,13 +15,22 @@ from datasets.se2 import SE2
 from datasets.types import Recording
 
 
-def load_recording(path: Path, *, T_base_lidar: SE2 | None = None, topic: str | None = None) -> Recording:
+def load_recording(
+    path: Path, *, T_base_lidar: SE2 | None = None, upside_down: bool = False, topic: str | None = None
+) -> Recording:
     """Read any input: a record's folder, a rosbag2 folder, .mcap, .db3, .bag or a CARMEN log (.gz, .bz2 too).
 
-    `T_base_lidar` overrides what the input says of the laser's place on the robot, `topic` names the
-    scans of a bag that has several. Truth topics are never read. InputError when there is nothing to map
-    with.
+    `T_base_lidar` and with it `upside_down` override what the input says of the laser's place on the robot,
+    `topic` names the scans of a bag that has several. Truth topics are never read. InputError when there is
+    nothing to map with.
     """
+    recording = _read(path, T_base_lidar, topic)
+    if T_base_lidar is None or not upside_down:
+        return recording
+    return replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, TURNED_OVER))
+
+
+def _read(path: Path, T_base_lidar: SE2 | None, topic: str | None) -> Recording:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.is_dir() or is_bag(path):

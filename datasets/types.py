@@ -13,6 +13,9 @@ from datasets.se2 import SE2, Array, wrap
 
 Stamps = NDArray[np.int64]
 
+NOTHING_M = 0.01
+"""A range below this is how some drivers write "no return"."""
+
 
 def seconds(stamp_ns: int) -> float:
     """Nanoseconds as seconds."""
@@ -32,8 +35,8 @@ class LidarSpec:
     """Geometry of a planar lidar, as sensor_msgs/LaserScan states it.
 
     Beam i points at `angle_min + i * angle_increment` in the lidar frame and is taken
-    `i * time_increment` seconds after the scan's stamp (0: all at once). A range is valid when
-    `range_min <= r <= range_max`; +inf is "no return up to range_max", -inf "nearer than
+    `i * time_increment` seconds after the scan's stamp (0: all at once). A range is a return when
+    `range_min <= r < range_max`; range_max and more, as +inf, is "no return", -inf "nearer than
     range_min", NaN invalid (REP-117).
     """
 
@@ -61,6 +64,14 @@ class LidarSpec:
         """Unit vectors of the beams in the lidar frame, (n_beams, 2)."""
         return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
 
+    def returns(self, ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Which ranges of any shape [m] are of a surface."""
+        return (ranges >= max(self.range_min, NOTHING_M)) & (ranges < self.range_max)
+
+    def silent(self, ranges: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Which ranges of any shape say that nothing came back."""
+        return ranges >= self.range_max
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
@@ -72,7 +83,7 @@ class Scan:
 
     def valid(self) -> NDArray[np.bool_]:
         """Which beams measured a surface, (n_beams,)."""
-        return (self.ranges >= self.lidar.range_min) & (self.ranges <= self.lidar.range_max)
+        return self.lidar.returns(self.ranges)
 
     def points_lidar(self) -> Array:
         """Measured points, (n_valid, 2) in the lidar frame, motion during the sweep not undone."""
@@ -183,7 +194,8 @@ class Recording:
     whatever the source said for "no return". `T_odom_base` is the odometry pose at each scan's
     stamp, (n_scans,), or None when the log has none; `odometry` is its full-rate stream where there
     is one (None for CARMEN logs, whose odometry comes with each scan). `notes` holds one line for
-    everything that was skipped or repaired while reading.
+    everything that was skipped or repaired while reading. `odometry_late_s` is a delay of the odometry
+    that was undone.
     """
 
     source: str
@@ -195,9 +207,17 @@ class Recording:
     odometry: Trajectory | None = None
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
+    odometry_late_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @cached_property
+    def stride(self) -> int:
+        """How many beams the lidar's own are apart; more than 1 where geometries share a finer grid."""
+        scan, beam = np.nonzero(~np.isnan(self.ranges[:: 1 + len(self) // 400]))
+        apart = np.diff(beam)[np.diff(scan) == 0]
+        return int(np.bincount(apart).argmax()) if len(apart) else 1
 
     def scan(self, index: int) -> Scan:
         """One sweep of the log."""

@@ -23,6 +23,7 @@ from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, log_notes, track
 from pipeline.map_lines import tell_map
+from pipeline.slam.delay import delay_metrics
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
@@ -48,6 +49,7 @@ def build_map(
     config: Path | None = None,
     settings: Sequence[str] = (),
     laser: SE2 | None = None,
+    upside_down: bool = False,
     also: Sequence[Path] = (),
     continued: Path | None = None,
     topic: str | None = None,
@@ -65,9 +67,10 @@ def build_map(
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
     of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
-    which the map is saved too, as `map_saver -f` would. `laser` overrides
-    where the input says the laser sits on the robot. InputError when anything given cannot be used,
-    before anything is written. With `cache` only the steps are done whose inputs it does not know.
+    which the map is saved too, as `map_saver -f` would. `laser` and
+    `upside_down` override how the input says the laser sits on the robot. InputError when anything given
+    cannot be used, before anything is written. With `cache` only the steps are done whose inputs it does
+    not know.
     """
     check_free(out, force=force, kind="folder")
     _require_name(named)
@@ -77,7 +80,7 @@ def build_map(
     cache = cache or StageCache()
     earlier = None if continued is None else load_session(continued)
     try:
-        recordings = [_recording(path, laser, topic, cache) for path in (source, *also)]
+        recordings = [_recording(path, (laser, upside_down), topic, cache) for path in (source, *also)]
     except NoScans as error:
         if not error.clouds:
             raise
@@ -100,6 +103,8 @@ def build_map(
         result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
     cache.trim()
     recording = result.session.recording
+    read = {note for one in recordings for note in one.notes}
+    log_notes(note for note in recording.notes if note not in read)
     slam_s = watch.seconds()
     metrics = {**summary(recording, result), **references.metrics(result.trajectory, result.grid)}
     with staged_output(out, force=force) as folder:
@@ -163,17 +168,17 @@ def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], Slam
     return lambda: resolved
 
 
-def _recording(path: Path, laser: SE2 | None, topic: str | None, cache: StageCache) -> Recording:
+def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, cache: StageCache) -> Recording:
     """An input, from the cache when its bytes were read before; InputError when they change meanwhile."""
     before = signatures(path)
     content = sha256_tree(path) if cache.on and path.exists() else {}
 
     def read() -> Recording:
-        recording = load_recording(path, T_base_lidar=laser, topic=topic)
+        recording = load_recording(path, T_base_lidar=laser[0], upside_down=laser[1], topic=topic)
         require_same(path, before)  # before it is kept under the hash of what was there at first
         return recording
 
-    return cache.step("reading", [str(path), content, laser, topic], read)[0]
+    return cache.step("reading", [str(path), content, *laser, topic], read)[0]
 
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
@@ -231,5 +236,6 @@ def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResul
             "rejected": len(result.loops) - accepted,
         },
         "log_s": recording.duration(),
+        **delay_metrics(recording),
         "self_check": result.check.as_metrics(),
     }

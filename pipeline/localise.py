@@ -26,6 +26,7 @@ from pipeline.console import length, log, log_notes, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from pipeline.localisation.parameters import AmclConfig
+from pipeline.slam.delay import delay_metrics, in_time, odometry_delay
 from reports.metrics.navigation import THERE_M
 from reports.metrics.trajectory import associate, summary
 
@@ -63,6 +64,7 @@ def localise(
     *,
     initial_pose: SE2 | str | None = None,
     T_base_lidar: SE2 | None = None,
+    upside_down: bool = False,
     truth: Path | None = None,
     config: LocaliseConfig | None = None,
     seed: int = 1,
@@ -77,7 +79,9 @@ def localise(
     watch = Stopwatch()
     config = config or LocaliseConfig()
     check_free(out, force=force, kind="folder")
-    grid, recording = load_map(map_yaml), load_recording(bag, T_base_lidar=T_base_lidar)
+    grid = load_map(map_yaml)
+    recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
+    recording = in_time(recording, odometry_delay(recording))
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:
@@ -89,7 +93,7 @@ def localise(
         except ValueError as error:
             raise InputError(f"--truth {truth}: {error}") from None
     log_notes(recording.notes)
-    metrics = {"scans": len(recording), "log_s": recording.duration(), **outcome}
+    metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
     with staged_output(out, force=force) as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")

@@ -167,6 +167,12 @@ MAP = (
         (
             Spec("scans", "scans", "count", "Scans that got a pose.", TRAJECTORY),
             Spec("log_s", "log", "s", "Time span of the scans.", TRAJECTORY),
+            Spec(
+                "odometry_late_s",
+                "delay of the odometry",
+                "s",
+                "How far it ran behind the scans (negative: ahead), by the turns of both; undone.",
+            ),
             Spec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),
             Spec(
                 "loops.proposed",

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.carmen import no_return_value
+from datasets.bags.convert import carmen_to_mcap
 from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.relations import load_relations
+from datasets.returns import no_return_value
 
 RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
@@ -230,3 +231,40 @@ def test_scans_of_a_rear_laser_are_counted_and_nothing_else_is_called_one(tmp_pa
     assert any(note.startswith("2 ") and "rear" in note.lower() for note in notes)
     notes = load_recording(write(tmp_path, f"ODOM 0 0 0 0 0 0 1.0 host 1.0\n{front}", "b.clf")).notes
     assert not any("rear" in note.lower() for note in notes)
+
+
+def robotlaser(ranges, first, stamp):
+    readings = " ".join(f"{r:.2f}" for r in ranges)
+    head = (
+        f"ROBOTLASER1 0 {first:.6f} 3.141593 {math.radians(1.0):.6f} 81.9 0.01 0 {len(ranges)} {readings} 0 "
+    )
+    return head + f"0.0 0.0 0.0 0.0 0.0 0.0 0.2 0.3 0.1 0.1 0.5 {stamp} host 1.0\n"
+
+
+def test_interlaced_scans_of_several_geometries_are_all_kept_at_their_own_angles(tmp_path):
+    """Four start angles a quarter of a degree apart, 181 beams and 180, as SICKs interlace."""
+    starts = -math.pi / 2 + math.radians(0.25) * np.array([0, 1, 2, 3] * 5)
+    lines, walls = [], []
+    for k, first in enumerate(starts):
+        angles = first + math.radians(1.0) * np.arange(181 if k % 4 == 0 else 180)
+        walls.append(2.0 + 0.5 * np.sin(3.0 * angles) + 0.01 * k)
+        lines.append(robotlaser(walls[-1], first, stamp=k + 0.5))
+    path = write(tmp_path, "".join(lines))
+    found = load_recording(path)
+    assert found.stamps_ns.tolist() == [round((k + 0.5) * 1e9) for k in range(20)]
+    for k, (row, wall) in enumerate(zip(found.ranges, walls, strict=True)):
+        angles, measured = found.lidar.angles[np.isfinite(row)], row[np.isfinite(row)]
+        np.testing.assert_allclose(measured, wall, atol=0.006)
+        np.testing.assert_allclose(measured, 2.0 + 0.5 * np.sin(3.0 * angles) + 0.01 * k, atol=0.006)
+    carmen_to_mcap(found, tmp_path / "bag")
+    again = load_recording(tmp_path / "bag")
+    np.testing.assert_array_equal(again.ranges, found.ranges)
+    np.testing.assert_allclose(again.lidar.angles, found.lidar.angles, atol=1e-5)
+    np.testing.assert_allclose(again.T_odom_base.xyt, found.T_odom_base.xyt, atol=1e-9)
+
+
+def test_half_circles_of_both_resolutions_are_all_kept(tmp_path):
+    text = "".join(flaser(np.linspace(1.0, 2.0, n), stamp=f"{n}.5") for n in (180, 361, 180))
+    found = load_recording(write(tmp_path, text))
+    # the last of 361 beams lies beyond the view of the others
+    assert np.isfinite(found.ranges).sum(axis=1).tolist() == [180, 360, 180]

@@ -189,13 +189,13 @@ def test_deskewing_undoes_the_sweeps_motion():
     assert distance.max() < 1e-6
 
 
-def test_nan_and_minus_inf_are_dropped_and_inf_is_silent():
+def test_nan_and_minus_inf_are_dropped_and_what_is_past_range_max_is_silent():
     ranges = np.full(360, 2.0, dtype=np.float32)
     ranges[:4] = [np.nan, -np.inf, np.inf, 9.0]
     beams = prepare(Scan(0, ranges, LIDAR), T_BASE_LIDAR)
     assert len(beams) == 356
-    assert np.allclose(beams.silent_directions, [LIDAR.directions[2]])
-    assert beams.total == 357
+    assert np.allclose(beams.silent_directions, LIDAR.directions[2:4])
+    assert beams.total == 358
 
 
 @given(st.integers(0, 400), st.integers(1, 100))

@@ -12,6 +12,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from test_carmen import flaser
 
 from datasets.bags.copying import into_mcap
 from datasets.bags.decode import yaw_of
@@ -23,6 +24,7 @@ from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.se2 import SE2
+from pipeline.commands.arguments import laser
 
 FULL_TURN = 2.0 * math.pi
 
@@ -209,7 +211,56 @@ def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
     np.testing.assert_allclose((bearings + np.arange(300) + 180.0) % 360.0, 180.0, atol=1e-4)
     times = recording.stamps_ns[0] * 1e-9 + lidar.time_increment * np.arange(300)
     np.testing.assert_allclose(times[order], 1.0 + np.arange(300) / 1800, atol=1e-6)
-    assert float(recording.T_odom_base.x[0]) == pytest.approx(recording.stamps_ns[0] * 1e-9, abs=1e-6)
+    assert recording.stamps_ns.tolist() == [at]  # what a trajectory is to carry
+    assert float(recording.T_odom_base.x[0]) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("log", [False, True], ids=["bag", "CARMEN log"])
+def test_an_option_turns_the_lidar_over(tmp_path, log):
+    path = tmp_path / "a.clf"
+    path.write_text(flaser(np.linspace(1.0, 2.0, 180)))
+    if not log:
+        scan = laser_scan(0, np.linspace(1.0, 2.0, 180), time_increment=1 / 1800)
+        path = write_foreign(tmp_path / "bag", [("/scan", SCAN, 0, scan)])
+    T, over = laser("0.1,0.2,0.3,upside-down")
+    upright, turned = (load_recording(path, T_base_lidar=T, upside_down=down) for down in (False, over))
+    np.testing.assert_allclose(turned.T_base_lidar.xyt, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(turned.lidar.angles, -upright.lidar.angles, atol=1e-12)
+    assert turned.lidar.time_increment == upright.lidar.time_increment
+    np.testing.assert_array_equal(turned.ranges, upright.ranges)
+    assert turned.notes == (*upright.notes, "the laser hangs upside down; its scans were turned over")
+    assert laser("0.1,0.2,0.3")[1] is False
+    assert laser(None) == (None, False)
+    for wrong in ("0,0,0,down", "0,0,upside-down", "upside-down", "0,0,0,upside-down,upside-down"):
+        with pytest.raises(InputError, match=f"--laser {wrong.removesuffix(',upside-down')}: expected"):
+            laser(wrong)
+
+
+@pytest.mark.parametrize("static", [False, True], ids=["no static transforms", "another frame"])
+def test_odometry_on_tf_counts_where_nothing_tells_the_lidar_s_place(tmp_path, static):
+    sits = (-0.032, 0.0, 0.172), (0.0, 0.0, 0.0, 1.0)
+    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "laser", *sits)))] if static else []
+    for k in range(11):
+        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, k * 10**8, tf(link)))
+        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
+    assert any("odometry from /tf (odom -> base_link)" in note for note in recording.notes)
+    assert any("no fixed transform base_link -> base_scan" in note for note in recording.notes)
+    assert not any("no odometry" in note for note in recording.notes)
+
+
+def test_of_several_odometries_on_tf_the_one_that_carries_the_lidar_counts(tmp_path):
+    sits = (0.1, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)
+    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "base_scan", *sits)))]
+    for k in range(11):
+        other = transform(k * 10**8, "cart_odom", "cart", (0, 0.1 * k, 0), (0, 0, 0, 1))
+        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
+        messages.append(("/tf", TF, k * 10**8, tf(other, link)))
+        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
+    recording = load_recording(write_foreign(tmp_path / "bag", messages))
+    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
 
 
 @pytest.mark.parametrize("length", [0.2, 1.0, 3.0])
@@ -296,7 +347,7 @@ def test_angles_that_change_with_every_scan_keep_the_walls_straight(tmp_path):
 def test_readings_are_normalised(tmp_path):
     ranges = np.array([0.0, 0.05, 1.0, 3.5, 4.0, np.inf, -np.inf, np.nan])
     recording = load_recording(write_foreign(tmp_path / "bag", [("/scan", SCAN, 0, laser_scan(0, ranges))]))
-    expected = [np.nan, -np.inf, 1.0, 3.5, np.inf, np.inf, -np.inf, np.nan]
+    expected = [np.nan, -np.inf, 1.0, np.inf, np.inf, np.inf, -np.inf, np.nan]
     np.testing.assert_array_equal(recording.ranges[0], np.array(expected, dtype=np.float32))
 
 

@@ -137,7 +137,7 @@ def test_beams_follow_their_cells():
 
 def test_open_beams_clear_and_dropouts_do_not():
     ranges = np.array([[2.0, np.inf, 2.0, np.inf, np.inf, np.nan, 9.0, -np.inf]], dtype=np.float32)
-    length, returned = beam_lengths(ranges, 0.1, 10.0, 8.0, 5.0)
+    length, returned = beam_lengths(ranges, replace(LDS, range_min=0.1, range_max=10.0), 8.0, 5.0)
     np.testing.assert_array_equal(returned[0], [True, False, True, False, False, False, False, False])
     np.testing.assert_allclose(length[0], [2.0, 0.0, 2.0, 5.0, 5.0, 0.0, 8.0, 0.0])
 

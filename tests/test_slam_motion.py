@@ -8,9 +8,12 @@ from localisation_room import box
 
 from benchmarks.slam_drives import Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import office_plan, office_route
+from datasets.bags.scans import turned_over
 from datasets.grid import OCCUPIED
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
+from pipeline.localisation.beams import prepare
+from pipeline.localise import sweep_ends
 from pipeline.slam.align import align
 from pipeline.slam.calibration import calibrate
 from pipeline.slam.clouds import make_clouds
@@ -22,6 +25,12 @@ from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, rec
 SWEEP_S = 0.2
 TURNING = LidarSpec(360, 0.0, np.pi / 180.0, 0.12, 8.0, SWEEP_S / 360, SWEEP_S)
 BACKWARDS = replace(TURNING, time_increment=-SWEEP_S / 360)
+SWEEPS = {
+    "forwards": TURNING,
+    "backwards": BACKWARDS,
+    "upside down": turned_over(TURNING),
+    "upside down and backwards": turned_over(BACKWARDS),
+}
 FOUR_WALLS = np.array(box(0.0, 0.0, 8.0, 6.0))
 T_BASE_LIDAR = SE2.from_xyt(0.1, 0.05, 0.4)
 
@@ -52,7 +61,7 @@ def off_the_walls(points: np.ndarray) -> np.ndarray:
     return np.abs(np.stack([x, x - 8.0, y, y - 6.0])).min(axis=0)
 
 
-@pytest.mark.parametrize("lidar", [TURNING, BACKWARDS], ids=["forwards", "backwards"])
+@pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_a_sweep_in_motion_puts_every_point_on_its_wall(lidar):
     log, T = swept(lidar)
     clouds = make_clouds(log, 30.0)
@@ -62,7 +71,7 @@ def test_a_sweep_in_motion_puts_every_point_on_its_wall(lidar):
     assert off_the_walls(T[0] @ still.of(0)).max() > 0.2
 
 
-@pytest.mark.parametrize("lidar", [TURNING, BACKWARDS], ids=["forwards", "backwards"])
+@pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_a_sweep_in_motion_draws_straight_walls_into_the_grid(lidar):
     log, T = swept(lidar)
     config = OccupancyConfig(min_hits=1, behind_share=0.0, before_share=0.0)
@@ -70,6 +79,26 @@ def test_a_sweep_in_motion_draws_straight_walls_into_the_grid(lidar):
     walls = grid.center_of(np.argwhere(grid.cells == OCCUPIED))
     assert len(walls) > 100
     assert off_the_walls(walls).max() < 0.06
+
+
+@pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
+def test_localisation_sees_a_sweep_in_motion_as_it_was(lidar):
+    log, T = swept(lidar)
+    ends = sweep_ends(log)
+    assert ends is not None
+    for k in range(len(log)):
+        beams = prepare(log.scan(k), T_BASE_LIDAR, T[k].inverse() @ ends[k])
+        assert off_the_walls(T[k] @ beams.points).max() < 1e-4
+
+
+@pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
+def test_a_turning_robot_maps_as_well_whichever_way_its_lidar_turns(lidar):
+    sensor = Sensor(lidar, SWEEP_S, T_base_lidar=(0.1, 0.05, 0.4))
+    route = np.array([(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (24.0, 7.0)])
+    log = make_log("turns", office_plan(1), route, sensor, wheels=Wheels(0.0, 0.0, 0.0, 0.0, 0.0))
+    clouds = make_clouds(log.recording, 8.0)
+    track = track_log(log.recording, clouds, TrackingConfig(), 8.0, range(1, len(log.recording)))
+    assert np.linalg.norm(track.T_track_base.xy - log.truth.poses.xy, axis=1).max() < 0.03
 
 
 def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():

@@ -8,7 +8,7 @@ import numpy as np
 
 from datasets.bags.decode import RawScan
 from datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
-from datasets.bags.scans import assemble, turned_over
+from datasets.bags.scans import TURNED_OVER, assemble, turned_over
 from datasets.bags.source import Bag
 from datasets.bags.streams import CLOUD, Streams
 from datasets.bags.units import stands_still
@@ -51,8 +51,7 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
             sensor_matrix(bag.path, streams.frames, odometry.base, scans[0].frame, notes), notes
         )
         if over:
-            ranges, lidar = turned_over(ranges, lidar)
-            stamps = stamps - round((lidar.n_beams - 1) * lidar.time_increment * 1e9)
+            lidar = turned_over(lidar)
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
     streams.note_left_out(notes)
@@ -123,5 +122,5 @@ def _planar(T_base_lidar: Array, notes: list[str]) -> tuple[SE2, bool]:
     if abs(up) < 0.98:
         notes.append(f"the laser is tilted by {np.degrees(np.arccos(np.clip(abs(up), 0, 1))):.0f} degrees")
     if up < 0.0:
-        notes.append("the laser hangs upside down; its scans were turned over")
+        notes.append(TURNED_OVER)
     return SE2.from_xyt(T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])), up < 0.0

@@ -47,13 +47,18 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
     if len(names) > 1:
         notes.append(f"several odometry topics and no /odom ({', '.join(names)}): /tf is used")
     streams.follow_tf()
-    for (parent, child), moving in streams.frames.moving.items():
-        if "odom" in parent and (child == scan_frame or streams.frames.lookup(child, scan_frame) is not None):
-            notes.append(f"odometry from /tf ({parent} -> {child})")
-            stamps = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
-            times = np.array([transform.log_time_ns for transform in moving], dtype=np.int64)
-            rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
-            return _source(child, stamps, times, rows, "/tf", notes)
+    frames = streams.frames
+    links = [link for link in frames.moving if "odom" in link[0]]
+    # one that leads to the lidar, else whichever: where the lidar sits is another question
+    links.sort(key=lambda link: frames.lookup(link[1], scan_frame) is None)
+    if links:
+        parent, child = links[0]
+        notes.append(f"odometry from /tf ({parent} -> {child})")
+        moving = frames.moving[parent, child]
+        stamps = np.array([transform.stamp_ns for transform in moving], dtype=np.int64)
+        times = np.array([transform.log_time_ns for transform in moving], dtype=np.int64)
+        rows = np.array([(t.xyz[0], t.xyz[1], decode.yaw_of(t.quaternion)) for t in moving])
+        return _source(child, stamps, times, rows, "/tf", notes)
     notes.append("no odometry: neither an Odometry topic nor odom -> base in /tf")
     return OdometrySource(base_of(streams.frames))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from datasets.bags.decode import RawScan
 from datasets.bags.units import directed, limits_in_millimetres, ranges_in_millimetres
+from datasets.returns import no_return_value
 from datasets.se2 import Array
 from datasets.types import LidarSpec
 
@@ -25,7 +26,11 @@ _ALIGNED = 0.05
 """Share of an increment that beams may lie beside the grid's without mattering."""
 
 
-class _Geometry(NamedTuple):
+TURNED_OVER = "the laser hangs upside down; its scans were turned over"
+"""The note of a recording whose laser does."""
+
+
+class Geometry(NamedTuple):
     """What must be equal for two scans to share their beams; the sweep time may vary with the motor."""
 
     angle_min: float
@@ -47,16 +52,30 @@ class _Geometry(NamedTuple):
 def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarSpec]:
     """(n_scans, n_beams) REP-117 ranges and the geometry of the beams; ValueError when there is none.
 
-    The most frequent geometry is kept. Scans of another are resampled to the nearest beam, which
-    leaves NaN where they have none; a scanner whose angles change all the time (LDS-02) is put on
-    a finer grid, so that no reading is turned by more than an eighth of its increment.
+    The angles are those of `on_one_grid`, the readings in metres and normalised.
     """
     keys = [_geometry(scan) for scan in scans]
     usable = Counter(key for key in keys if key.usable())
     if not usable:
         raise ValueError("no scan has a usable geometry")
-    main, count = usable.most_common(1)[0]
-    lidar = _lidar(main, scans, notes)
+    lidar = _lidar(usable.most_common(1)[0][0], scans, notes)
+    ranges, lidar = on_one_grid([scan.ranges for scan in scans], keys, lidar, notes)
+    lidar = _in_metres(ranges, lidar, notes)
+    return _normalised(ranges, lidar, notes), lidar
+
+
+def on_one_grid(
+    scans: Sequence[Ranges], keys: Sequence[Geometry], lidar: LidarSpec, notes: list[str]
+) -> tuple[Ranges, LidarSpec]:
+    """Scans of any geometries as (n_scans, n_beams), and the beams they are put on.
+
+    `lidar` is the most frequent geometry, which is kept. Scans of another are resampled to the nearest
+    beam, which leaves NaN where they have none; a scanner whose angles change all the time (LDS-02,
+    interlacing SICKs) is put on a finer grid, so that no reading is turned by more than an eighth of
+    its increment.
+    """
+    usable = Counter(key for key in keys if key.usable())
+    count = usable.most_common(1)[0][1]
     beside = sum(number for key, number in usable.items() if not _aligned(key, lidar))
     if beside > 0.1 * len(scans):
         lidar = _finer(lidar)
@@ -65,22 +84,21 @@ def assemble(scans: Sequence[RawScan], notes: list[str]) -> tuple[Ranges, LidarS
         notes.append(f"{len(scans) - count} scans of another geometry resampled to {lidar.n_beams} beams")
     if len(usable) < len(set(keys)):
         notes.append(f"{sum(key not in usable for key in keys)} scans without a usable geometry left empty")
-    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=np.float32)
+    ranges = np.full((len(scans), lidar.n_beams), np.nan, dtype=scans[0].dtype)
     places = {key: _places(key, lidar) for key in usable}
     for row, scan, key in zip(ranges, scans, keys, strict=True):
         if key in usable:
             beams = places[key]
-            row[beams[beams >= 0]] = scan.ranges[beams >= 0]
-    lidar = _in_metres(ranges, lidar, notes)
-    return _normalised(ranges, lidar, notes), lidar
+            row[beams[beams >= 0]] = scan[beams >= 0]
+    return ranges, lidar
 
 
-def _geometry(scan: RawScan) -> _Geometry:
+def _geometry(scan: RawScan) -> Geometry:
     angle_min, angle_max, increment, _, _, range_min, range_max = scan.geometry
-    return _Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
+    return Geometry(angle_min, angle_max, increment, range_min, range_max, len(scan.ranges))
 
 
-def _lidar(key: _Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
+def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSpec:
     step, range_min, range_max = key.step(), key.range_min, key.range_max
     steps = (key.angle_max - key.angle_min) / step if step else 0.0
     if abs(steps - (key.n - 1)) > 0.5:
@@ -125,7 +143,7 @@ def _finer(lidar: LidarSpec) -> LidarSpec:
     return replace(lidar, n_beams=n, angle_increment=step, time_increment=lidar.time_increment * share)
 
 
-def _offsets(key: _Geometry, lidar: LidarSpec) -> Array:
+def _offsets(key: Geometry, lidar: LidarSpec) -> Array:
     """Where the beams of a geometry fall on the grid of `lidar`, in beams of the grid, (n,)."""
     angles = key.angle_min + key.step() * np.arange(key.n)
     half = 0.5 * abs(lidar.angle_increment)
@@ -133,14 +151,14 @@ def _offsets(key: _Geometry, lidar: LidarSpec) -> Array:
     return ((ahead + half) % (2.0 * math.pi) - half) / abs(lidar.angle_increment)
 
 
-def _same_beams(key: _Geometry, lidar: LidarSpec) -> bool:
+def _same_beams(key: Geometry, lidar: LidarSpec) -> bool:
     return lidar.angle_increment == 0.0 or (key.angle_min, key.step()) == (
         lidar.angle_min,
         lidar.angle_increment,
     )
 
 
-def _aligned(key: _Geometry, lidar: LidarSpec) -> bool:
+def _aligned(key: Geometry, lidar: LidarSpec) -> bool:
     """Whether the beams of a geometry lie on those of `lidar`."""
     if _same_beams(key, lidar):
         return True
@@ -148,7 +166,7 @@ def _aligned(key: _Geometry, lidar: LidarSpec) -> bool:
     return float(np.abs(offsets - np.rint(offsets)).max()) <= _ALIGNED
 
 
-def _places(key: _Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
+def _places(key: Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
     """Index on the grid for each beam of a geometry, -1 for those outside it."""
     if _same_beams(key, lidar):  # also where the last beam meets the first, as Gazebo's does
         return np.where(np.arange(key.n) < lidar.n_beams, np.arange(key.n), -1)
@@ -159,10 +177,10 @@ def _places(key: _Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
 
 
 def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
-    """REP-117: 0 and below is no measurement, past range_max no return, within range_min too near."""
+    """REP-117: 0 and below is no measurement, from range_max on no return, within range_min too near."""
     with np.errstate(invalid="ignore"):
         zero = np.isfinite(ranges) & (ranges <= 0.0)
-        far = np.isfinite(ranges) & (ranges > np.float32(lidar.range_max))
+        far = np.isfinite(ranges) & lidar.silent(ranges)
         near = (ranges > 0.0) & (ranges < np.float32(lidar.range_min))
     ranges[zero], ranges[far], ranges[near] = np.nan, np.inf, -np.inf
     if zero.any():
@@ -170,20 +188,19 @@ def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
             f"{100.0 * zero.mean():.1f} % of the readings are 0: taken for invalid, not for free space"
         )
     if far.any():
-        notes.append(f"{100.0 * far.mean():.1f} % of the readings are past range_max: taken for no return")
+        notes.append(
+            f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: taken for no return"
+        )
+    limit = no_return_value(ranges)
+    piled = np.isfinite(ranges) & (ranges >= limit)
+    if piled.any():
+        ranges[piled] = np.inf
+        notes.append(
+            f"{100.0 * piled.mean():.1f} % of the readings pile up at {limit:g} m: taken for no return"
+        )
     return ranges
 
 
-def turned_over(ranges: Ranges, lidar: LidarSpec) -> tuple[Ranges, LidarSpec]:
-    """The scans of a lidar mounted upside down, as one of the upright geometry would have given them."""
-    last = lidar.angle_min + (lidar.n_beams - 1) * lidar.angle_increment
-    upright = LidarSpec(
-        lidar.n_beams,
-        -last,
-        lidar.angle_increment,
-        lidar.range_min,
-        lidar.range_max,
-        -lidar.time_increment,
-        lidar.scan_time,
-    )
-    return np.ascontiguousarray(ranges[:, ::-1]), upright
+def turned_over(lidar: LidarSpec) -> LidarSpec:
+    """The beams of a lidar mounted upside down, as seen from above; each keeps its time within the sweep."""
+    return replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)

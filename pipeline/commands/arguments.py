@@ -94,3 +94,20 @@ def pose(text: str, option: str) -> SE2:
         if abs(value) > 1e9:
             raise InputError(f"{option} {text}: {name} is larger than any map")
     return SE2.from_xyt(*values)
+
+
+def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
+    """--laser, which overrides what the argument `source` says."""
+    parser.add_argument(
+        "--laser",
+        metavar="X,Y,YAW[,upside-down]",
+        help=f"pose of the laser on the robot, its beam at angle 0 along YAW; overrides what {source} says",
+    )
+
+
+def laser(text: str | None) -> tuple[SE2 | None, bool]:
+    """The laser's pose by --laser and whether it hangs upside down; InputError for what is no pose."""
+    if text is None:
+        return None, False
+    upright = text.removesuffix(",upside-down")
+    return pose(upright, "--laser"), upright != text

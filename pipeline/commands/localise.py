@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output, map_file, pose, seed
+from pipeline.commands.arguments import add_config, add_laser, add_output, laser, map_file, pose, seed
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
@@ -27,9 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,YAW|global",
         help="where on the map the robot starts; global: search the whole map",
     )
-    parser.add_argument(
-        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot; overrides what BAG says"
-    )
+    add_laser(parser, "BAG")
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
     parser.add_argument(
         "--seed",
@@ -49,12 +47,14 @@ def run(args: argparse.Namespace) -> int:
     initial = args.initial_pose
     if initial is not None and initial != "global":
         initial = pose(initial, "--initial-pose")
+    placed, upside_down = laser(args.laser)
     return localise(
         args.bag,
         args.map,
         args.out,
         initial_pose=initial,
-        T_base_lidar=None if args.laser is None else pose(args.laser, "--laser"),
+        T_base_lidar=placed,
+        upside_down=upside_down,
         truth=args.truth,
         config=load_localise_config(args.config, args.settings),
         seed=args.seed,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pipeline.commands.arguments import add_config, add_output, pose
+from pipeline.commands.arguments import add_config, add_laser, add_output, laser
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
 
@@ -41,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MAP_DIR",
         help="continue an earlier map: INPUT is joined to its graph, tracked with the same settings",
     )
-    parser.add_argument(
-        "--laser", metavar="X,Y,YAW", help="pose of the laser on the robot; overrides what INPUT says"
-    )
+    add_laser(parser, "INPUT")
     parser.add_argument(
         "--topic",
         metavar="NAME",
@@ -65,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.build_map import build_map
     from pipeline.cache import StageCache, default_cache
 
+    placed, upside_down = laser(args.laser)
     return build_map(
         args.input,
         args.out,
@@ -72,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
         relations=args.relations,
         config=args.config,
         settings=args.settings,
-        laser=None if args.laser is None else pose(args.laser, "--laser"),
+        laser=placed,
+        upside_down=upside_down,
         also=args.also,
         continued=args.continued,
         topic=args.topic,

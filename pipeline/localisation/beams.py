@@ -44,12 +44,12 @@ def prepare(
     """Beams of a scan; `T_start_end` is the base's motion over the whole sweep, if known.
 
     With it, and a turning lidar, beam i is seen from where the base was i * time_increment after the
-    stamp. NaN and -inf are dropped, +inf counts as "no return".
+    stamp. NaN and -inf are dropped, range_max and more counts as "no return".
     """
     ranges = scan.ranges.astype(np.float64)
     low, high = range_limits or (scan.lidar.range_min, scan.lidar.range_max)
     hit = np.flatnonzero(scan.valid() & (ranges >= low) & (ranges <= high))
-    silent = np.flatnonzero(np.isposinf(ranges))
+    silent = np.flatnonzero(scan.lidar.silent(scan.ranges))
     sweep = np.zeros(3) if T_start_end is None or scan.lidar.time_increment == 0.0 else T_start_end.xyt
     lidar = T_base_lidar.xyt
     origins, directions = deskewed(scan.lidar.angles, lidar, sweep, hit)

@@ -94,7 +94,7 @@ class Sensing:
         ranges = scan.ranges.astype(np.float64)
         near = np.isneginf(ranges) | (ranges < scan.lidar.range_min)
         hit = scan.valid() | near
-        passed = np.isposinf(ranges)
+        passed = scan.lidar.silent(scan.ranges)
         distance = np.where(near, scan.lidar.range_min, np.where(passed, scan.lidar.range_max, ranges))
         used = hit | passed
         fraction = np.arange(len(ranges))[used] / len(ranges)

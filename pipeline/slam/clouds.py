@@ -27,8 +27,6 @@ MIN_POINTS = 8
 # A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
 # so within one.
 KNOTS = 8
-# A range below this is how some drivers write "no return".
-NOTHING_M = 0.01
 # Between scans farther apart than this the robot may have done anything.
 LONGEST_STEP_S = 1.0
 # Returns further apart than this never lie on one surface [m].
@@ -107,8 +105,7 @@ def make_clouds(
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
     lidar = recording.lidar
-    least = max(lidar.range_min, NOTHING_M)
-    valid = (recording.ranges >= least) & (recording.ranges <= min(lidar.range_max, usable_range))
+    valid = lidar.returns(recording.ranges) & (recording.ranges <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     scan_of, beam_of = np.nonzero(valid)
     ranges = recording.ranges[valid].astype(np.float64)
@@ -119,7 +116,7 @@ def make_clouds(
         if motion is not None:
             points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
-    increment = abs(lidar.angle_increment)
+    increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
     point_var, normal_var = noise.variance(ranges), np.zeros(len(points))

@@ -20,8 +20,8 @@ from datasets.errors import InputError
 from datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
-from datasets.types import Recording
-from pipeline.slam.clouds import KNOTS, NOTHING_M, sweep_motion
+from datasets.types import LidarSpec, Recording
+from pipeline.slam.clouds import KNOTS, sweep_motion
 
 MAX_COUNTED = 400_000_000
 """Cells to count beams in; most are cut off when the map is trimmed to what is known."""
@@ -86,7 +86,7 @@ def make_checked_grid(
     ranges = np.asarray(recording.ranges)
     if config.clear_without_return:
         no_return = min(lidar.range_max, usable_range, config.no_return_m)
-    length, returned = beam_lengths(ranges, lidar.range_min, lidar.range_max, usable, no_return)
+    length, returned = beam_lengths(ranges, lidar, usable, no_return, recording.stride)
     T_map_lidar = T_map_base @ recording.T_base_lidar
     seen = length.max(axis=1)[:, None]
     low = (T_map_lidar.xy - seen).min(axis=0) - config.margin_m
@@ -119,17 +119,19 @@ def certainty(hits: NDArray[np.uint16], misses: NDArray[np.uint16], min_hits: in
 
 
 def beam_lengths(
-    ranges: NDArray[np.float32], range_min: float, range_max: float, usable: float, no_return: float
+    ranges: NDArray[np.float32], lidar: LidarSpec, usable: float, no_return: float, stride: int = 1
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """How far each beam says "free" [m], and whether it ends on a surface, (n, beams) each.
 
     A lone beam without return between two returns is a dropout, not open space: it says nothing.
+    Neighbours lie about `stride` beams away.
     """
-    returned = (ranges >= max(range_min, NOTHING_M)) & (ranges <= usable)
-    far = (ranges > usable) & (ranges <= range_max)
-    nothing = np.isposinf(ranges)
-    padded = np.pad(nothing | far, ((0, 0), (1, 1)), mode="edge")
-    open_space = nothing & (padded[:, :-2] | padded[:, 2:])
+    surface, nothing = lidar.returns(ranges), lidar.silent(ranges)
+    returned, far = surface & (ranges <= usable), surface & (ranges > usable)
+    open_space, beams = np.zeros_like(nothing), ranges.shape[1]
+    for apart in range(stride - stride // 4, stride + stride // 4 + 1):
+        padded = np.pad(nothing | far, ((0, 0), (apart, apart)), mode="edge")
+        open_space |= nothing & (padded[:, :beams] | padded[:, -beams:])
     length = np.where(returned, ranges, np.where(far, usable, np.where(open_space, no_return, 0.0)))
     return length.astype(np.float32), returned
 

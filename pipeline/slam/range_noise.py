@@ -43,14 +43,14 @@ class RangeNoise:
 def range_noise(recording: Recording, usable_range: float) -> RangeNoise:
     """The noise of a recording's ranges; the usual centimetre when too few beams tell."""
     step = max(1, len(recording) // SCANS)
-    r = recording.ranges[::step].astype(np.float64)
-    lidar = recording.lidar
-    valid = (r >= max(lidar.range_min, LEAST_M)) & (r <= min(lidar.range_max, usable_range))
-    whole = valid[:, :-2] & valid[:, 1:-1] & valid[:, 2:]
+    lidar, ranges = recording.lidar, recording.ranges[::step]
+    valid, r = lidar.returns(ranges) & (ranges <= usable_range), ranges.astype(np.float64)
+    d = recording.stride
+    whole = valid[:, : -2 * d] & valid[:, d:-d] & valid[:, 2 * d :]
     u = 1.0 / np.where(valid, r, 1.0)
-    twice_cos = 2.0 * np.cos(lidar.angle_increment)
-    e = np.abs(u[:, :-2] + u[:, 2:] - twice_cos * u[:, 1:-1])[whole]
-    middle = r[:, 1:-1][whole]
+    twice_cos = 2.0 * np.cos(d * lidar.angle_increment)
+    e = np.abs(u[:, : -2 * d] + u[:, 2 * d :] - twice_cos * u[:, d:-d])[whole]
+    middle = r[:, d:-d][whole]
     sigma = PER_MEDIAN * e * middle**2 / np.sqrt(2.0 + twice_cos**2)
     bins = np.floor(np.log(middle) / np.log(BIN_FACTOR)).astype(int)
     rows, wanted = [], []

@@ -20,6 +20,7 @@ from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.delay import in_time, odometry_delay
 from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro
 from pipeline.slam.loops import Loop, LoopConfig
@@ -205,8 +206,12 @@ def _session(recording: Recording, run: _Run) -> Session:
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
     recording, config = _with_sensors(recording, run.config)
-    recording = with_gyro(recording) if config.gyro else recording
     usable = config.usable(recording.lidar)
+    # Where a recording was read from, and what was repaired in reading it, shapes nothing.
+    content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
+    late_s, _ = run.cache.step("front end", ["delay", *content], lambda: odometry_delay(recording))
+    recording = in_time(recording, late_s)
+    recording = with_gyro(recording) if config.gyro else recording
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:
@@ -215,8 +220,7 @@ def _session(recording: Recording, run: _Run) -> Session:
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
         return run.steps.front_end(recording, clouds, config.tracking, usable, scans)
 
-    # Where a recording was read from, and what was repaired in reading it, shapes nothing.
-    content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
+    content[0] = replace(recording, source="", notes=())
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
         # nobody says how the robot moved during a sweep but the scans themselves, placed once before
         motion, _ = run.cache.step(

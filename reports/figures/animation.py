@@ -139,8 +139,8 @@ def _sweep(
     """Add one scan: its fan to the free ground, its hits to the walls."""
     lidar = recording.lidar
     ranges = recording.ranges[k].astype(np.float64)
-    hit = (ranges >= lidar.range_min) & (ranges <= lidar.range_max)
-    reach = np.where(hit, ranges, np.where(ranges > lidar.range_max, lidar.range_max, 0.0))
+    hit = lidar.returns(recording.ranges[k])
+    reach = np.where(hit, ranges, np.where(lidar.silent(recording.ranges[k]), lidar.range_max, 0.0))
     reach = np.minimum(np.nan_to_num(reach, nan=0.0), FAN_M)
     ends = canvas.pixels((T_map_base @ recording.T_base_lidar) @ (lidar.directions * reach[:, None]))
     middle = canvas.pixels(T_map_base[:1].xy)[0]
