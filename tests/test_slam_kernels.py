@@ -81,7 +81,7 @@ def counts(clouds, row, found, T_key_scan, reach):
 
 
 def in_view(clouds, xy, key, margin):
-    """Whether at least two of the three beams of `key` nearest that bearing are there, and none ends before."""
+    """Whether two of the three beams of `key` about that bearing are there, and none ends before it."""
     offset = xy - clouds.origin
     bins = clouds.table.shape[1]
     middle = int((math.atan2(offset[1], offset[0]) + math.pi) * bins / (2 * math.pi))

@@ -41,7 +41,7 @@ def test_a_good_map_has_nothing_against_it(drive):
 def test_scans_that_fit_nothing_are_counted(drive):
     overlap = np.ones(60)
     overlap[20:40] = 0.05
-    assert reasons(drive, overlap=overlap) == ("20 scans fit nothing seen before them (first: scan 20)",)
+    assert reasons(drive, overlap=overlap) == ("20 scans do not fit the map (first: scan 20)",)
 
 
 def test_scans_without_surfaces_are_counted(drive):

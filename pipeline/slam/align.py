@@ -24,7 +24,7 @@ MIN_NORMAL_DOT = 0.6
 FAKED = 1.5
 # Besides its noise the direction of a surface varies as much as this [rad^2] with where it is looked at from:
 # walls are not planes, and lines bend round their ends.
-SURFACE_VAR = 0.07**2
+SURFACE_VAR = 0.05**2
 # The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
 KERNEL_SIGMAS = 3.0
 # Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point

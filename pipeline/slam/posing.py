@@ -53,12 +53,15 @@ def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2
 
 def pose_all_scans(
     clouds: Clouds, track: Track, T_map_keys: SE2, config: PosingConfig, gaps: NDArray[np.int64]
-) -> SE2:
-    """Poses (n,) of all scans in the map; key scans keep their refined ones. `gaps` as in `carried_poses`."""
+) -> tuple[SE2, Array]:
+    """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,).
+
+    Key scans keep their refined poses. `gaps` as in `carried_poses`.
+    """
     carried = carried_poses(track, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
-        return carried
-    poses = carried.xyt.copy()
+        return carried, track.overlap
+    poses, overlaps = carried.xyt.copy(), track.overlap.copy()
     count = min(config.neighbours, len(track.keys))
     _, nearest = scipy.spatial.cKDTree(T_map_keys.xy).query(carried.xy, k=count)
     near = np.atleast_2d(nearest).reshape(len(poses), count)
@@ -78,7 +81,8 @@ def pose_all_scans(
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
     good = (overlap >= config.min_overlap) & (shift <= config.max_shift_m)
     poses[scans[good]] = new[good]
-    return SE2(poses)
+    overlaps[scans] = overlap
+    return SE2(poses), overlaps
 
 
 @njit(cache=True, nogil=True)

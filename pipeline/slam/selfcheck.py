@@ -81,8 +81,11 @@ def check_map(
     breaks: NDArray[np.int64],
     certainty: Certainty,
 ) -> SelfCheck:
-    """Check a finished map; `breaks` are the scans before which nothing confirms the motion, and that no
-    recognised place joins to the rest; `certainty` is the grid's."""
+    """Check a finished map; the track's `overlap` is that of each scan with the map as it ended.
+
+    `breaks` are the scans before which nothing confirms the motion, and that no recognised place joins to
+    the rest; `certainty` is the grid's.
+    """
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
@@ -111,7 +114,7 @@ def check_map(
             f"beams pass through the walls: they return {certainty.wall_share:.0%} of those that meet them"
         )
     if len(lost) > config.max_lost * max(len(track.usable), 1):
-        reasons.append(f"{len(lost)} scans fit nothing seen before them (first: scan {lost[0]})")
+        reasons.append(f"{len(lost)} scans do not fit the map (first: scan {lost[0]})")
     if len(breaks):
         reasons.append(
             f"{len(breaks)} breaks where scans are missing and nothing confirms the odometry "

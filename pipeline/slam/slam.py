@@ -182,7 +182,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable = config.usable(recording.lidar)
     clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
-    poses, key = run.cache.step(
+    (poses, overlap), key = run.cache.step(
         "scan poses",
         [session.key, config.posing],
         lambda: pose_all_scans(clouds(), track, graph.T_map_keys, config.posing, chain.gaps),
@@ -193,10 +193,13 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         lambda: make_checked_grid(recording, poses, config.grid, usable, session.motion),
     )
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
+    placed = replace(track, overlap=overlap)
     check, _ = run.cache.step(
         "self-check",
         [key, config.self_check],
-        lambda: check_map(clouds(), track, graph.T_map_keys, config.self_check, breaks, certainty),
+        lambda: check_map(
+            clouds(), replace(track, overlap=overlap), graph.T_map_keys, config.self_check, breaks, certainty
+        ),
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
