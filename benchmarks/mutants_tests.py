@@ -33,7 +33,7 @@ SUBJECTS = {
     ],
     "datasets": [
         "bag_*", "carmen", "maps", "recordings", "runlog", "types", "se2", "trajectories",
-        "outputs", "area", "slam3d_parts",
+        "outputs", "files", "area", "slam3d_parts",
     ],
 }  # fmt: skip
 # A test that takes longer is not asked [s], and of the others as many as fit into this [s] by default.
