@@ -183,7 +183,7 @@ def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
         if resampled:
             kept = {tuple(p) for p in filter_.particles.xyt}
             assert kept <= {tuple(p) for p in heavy}
-            assert 50 <= filter_.size < 400
+            assert 50 <= filter_.size <= 400
             assert filter_.weights.sum() == pytest.approx(1.0)
 
 
