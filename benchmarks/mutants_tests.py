@@ -32,8 +32,8 @@ SUBJECTS = {
         "avoid", "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
     ],
     "datasets": [
-        "bag_*", "carmen", "maps", "recordings", "runlog", "types", "se2", "trajectories",
-        "outputs", "area", "slam3d_parts",
+        "bag_*", "carmen", "carmen_parts", "maps", "recordings", "runlog", "types", "se2", "se3",
+        "trajectories", "outputs", "files", "area", "slam3d_parts",
     ],
 }  # fmt: skip
 # A test that takes longer is not asked [s], and of the others as many as fit into this [s] by default.

@@ -274,9 +274,10 @@ def _parts(unpacker: Any, piece: bytes) -> Iterator[bytes]:
 
 
 def unpack_zstd(packed: bytes, bound: int) -> bytes:
-    """Content of one zstd frame; ValueError when it is damaged or larger than `bound` bytes."""
+    """Content of one zstd frame; ValueError when it is damaged, cut or larger than `bound` bytes."""
     content = bytearray()
     try:
+        claimed = zstandard.frame_content_size(packed)
         with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
             while piece := reader.read(1 << 16):
                 content += piece
@@ -284,6 +285,8 @@ def unpack_zstd(packed: bytes, bound: int) -> bytes:
                     raise ValueError(f"unpacks to more than {bound} bytes")
     except zstandard.ZstdError as error:
         raise ValueError(f"damaged zstd data ({error})") from None
+    if claimed not in (-1, len(content)):  # a cut frame ends without an error
+        raise ValueError(f"damaged zstd data ({len(content)} of {claimed} bytes)")
     return bytes(content)
 
 
