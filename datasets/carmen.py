@@ -164,14 +164,18 @@ def _on_one_grid(
 ) -> tuple[Stamps, Array, LidarSpec]:
     """Stamps (n,), readings and the two poses (n, n_beams + 6) in the file's order, and the beams.
 
-    Rows that hold anything but numbers are left out and counted in `broken`.
+    Rows that hold anything but numbers, or whose beams have no directions, are left out and counted in
+    `broken`.
     """
+    same: dict[Geometry, list[int]] = {}
+    for index, key in enumerate(keys):
+        if key is not None and key.usable():
+            same.setdefault(key, []).append(index)
+        elif key is not None:
+            broken.append(lines.line_numbers[index])
     parts, found = [], []
-    geometries = [key for key in dict.fromkeys(keys) if key is not None]
-    if len(geometries) > 1:
-        geometries = [key for key in geometries if key.usable()]
-    for key in geometries:
-        part = _select(lines, [index for index, other in enumerate(keys) if other == key])
+    for key, scans in same.items():
+        part = _select(lines, scans)
         parts.append((_numbers(part, broken), part))
         found += [key] * len(part.stamps)
     if not found:

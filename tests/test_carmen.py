@@ -263,6 +263,16 @@ def test_interlaced_scans_of_several_geometries_are_all_kept_at_their_own_angles
     np.testing.assert_allclose(again.T_odom_base.xyt, found.T_odom_base.xyt, atol=1e-9)
 
 
+@pytest.mark.parametrize("first", [math.nan, 1e300])
+def test_scans_without_directions_are_damage(tmp_path, first):
+    good = "".join(robotlaser(np.ones(5), -1.0, k) for k in (1.0, 2.0))
+    found = load_recording(write(tmp_path, good + robotlaser(np.ones(5), first, 3.0)))
+    assert len(found) == 2
+    assert "1 damaged lines skipped, the first is line 3" in found.notes
+    with pytest.raises(InputError, match="only damaged scan lines"):
+        load_recording(write(tmp_path, robotlaser(np.ones(5), first, 3.0)))
+
+
 def test_half_circles_of_both_resolutions_are_all_kept(tmp_path):
     text = "".join(flaser(np.linspace(1.0, 2.0, n), stamp=f"{n}.5") for n in (180, 361, 180))
     found = load_recording(write(tmp_path, text))

@@ -1,0 +1,114 @@
+"""Odometry that runs behind the scans or ahead of them: found from the turns, undone and said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
+from benchmarks.slam_logs import office_plan
+from datasets.bags.writer import BagWriter
+from datasets.se2 import SE2
+from datasets.types import Odometry, Trajectory, Twist
+from pipeline.cli import main
+from pipeline.slam.delay import in_time, odometry_delay
+from pipeline.slam.slam import SlamConfig, run_slam
+
+CORNERS = [(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0)]
+ROUTE = np.array(CORNERS)
+DRIVE = Drive(v=0.7, w=1.2)
+
+
+def drive(spec, *, lies=(), route=ROUTE):
+    wheels = Wheels(0.01, 0.03, 0.002)
+    return make_log("late", office_plan(1), route, Sensor(spec, 0.2), drive=DRIVE, wheels=wheels, lies=lies)
+
+
+@pytest.fixture(scope="module")
+def turning():
+    """A lidar that turns, with odometry at 30 Hz."""
+    return drive(replace(lds(), range_max=8.0))
+
+
+@pytest.fixture(scope="module")
+def paired():
+    """A lidar that sees at once, each scan with its odometry, as CARMEN logs have them."""
+    return drive(sick(180, 30.0))
+
+
+def late(recording, seconds):
+    """The recording with odometry that much behind (negative: ahead of) its scans."""
+    ns = round(seconds * 1e9)
+    stream = recording.odometry or Trajectory(recording.stamps_ns, recording.T_odom_base)
+    moved = recording.odometry and Trajectory(stream.stamps_ns + ns, stream.poses)
+    return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
+def test_a_delay_is_found_and_undone(turning, seconds):
+    recording = late(turning.recording, seconds)
+    found = odometry_delay(recording)
+    assert found == pytest.approx(seconds, abs=0.03)
+    mended = in_time(recording, found)
+    inside = slice(10, -10)  # beyond its ends the odometry is held
+    expected = turning.recording.T_odom_base[inside]
+    np.testing.assert_allclose(mended.T_odom_base[inside].xy, expected.xy, atol=0.03)
+    assert mended.odometry_late_s == found
+    side = "behind" if seconds > 0.0 else "ahead of"
+    assert mended.notes == (
+        f"the odometry runs {abs(found):.2f} s {side} the scans, by the turns of both: undone",
+    )
+
+
+@pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
+def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
+    assert odometry_delay(late(paired.recording, seconds)) == pytest.approx(seconds, abs=0.06)
+
+
+@pytest.mark.parametrize("log", ["turning", "paired"])
+def test_odometry_in_time_stays_as_it_is(log, request):
+    recording = request.getfixturevalue(log).recording
+    assert odometry_delay(recording) == 0.0
+    assert in_time(recording, 0.0) is recording
+    assert odometry_delay(replace(recording, T_odom_base=None, odometry=None)) == 0.0
+    assert odometry_delay(late(recording, 0.02)) == 0.0
+
+
+@pytest.mark.parametrize("kind", ["freeze", "spin", "jump", "reverse"])
+def test_odometry_that_lies_is_not_called_late(kind):
+    log = drive(sick(180, 30.0), lies=tuple(Lie(kind, start, 3.0) for start in (8.0, 22.0, 40.0, 55.0)))
+    assert odometry_delay(log.recording) == 0.0
+
+
+def test_a_robot_that_never_turns_shows_no_delay():
+    log = drive(replace(lds(), range_max=8.0), route=np.array([(10.0, 7.0), (26.0, 7.0)]))
+    assert odometry_delay(late(log.recording, 0.5)) == 0.0
+
+
+def test_late_odometry_makes_no_map_worse(turning):
+    def worst(recording):
+        result = run_slam(recording, SlamConfig())
+        return np.linalg.norm(result.trajectory.poses.xy - turning.truth.poses.xy, axis=1).max()
+
+    assert worst(late(turning.recording, 0.5)) < 1.2 * worst(turning.recording)
+
+
+def test_map_and_localise_say_it(turning, tmp_path, capsys):
+    recording = late(turning.recording, 0.3)
+    with BagWriter(tmp_path / "bag", custom={}) as writer:
+        writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
+        for stamp, pose in zip(recording.odometry.stamps_ns, recording.odometry.poses.xyt, strict=True):
+            writer.odometry(Odometry(int(stamp), SE2(pose), Twist()))
+        for k in range(len(recording)):
+            scan = recording.scan(k)
+            writer.scan(scan.stamp_ns, scan)
+    assert main(["map", str(tmp_path / "bag"), "--out", str(tmp_path / "map"), "--no-cache"]) == 0
+    said = capsys.readouterr().err
+    assert "note: the odometry runs 0.30 s behind the scans, by the turns of both: undone" in said
+    assert json.loads((tmp_path / "map" / "metrics.json").read_text())["odometry_late_s"] == 0.3
+    start = ",".join(f"{value:.3f}" for value in turning.truth.poses.xyt[0])
+    args = ["localise", str(tmp_path / "bag"), "--map", str(tmp_path / "map"), f"--initial-pose={start}"]
+    assert main([*args, "--out", str(tmp_path / "loc")]) == 0
+    assert "the odometry runs 0.30 s behind the scans" in capsys.readouterr().err
+    assert json.loads((tmp_path / "loc" / "metrics.json").read_text())["odometry_late_s"] == 0.3
