@@ -197,9 +197,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     check, _ = run.cache.step(
         "self-check",
         [key, config.self_check],
-        lambda: check_map(
-            clouds(), replace(track, overlap=overlap), graph.T_map_keys, config.self_check, breaks, certainty
-        ),
+        lambda: check_map(clouds(), placed, graph.T_map_keys, config.self_check, breaks, certainty),
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
