@@ -23,12 +23,12 @@ from pipeline.cache import StageCache
 from pipeline.config import config_text, load_config
 from pipeline.console import log, log_notes, track
 from pipeline.map_lines import tell_map
-from pipeline.slam.delay import delay_metrics
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
 from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
 from pipeline.slam.stored import FILE as GRAPH
 from pipeline.slam.stored import load_session, require_same_front_end, save_session
+from pipeline.slam.turns import delay_metrics
 from reports.metrics.map import map_metrics
 from reports.metrics.relations import relations_metrics
 from reports.metrics.trajectory import trajectory_metrics

@@ -26,7 +26,7 @@ from pipeline.console import length, log, log_notes, track
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from pipeline.localisation.parameters import AmclConfig
-from pipeline.slam.delay import delay_metrics, in_time, odometry_delay
+from pipeline.slam.turns import compared_turns, delay_metrics, in_step
 from reports.metrics.navigation import THERE_M
 from reports.metrics.trajectory import associate, summary
 
@@ -81,7 +81,7 @@ def localise(
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
-    recording = in_time(recording, odometry_delay(recording))
+    recording = in_step(recording, *compared_turns(recording))
     true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
     odometry = checked_odometry(recording)
     if initial_pose is None:

@@ -123,7 +123,7 @@ def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: 
     known = ", ".join(sorted(frames.frames())) or "none"
     notes.append(
         f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): the laser is taken "
-        "to sit at the robot's centre; --laser X,Y,YAW says where it does"
+        "to sit upright at the robot's centre; --laser X,Y,YAW[,upside-down] says how it does"
     )
     return np.eye(4)
 

@@ -20,7 +20,6 @@ from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
-from pipeline.slam.delay import in_time, odometry_delay
 from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro
 from pipeline.slam.loops import Loop, LoopConfig
@@ -39,6 +38,7 @@ from pipeline.slam.sessions import (
     place_of,
 )
 from pipeline.slam.tracking import STEADY_SHARE, Track, TrackingConfig, dead_reckoning, track_log
+from pipeline.slam.turns import compared_turns, in_step
 
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
@@ -210,8 +210,8 @@ def _session(recording: Recording, run: _Run) -> Session:
     usable = config.usable(recording.lidar)
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    late_s, _ = run.cache.step("front end", ["delay", *content], lambda: odometry_delay(recording))
-    recording = in_time(recording, late_s)
+    told, _ = run.cache.step("front end", ["turns", *content], lambda: compared_turns(recording))
+    recording = in_step(recording, *told)
     recording = with_gyro(recording) if config.gyro else recording
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 

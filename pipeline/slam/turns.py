@@ -1,4 +1,4 @@
-"""Odometry that comes late, or runs ahead, by a constant: found from the turns, and undone.
+"""Odometry that comes late, or runs ahead, by a constant, or turns the other way than the scans: undone.
 
 In stretches where the robot turns, the scans alone say how it turned; the delay is the one at which the
 odometry says the same. A lidar that turns has its sweeps undone by the odometry, so they are undone
@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.bags.scans import turned_over
 from datasets.se2 import Array, wrap
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.slam.clouds import LONGEST_STEP_S, make_clouds, sweep_motion
@@ -29,14 +30,18 @@ STRETCHES, SCANS, PERIOD_S = 32, 8, 0.2
 USABLE_M = 30.0
 # Turns are compared over so many scans: odometry that comes with the scans alone is smooth in between.
 SPAN = 3
-# So much likelier (logarithm) must all stretches together make a delay, and this many of equal weight or more
-# must carry that: wheels that slip once are no clock that is late.
+# So much likelier (logarithm) must all stretches together make a delay, or a lidar upside down, and this
+# many of equal weight or more must carry that: wheels that slip once are no clock that is late.
 LIKELIER, AGREEING = 30.0, 4.0
 ROUNDS = 4
 
 
-def in_time(recording: Recording, late_s: float) -> Recording:
-    """The recording with its odometry, so much late [s], at the time of its scans; as it is for 0."""
+def in_step(recording: Recording, late_s: float, over: bool) -> Recording:
+    """The recording with its odometry, so much late [s], at the time of its scans, and its lidar turned over
+    or not; as it is where nothing is to be done."""
+    if over:
+        said = "the scans turn the other way than the odometry: the laser is taken to hang the other way up"
+        recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
     if late_s == 0.0:
         return recording
     stream, late_ns = _stream(recording), round(late_s * 1e9)
@@ -57,10 +62,11 @@ def delay_metrics(recording: Recording | Recording3D) -> dict[str, float]:
     return {"odometry_late_s": late_s} if late_s else {}
 
 
-def odometry_delay(recording: Recording) -> float:
-    """How late the odometry is [s], negative when it runs ahead; 0 when there is none or nothing shows it."""
+def compared_turns(recording: Recording) -> tuple[float, bool]:
+    """How late the odometry is [s], negative when it runs ahead, and whether the lidar hangs the other way up
+    than said; 0 and False where there is no odometry or nothing shows it."""
     if recording.T_odom_base is None or len(recording) < 2:
-        return 0.0
+        return 0.0, False
     stream = _stream(recording)
     waits = np.diff(recording.stamps_ns) * 1e-9
     usual = float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
@@ -72,16 +78,19 @@ def odometry_delay(recording: Recording) -> float:
         T_odom_base=recording.T_odom_base[thin],
         odometry=stream,
     )
-    late_s = 0.0
+    late_s, over = 0.0, False
     for _ in range(ROUNDS):
-        found = _delay(scans, late_s)
+        found, against = _delay(scans, late_s)
+        if against and not over:
+            scans, over = replace(scans, lidar=turned_over(scans.lidar)), True
+            continue
         settled = recording.lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
         if settled:
             break
     interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), LEAST_OF_PAIRS_S)
-    return late_s if abs(late_s) >= least_s else 0.0
+    return late_s if abs(late_s) >= least_s else 0.0, over
 
 
 def _stream(recording: Recording) -> Trajectory:
@@ -92,25 +101,34 @@ def _stream(recording: Recording) -> Trajectory:
     return Trajectory(stamps, recording.T_odom_base[first])
 
 
-def _delay(scans: Recording, late_s: float) -> float:
-    """The delay [s] at which odometry and scans turn together, the sweeps undone as of `late_s`; else 0."""
+def _delay(scans: Recording, late_s: float) -> tuple[float, bool]:
+    """The delay [s] at which odometry and scans turn together, the sweeps undone as of `late_s`, else 0; and
+    whether they turn against each other."""
     noise = range_noise(scans, USABLE_M)
     spans = [_turns(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
     spans = [one for one in spans if len(one)]
     if not spans:
-        return 0.0
+        return 0.0, False
     stream = _stream(scans)
     times, yaw = (stream.stamps_ns - scans.stamps_ns[0]) * 1e-9, np.unwrap(stream.poses.yaw)
     begin, end, turned = np.concatenate(spans).T
     later = DELAYS_S[:, None]
-    off = turned - (np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw))
-    sigma = max(1.4826 * float(np.median(np.abs(off), axis=1).min()), 1e-3)
-    cost = np.log1p((off / (2.0 * sigma)) ** 2)
-    best, none = int(cost.sum(axis=1).argmin()), len(DELAYS_S) // 2
+    told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
     of_stretch = np.cumsum([0, *[len(one) for one in spans]])[:-1]
-    gain = np.add.reduceat(cost[none] - cost[best], of_stretch)
-    sure = gain.sum() >= LIKELIER and gain.sum() ** 2 >= AGREEING * (gain**2).sum()
-    return float(DELAYS_S[best]) if sure else 0.0
+    off = np.stack([turned - told, turned + told])
+    sigma = max(1.4826 * float(np.median(np.abs(off), axis=2).min()), 1e-3)
+    with_it, against = np.log1p((off / (2.0 * sigma)) ** 2)
+    best, none = int(with_it.sum(axis=1).argmin()), len(DELAYS_S) // 2
+    mirrored = against[int(against.sum(axis=1).argmin())]
+    if _surely(np.add.reduceat(with_it[best] - mirrored, of_stretch)):
+        return 0.0, True
+    sure = _surely(np.add.reduceat(with_it[none] - with_it[best], of_stretch))
+    return (float(DELAYS_S[best]) if sure else 0.0), False
+
+
+def _surely(gain: Array) -> bool:
+    """Whether the stretches together make something so much likelier, each by (n,) as a logarithm."""
+    return bool(gain.sum() >= LIKELIER and gain.sum() ** 2 >= AGREEING * (gain**2).sum())
 
 
 def _stretches(scans: Recording) -> list[NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""Odometry that runs behind the scans or ahead of them: found from the turns, undone and said."""
+"""Odometry that runs behind the scans or ahead of them, or turns the other way: found, undone and said."""
 
 import json
 from dataclasses import replace
@@ -8,16 +8,18 @@ import pytest
 
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from benchmarks.slam_logs import office_plan
+from datasets.bags.scans import turned_over
 from datasets.bags.writer import BagWriter
 from datasets.se2 import SE2
 from datasets.types import Odometry, Trajectory, Twist
 from pipeline.cli import main
-from pipeline.slam.delay import in_time, odometry_delay
 from pipeline.slam.slam import SlamConfig, run_slam
+from pipeline.slam.turns import compared_turns, in_step
 
 CORNERS = [(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0)]
 ROUTE = np.array(CORNERS)
 DRIVE = Drive(v=0.7, w=1.2)
+IN_STEP = 0.0, False
 
 
 def drive(spec, *, lies=(), route=ROUTE):
@@ -48,9 +50,9 @@ def late(recording, seconds):
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
-    found = odometry_delay(recording)
+    found, over = compared_turns(recording)
     assert found == pytest.approx(seconds, abs=0.03)
-    mended = in_time(recording, found)
+    mended = in_step(recording, found, over)
     inside = slice(10, -10)  # beyond its ends the odometry is held
     expected = turning.recording.T_odom_base[inside]
     np.testing.assert_allclose(mended.T_odom_base[inside].xy, expected.xy, atol=0.03)
@@ -63,27 +65,39 @@ def test_a_delay_is_found_and_undone(turning, seconds):
 
 @pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
 def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
-    assert odometry_delay(late(paired.recording, seconds)) == pytest.approx(seconds, abs=0.06)
+    assert compared_turns(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
 
 
 @pytest.mark.parametrize("log", ["turning", "paired"])
 def test_odometry_in_time_stays_as_it_is(log, request):
     recording = request.getfixturevalue(log).recording
-    assert odometry_delay(recording) == 0.0
-    assert in_time(recording, 0.0) is recording
-    assert odometry_delay(replace(recording, T_odom_base=None, odometry=None)) == 0.0
-    assert odometry_delay(late(recording, 0.02)) == 0.0
+    assert compared_turns(recording) == IN_STEP
+    assert in_step(recording, 0.0, False) is recording
+    assert compared_turns(replace(recording, T_odom_base=None, odometry=None)) == IN_STEP
+    assert compared_turns(late(recording, 0.02)) == IN_STEP
 
 
 @pytest.mark.parametrize("kind", ["freeze", "spin", "jump", "reverse"])
 def test_odometry_that_lies_is_not_called_late(kind):
     log = drive(sick(180, 30.0), lies=tuple(Lie(kind, start, 3.0) for start in (8.0, 22.0, 40.0, 55.0)))
-    assert odometry_delay(log.recording) == 0.0
+    assert compared_turns(log.recording) == IN_STEP
 
 
 def test_a_robot_that_never_turns_shows_no_delay():
     log = drive(replace(lds(), range_max=8.0), route=np.array([(10.0, 7.0), (26.0, 7.0)]))
-    assert odometry_delay(late(log.recording, 0.5)) == 0.0
+    assert compared_turns(late(log.recording, 0.5)) == IN_STEP
+
+
+@pytest.mark.parametrize("log", ["turning", "paired"])
+@pytest.mark.parametrize("seconds", [0.0, 0.4])
+def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
+    recording = request.getfixturevalue(log).recording
+    wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
+    found, over = compared_turns(wrong)
+    assert (found, over) == (pytest.approx(seconds, abs=0.06), True)
+    mended = in_step(wrong, found, over)
+    np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
+    assert mended.notes[0].startswith("the scans turn the other way than the odometry")
 
 
 def test_late_odometry_makes_no_map_worse(turning):
