@@ -127,3 +127,16 @@ class SE2:
         xy = self.xy + f[..., None] * (other.xy - self.xy)
         yaw = self.yaw + f * wrap(other.yaw - self.yaw)
         return SE2.from_xyt(xy[..., 0], xy[..., 1], yaw)
+
+
+def compose(a: Array, b: Array) -> Array:
+    """`T_x_z` from `T_x_y` and `T_y_z`, single poses (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], float(wrap(a[2] + b[2]))])
+
+
+def between(a: Array, b: Array) -> Array:
+    """`T_a_b` from `T_x_a` and `T_x_b`, single poses (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array([c * dx + s * dy, -s * dx + c * dy, float(wrap(b[2] - a[2]))])

@@ -25,7 +25,7 @@ from pipeline.slam.selfcheck import (
     hypothesis_shares,
 )
 from pipeline.slam.sessions import border_constraint, joined_clouds, joined_track
-from pipeline.slam.tracking import HYPOTHESES, Track
+from pipeline.slam.track import HYPOTHESES, Track
 from tests.slam_rooms import ROOM, around_the_room, recording
 
 

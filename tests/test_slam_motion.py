@@ -19,7 +19,8 @@ from pipeline.slam.calibration import calibrate
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
-from pipeline.slam.tracking import OdometryNoise, TrackingConfig, dead_reckoning, track_log
+from pipeline.slam.track import OdometryNoise, TrackingConfig, dead_reckoning
+from pipeline.slam.tracking import track_log
 from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
 
 SWEEP_S = 0.2

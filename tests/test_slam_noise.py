@@ -10,7 +10,8 @@ from datasets.se2 import SE2, wrap
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
 from pipeline.slam.range_noise import RangeNoise, range_noise
-from pipeline.slam.tracking import Tracker, TrackingConfig
+from pipeline.slam.track import TrackingConfig
+from pipeline.slam.tracking import Tracker
 from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_to, recording
 
 POSES = around_the_room(120)

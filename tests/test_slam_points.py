@@ -14,7 +14,7 @@ from pipeline.slam.clouds import make_clouds, point_information, sweep_motion, s
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
 from pipeline.slam.threads import WORTH_IT, in_parts
-from pipeline.slam.tracking import Track, TrackingConfig
+from pipeline.slam.track import Track, TrackingConfig
 
 
 @pytest.fixture(scope="module")

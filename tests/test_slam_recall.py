@@ -9,7 +9,7 @@ import pytest
 from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, carried, displaced, make_log, sick, without
 from benchmarks.slam_logs import office_plan, twins
 from benchmarks.slam_scores import score
-from datasets.se2 import SE2
+from datasets.se2 import SE2, between
 from datasets.types import Recording, Trajectory
 from pipeline.slam.chain import ANYWHERE, Chain, Gates, joined_parts, witnessed_chain
 from pipeline.slam.clouds import make_clouds
@@ -17,7 +17,8 @@ from pipeline.slam.consistency import Recognised, agreeing_sets, competing, cons
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
 from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
-from pipeline.slam.tracking import Track, TrackingConfig, between, dead_reckoning, track_log
+from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
+from pipeline.slam.tracking import track_log
 from tests.slam_rooms import ROOM, around_the_room, recording
 
 

@@ -9,7 +9,7 @@ from datasets.se2 import SE2
 from pipeline.slam.clouds import Clouds, make_clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.selfcheck import SelfCheckConfig, check_map
-from pipeline.slam.tracking import Track, TrackingConfig, dead_reckoning
+from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
 from tests.slam_rooms import ROOM, around_the_room, recording
 
 NONE = np.zeros(0, dtype=np.int64)

@@ -29,7 +29,8 @@ from pipeline.slam.clouds import Clouds
 from pipeline.slam.factors import Constraint
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.slam import SlamConfig, Steps
-from pipeline.slam.tracking import Track, TrackingConfig, track_log
+from pipeline.slam.track import Track, TrackingConfig
+from pipeline.slam.tracking import track_log
 from reports.stages import Stage
 from sim.simulator import Simulator
 from sim.worlds import World

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.se2 import Array
 from datasets.types import Recording
-from pipeline.slam.tracking import AGREE_M, GAP_S, Track, confirms
+from pipeline.slam.track import AGREE_M, GAP_S, Track, confirms
 
 # A gap is also this many usual periods long.
 GAP_PERIODS = 8.0

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
+from datasets.se2 import Array, between, compose
 from pipeline.slam.chain import Chain
-from pipeline.slam.tracking import between, compose
 
 # How well a cycle must close: floors, and what a metre of drift adds.
 CLOSE_M, CLOSE_RAD = 0.4, 0.1

@@ -17,14 +17,15 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2, Array, between
 from pipeline.slam.align import Alignment, align, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
 from pipeline.slam.factors import Constraint
 from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import optimise
-from pipeline.slam.tracking import LEAST_OVERLAP, between, sees_everything
+from pipeline.slam.track import sees_everything
+from pipeline.slam.tracking import LEAST_OVERLAP
 
 
 class LoopConfig(BaseModel):

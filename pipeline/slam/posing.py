@@ -12,7 +12,7 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.threads import in_parts
-from pipeline.slam.tracking import Track
+from pipeline.slam.track import Track
 
 ITERATIONS = 5
 

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2, Array, between
 from pipeline.slam.align import align
 from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
@@ -28,7 +28,7 @@ from pipeline.slam.open3d_icp import IcpCheck
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.selfcheck import denied_shares
 from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
-from pipeline.slam.tracking import between, sees_everything
+from pipeline.slam.track import sees_everything
 
 WALL_M, THROUGH_M = 0.15, 0.4
 # The chain's drift is what is usual; a place further off than this many times it is not this place.

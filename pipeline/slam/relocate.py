@@ -13,11 +13,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2, Array, between
 from pipeline.slam.align import align
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_pose, make_field, points_in_map
-from pipeline.slam.tracking import between
 
 RESOLUTION_M, SIGMA_M = 0.2, 0.2
 HEADINGS = 120

@@ -21,7 +21,7 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
-from pipeline.slam.tracking import HYPOTHESES, Track
+from pipeline.slam.track import HYPOTHESES, Track
 from pipeline.slam.verdict import Verdict
 
 

@@ -18,7 +18,7 @@ from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
 from pipeline.slam.posing import carried_poses
 from pipeline.slam.relocate import agreed_place, find_place
-from pipeline.slam.tracking import Track
+from pipeline.slam.track import Track
 
 QUERY_KEYS, QUERIES = 10, 8
 

@@ -37,11 +37,10 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.tracking import STEADY_SHARE, Track, TrackingConfig, dead_reckoning, track_log
+from pipeline.slam.track import STEP_INFLATION, Track, TrackingConfig, dead_reckoning
+from pipeline.slam.tracking import STEADY_SHARE, track_log
 from pipeline.slam.turns import compared_turns, in_step
 
-# The points of one scan share their errors: a match is worth far less than the sum of its points.
-STEP_INFLATION = 5.0
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
 

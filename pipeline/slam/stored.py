@@ -32,7 +32,7 @@ from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
 from pipeline.slam.sessions import Graph, Session
 from pipeline.slam.slam import LATER, SlamConfig
-from pipeline.slam.tracking import Track
+from pipeline.slam.track import Track
 
 FILE = "graph.npz"
 FORMAT = 3

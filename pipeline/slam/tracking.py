@@ -14,80 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array, wrap
+from datasets.se2 import SE2, Array, between, compose
 from datasets.types import Recording
 from pipeline.slam.align import Alignment, align
 from pipeline.slam.calibration import Calibration, calibrate
 from pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from pipeline.slam.correlative import best_pose, make_field
-from pipeline.slam.odometry import KissConfig, LidarOdometry
-
-
-class OdometryNoise(BaseModel):
-    """Standard deviations of an odometry step: a floor, and shares of distance and turn."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    floor_m: float = Field(default=0.005, gt=0.0)
-    floor_rad: float = Field(default=0.003, gt=0.0)
-    per_distance: float = Field(default=0.05, ge=0.0, description="metre per metre")
-    per_turn_m: float = Field(default=0.02, ge=0.0, description="metre per radian")
-    turn_per_distance: float = Field(default=0.04, ge=0.0, description="radian per metre")
-    turn_per_turn: float = Field(default=0.05, ge=0.0, description="radian per radian")
-    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width of the prior, in standard deviations")
-
-    def information(self, delta: Array) -> Array:
-        """Information (3, 3) of one step (3,), in the frame of its end."""
-        distance, turn = float(np.hypot(delta[0], delta[1])), abs(float(delta[2]))
-        s_xy = self.floor_m + self.per_distance * distance + self.per_turn_m * turn
-        s_yaw = self.floor_rad + self.turn_per_distance * distance + self.turn_per_turn * turn
-        return np.diag([s_xy**-2, s_xy**-2, s_yaw**-2])
-
-
-class TrackingConfig(BaseModel):
-    """The front end."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    key_distance_m: float = Field(default=0.3, gt=0.0)
-    key_turn_rad: float = Field(default=0.4, gt=0.0)
-    reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
-    most_points: int = Field(default=400, gt=0, description="points of a scan that are aligned")
-    field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
-    field_resolution_m: float = Field(default=0.1, gt=0.0)
-    field_sigma_m: float = Field(default=0.12, gt=0.0)
-    search_m: float = Field(default=0.3, gt=0.0)
-    search_rad: float = Field(default=0.12, gt=0.0)
-    search_step_rad: float = Field(default=0.02, gt=0.0)
-    gate_m: float = Field(default=0.3, gt=0.0)
-    sigma_m: float = Field(default=0.05, gt=0.0)
-    recovery_m: float = Field(default=1.0, gt=0.0)
-    recovery_rad: float = Field(default=0.8, gt=0.0)
-    calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
-    odometry: OdometryNoise = OdometryNoise()
-    kiss: KissConfig = KissConfig()
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
-
-    `information` (n, 3, 3) is what the scan saw (blind directions taken out); `source` names the
-    hypothesis that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the
-    calibrated odometry's motions between successive key scans, None without odometry. `usable` says
-    which scans had points to align.
-    """
-
-    T_track_base: SE2
-    keys: NDArray[np.int64]
-    overlap: Array
-    rmse: Array
-    information: Array
-    source: NDArray[np.int8]
-    odometry_steps: Array | None
-    calibration: Calibration
-    usable: NDArray[np.bool_]
-
+from pipeline.slam.odometry import LidarOdometry
+from pipeline.slam.track import GAP_S, STEP_INFLATION, Track, TrackingConfig, confirms, sees_everything
 
 # A score must be that much higher to prefer a steady motion to the odometry's.
 SURELY_BETTER = 0.05
@@ -95,17 +30,17 @@ SURELY_BETTER = 0.05
 STEADY_SHARE = 0.05
 # Odometry is calibrated anew whenever the key scans have doubled since this many.
 FIRST_CALIBRATION = 25
-HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
-# Scans further apart than this [s] have seen nothing of what lies between.
-GAP_S = 2.0
-# How well scans and odometry must agree on a motion: floors [m], [rad], and shares of the motion.
-AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
 # For so many scans after a gap the motion since is open.
 DOUBTED_SCANS = 12
 # A scan fits when its cost is no more than this above what is usual.
 FITS = 0.25
 # Less of a scan than this on the surfaces of others tells nothing.
 LEAST_OVERLAP = 0.3
+# What the scans see of a step contradicts the odometry when it is this many standard deviations off, and
+# confirms it within so many.
+LIES_SIGMAS, CONFIRMS_SIGMAS = 10.0, 3.0
+# What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
+SURPRISE = 0.03
 
 
 @dataclass
@@ -128,6 +63,7 @@ class Tracker:
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.stamps = recording.stamps_ns
         self.doubt: Doubt | None = None
+        self.lying = 0
         self.settled: range = range(0)
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
@@ -156,20 +92,37 @@ class Tracker:
         guess = steady if odometry_step is None else compose(self.pose, odometry_step)
         prior_step = self.velocity if odometry_step is None else odometry_step
         information = self.config.odometry.information(prior_step)
-        if odometry_step is None:
-            information = STEADY_SHARE * information
+        carried, believed = guess, odometry_step is not None and self.lying == 0
+        if not believed:
+            guess, information = steady, STEADY_SHARE * information
         if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
             result, source = self._by_points(scan, guess, steady)
         else:
-            starts = [(0, guess)] if odometry_step is None else [(0, guess), (1, steady)]
-            result, source = self._by_lines(scan, starts, information)
+            starts = [(0, guess)] if odometry_step is None else [(0, carried), (1, steady)]
+            result, source = self._by_lines(scan, starts if believed else starts[::-1], information)
         new = result.T_map_base.xyt
+        if odometry_step is not None:
+            self._trust(between(carried, new), odometry_step, result.information)
         sure, self._last = self._judge(scan, result), scan
         self.velocity = between(self.pose, new)
         self.pose = new
         if self._moved_enough() and self.can_be_key(scan) and sure:
             self._add_key(scan)
         return result, source
+
+    def _trust(self, error: Array, odometry_step: Array, seen: Array) -> None:
+        """Whether the wheels are believed at the next scan: not while they are caught lying.
+
+        Where the scans are blind nothing is learnt, and the last verdict stands for a while.
+        """
+        surprise = error @ self.config.odometry.information(odometry_step) @ error
+        told = error @ seen @ error / STEP_INFLATION
+        if surprise < CONFIRMS_SIGMAS**2 and sees_everything(seen):
+            self.lying = 0
+        elif min(surprise, told) > LIES_SIGMAS**2:
+            self.lying = DOUBTED_SCANS
+        else:
+            self.lying = max(0, self.lying - 1)
 
     def _judge(self, scan: int, found: Alignment) -> bool:
         """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
@@ -319,7 +272,7 @@ class Tracker:
             surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
             # what the key scans could not see is neither hit nor miss
             fit = result.known * result.cost + (1.0 - result.known) * self._usual_cost
-            cost = fit + 0.01 * float(surprise)
+            cost = fit + SURPRISE * float(surprise)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best
@@ -386,48 +339,3 @@ def track_log(
     keys = np.array(tracker.keys)
     usable = np.array([tracker.can_be_key(scan) for scan in range(n)])
     return Track(SE2(poses), keys, overlap, rmse, information, source, steps, calibration, usable)
-
-
-def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig) -> Track:
-    """The track odometry alone draws."""
-    assert recording.T_odom_base is not None
-    T = recording.T_odom_base
-    n, keys = len(T), [0]
-    for scan in range(1, n):
-        step = between(T.xyt[keys[-1]], T.xyt[scan])
-        if np.hypot(step[0], step[1]) > config.key_distance_m or abs(step[2]) > config.key_turn_rad:
-            keys.append(scan)
-    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
-    blind = np.zeros((n, 3, 3))
-    usable = clouds.lines_per_scan() >= MIN_LINES
-    source = np.zeros(n, dtype=np.int8)
-    return Track(T, np.array(keys), np.zeros(n), np.zeros(n), blind, source, steps, Calibration(), usable)
-
-
-def sees_everything(information: Array) -> bool:
-    """Whether the scan fixed the pose in all directions."""
-    seen = np.linalg.eigvalsh(information[:2, :2])
-    return bool(seen[0] > 0.05 * seen[1] > 0.0)
-
-
-def confirms(odometry: Array, motion: Array) -> bool:
-    """Whether odometry says of a motion (3,) what the scans say."""
-    apart = between(odometry, motion)
-    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
-    return bool(
-        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
-        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
-    )
-
-
-def compose(a: Array, b: Array) -> Array:
-    """`T_x_z` from `T_x_y` and `T_y_z`, single poses (3,)."""
-    c, s = np.cos(a[2]), np.sin(a[2])
-    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], float(wrap(a[2] + b[2]))])
-
-
-def between(a: Array, b: Array) -> Array:
-    """`T_a_b` from `T_x_a` and `T_x_b`, single poses (3,)."""
-    c, s = np.cos(a[2]), np.sin(a[2])
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, float(wrap(b[2] - a[2]))])

@@ -17,7 +17,8 @@ from datasets.se2 import Array, wrap
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.slam.clouds import LONGEST_STEP_S, make_clouds, sweep_motion
 from pipeline.slam.range_noise import RangeNoise, range_noise
-from pipeline.slam.tracking import TrackingConfig, track_log
+from pipeline.slam.track import TrackingConfig
+from pipeline.slam.tracking import track_log
 
 # Delays looked at [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0

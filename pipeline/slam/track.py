@@ -1,0 +1,119 @@
+"""What the front end leaves: a pose and a fit for every scan; its settings, and who agrees with whom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from datasets.se2 import SE2, Array, between
+from datasets.types import Recording
+from pipeline.slam.calibration import Calibration
+from pipeline.slam.clouds import MIN_LINES, Clouds
+from pipeline.slam.odometry import KissConfig
+
+HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
+# Scans further apart than this [s] have seen nothing of what lies between.
+GAP_S = 2.0
+# How well scans and odometry must agree on a motion: floors [m], [rad], and shares of the motion.
+AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
+# The points of one scan share their errors: a match is worth far less than the sum of its points.
+STEP_INFLATION = 5.0
+
+
+class OdometryNoise(BaseModel):
+    """Standard deviations of an odometry step: a floor, and shares of distance and turn."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    floor_m: float = Field(default=0.005, gt=0.0)
+    floor_rad: float = Field(default=0.003, gt=0.0)
+    per_distance: float = Field(default=0.05, ge=0.0, description="metre per metre")
+    per_turn_m: float = Field(default=0.02, ge=0.0, description="metre per radian")
+    turn_per_distance: float = Field(default=0.04, ge=0.0, description="radian per metre")
+    turn_per_turn: float = Field(default=0.05, ge=0.0, description="radian per radian")
+    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width of the prior, in standard deviations")
+
+    def information(self, delta: Array) -> Array:
+        """Information (3, 3) of one step (3,), in the frame of its end."""
+        distance, turn = float(np.hypot(delta[0], delta[1])), abs(float(delta[2]))
+        s_xy = self.floor_m + self.per_distance * distance + self.per_turn_m * turn
+        s_yaw = self.floor_rad + self.turn_per_distance * distance + self.turn_per_turn * turn
+        return np.diag([s_xy**-2, s_xy**-2, s_yaw**-2])
+
+
+class TrackingConfig(BaseModel):
+    """The front end."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    key_distance_m: float = Field(default=0.3, gt=0.0)
+    key_turn_rad: float = Field(default=0.4, gt=0.0)
+    reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
+    most_points: int = Field(default=400, gt=0, description="points of a scan that are aligned")
+    field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
+    field_resolution_m: float = Field(default=0.1, gt=0.0)
+    field_sigma_m: float = Field(default=0.12, gt=0.0)
+    search_m: float = Field(default=0.3, gt=0.0)
+    search_rad: float = Field(default=0.12, gt=0.0)
+    search_step_rad: float = Field(default=0.02, gt=0.0)
+    gate_m: float = Field(default=0.3, gt=0.0)
+    sigma_m: float = Field(default=0.05, gt=0.0)
+    recovery_m: float = Field(default=1.0, gt=0.0)
+    recovery_rad: float = Field(default=0.8, gt=0.0)
+    calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
+    odometry: OdometryNoise = OdometryNoise()
+    kiss: KissConfig = KissConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Front-end result: a pose per scan, which scans are key scans, and the fit of each scan.
+
+    `information` (n, 3, 3) is what the scan saw (blind directions taken out); `source` names the
+    hypothesis that won per scan (index into HYPOTHESES). `odometry_steps` (keys - 1, 3) are the
+    calibrated odometry's motions between successive key scans, None without odometry. `usable` says
+    which scans had points to align.
+    """
+
+    T_track_base: SE2
+    keys: NDArray[np.int64]
+    overlap: Array
+    rmse: Array
+    information: Array
+    source: NDArray[np.int8]
+    odometry_steps: Array | None
+    calibration: Calibration
+    usable: NDArray[np.bool_]
+
+
+def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig) -> Track:
+    """The track odometry alone draws."""
+    assert recording.T_odom_base is not None
+    T = recording.T_odom_base
+    n, keys = len(T), [0]
+    for scan in range(1, n):
+        step = between(T.xyt[keys[-1]], T.xyt[scan])
+        if np.hypot(step[0], step[1]) > config.key_distance_m or abs(step[2]) > config.key_turn_rad:
+            keys.append(scan)
+    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
+    blind = np.zeros((n, 3, 3))
+    usable = clouds.lines_per_scan() >= MIN_LINES
+    source = np.zeros(n, dtype=np.int8)
+    return Track(T, np.array(keys), np.zeros(n), np.zeros(n), blind, source, steps, Calibration(), usable)
+
+
+def sees_everything(information: Array) -> bool:
+    """Whether the scan fixed the pose in all directions."""
+    seen = np.linalg.eigvalsh(information[:2, :2])
+    return bool(seen[0] > 0.05 * seen[1] > 0.0)
+
+
+def confirms(odometry: Array, motion: Array) -> bool:
+    """Whether odometry says of a motion (3,) what the scans say."""
+    apart = between(odometry, motion)
+    distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
+    return bool(
+        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
+        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
+    )
