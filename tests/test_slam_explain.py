@@ -49,8 +49,8 @@ def made():
     session = SimpleNamespace(track=track, chain=chain, graph=SimpleNamespace(unbridged=unbridged))
     check = SimpleNamespace(denied=np.array([[0, 2, 0.1], [1, 3, 0.6], [0, 3, 0.3]]))
     return SimpleNamespace(
-        session=session, keys=KEYS, T_map_keys=POSES, loops=[loop], recognised=[place], constraints=constraints,
-        track=track, check=check,
+        session=session, keys=KEYS, T_map_keys=POSES, loops=[loop], recognised=[place], track=track,
+        constraints=constraints, check=check,
     )  # fmt: skip
 
 
