@@ -15,6 +15,10 @@ from planners.control.interface import ramped
 from planners.control.pursuit import PursuitConfig
 from planners.costmap import Costmap
 from planners.distance import distance_field
+from planners.footprint import footprint_free
+from planners.ompl_planner import OmplConfig
+from planners.pose_planner import solve_poses
+from planners.smoothing import path_length
 from planners.wavefront import wave
 
 RES = 0.05
@@ -174,3 +178,17 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
     near.command(SE2.from_xyt(1.65, 1.2, 0.0), Twist(), costmap)
     assert near.state == "settle"
     assert dwa().command(SE2.identity(), Twist(0.2, 0.0), costmap) == Twist(0.2 - 0.1 * BURGER.max_dv, 0.0)
+
+
+@pytest.mark.parametrize("space", ["se2", "reeds_shepp"])
+def test_poses_are_planned_up_to_every_border_of_a_small_map(space):
+    costmap = Costmap(np.zeros((20, 24), dtype=bool), RES, SE2.identity())
+    for ends in (((0.25, 0.25, 0.0), (0.9, 0.7, 0.0)), ((0.25, 0.75, 0.0), (0.95, 0.25, 0.0))):
+        start, goal = (SE2.from_xyt(*end) for end in ends)
+        config = OmplConfig(space=space, turning_radius=0.1, iterations=4000)
+        poses = solve_poses(costmap, BURGER.footprint, start, goal, config, 0.05, 3)
+        np.testing.assert_allclose(poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
+        assert all(footprint_free(costmap.clearance, RES, BURGER.footprint, *pose) for pose in poses.xyt)
+        assert path_length(poses.xy) < 2.0
+        steps = np.linalg.norm(np.diff(poses.xy, axis=0), axis=1)
+        assert steps.max() < 0.1
