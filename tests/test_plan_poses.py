@@ -177,6 +177,8 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
     assert near.state == "follow"
     near.command(SE2.from_xyt(1.65, 1.2, 0.0), Twist(), costmap)
     assert near.state == "settle"
+    near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)
+    assert near.state == "follow"
     assert dwa().command(SE2.identity(), Twist(0.2, 0.0), costmap) == Twist(0.2 - 0.1 * BURGER.max_dv, 0.0)
 
 
