@@ -28,12 +28,13 @@ SUBJECTS = {
     "pipeline/localisation": ["amcl*", "localisation_*", "localise"],
     "planners": [
         "plan", "plan_narrow", "plan_footprint", "plan_motion", "plan_lattice", "plan_live", "plan_guard",
-        "plan_tasks", "costmap", "control", "control_kernels", "control_pursuit", "rolling", "frontier",
-        "avoid", "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost", "unused_options",
+        "plan_tasks", "plan_search", "plan_poses", "costmap", "control", "control_kernels", "control_pursuit",
+        "rolling", "frontier", "avoid", "navigate_live", "navigate_stages", "navigate_tasks", "navigate_lost",
+        "unused_options",
     ],
     "datasets": [
         "bag_*", "carmen", "carmen_parts", "maps", "recordings", "runlog", "types", "se2", "se3",
-        "trajectories", "outputs", "files", "area", "slam3d_parts",
+        "trajectories", "outputs", "files", "small_files", "kernels", "area", "slam3d_parts",
     ],
 }  # fmt: skip
 # A test that takes longer is not asked [s], and of the others as many as fit into this [s] by default.

@@ -1,5 +1,6 @@
 """The filter's decisions one by one, by their formulas: shares, pauses, averages, resampling, searches."""
 
+import copy
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 from datasets.se2 import SE2, wrap
 from datasets.types import Scan
 from pipeline.localisation import amcl as module
+from pipeline.localisation import sampling
 from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.beams import prepare
 from pipeline.localisation.estimate import Estimate
@@ -185,6 +187,23 @@ def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
             assert kept <= {tuple(p) for p in heavy}
             assert 50 <= filter_.size <= 400
             assert filter_.weights.sum() == pytest.approx(1.0)
+
+
+def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
+    filter_ = made(max_particles=900, min_particles=60, kld_err=0.08, kld_z=1.5)
+    filter_.initialise(PLACE, np.diag([0.02, 0.02, 0.02]))
+    filter_._weights = np.random.default_rng(8).random(900) ** 6
+    filter_._weights /= filter_._weights.sum()
+    filter_._updates = filter_.config.resample_interval - 1
+    poses, weights, rng = filter_.particles.xyt, filter_.weights, copy.deepcopy(filter_._rng)
+    drawn = poses[rng.permutation(sampling.low_variance(weights, 900, rng.random()))]
+    c = filter_.config
+    count = sampling.kld_count(sampling.bin_numbers(drawn, c.kld_bin_xy, c.kld_bin_yaw), 0.08, 1.5, 60)
+    filter_._resample(beams_at(PLACE))
+    assert 60 < filter_.size == count < 900
+    np.testing.assert_array_equal(
+        filter_.particles.xyt, poses[sampling.low_variance(weights, count, rng.random())]
+    )
 
 
 def test_a_share_of_strangers_replaces_as_many_particles():

@@ -226,6 +226,7 @@ def test_what_we_write_has_the_bytes_of_the_reference_serialiser(length):
     assert imu.angular_velocity_covariance.tolist() == (0.1 * np.eye(3)).ravel().tolist()
     assert imu.linear_acceleration_covariance.tolist() == (0.2 * np.eye(3)).ravel().tolist()
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
+    assert (imu.header.stamp.sec, imu.header.stamp.nanosec) == (0, 0)
     joints = same(bytes(cdr.joint_state(frame, ["a", child]).data), "sensor_msgs/msg/JointState")
     assert (joints.name, joints.position.tolist(), joints.velocity.tolist()) == (
         ["a", child],

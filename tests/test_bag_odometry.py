@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_bags import ODOMETRY, TF, odometry, tf, transform, write_foreign
 from scipy.spatial.transform import Rotation
 
 from datasets.bags.decode import RawTransform
@@ -15,10 +16,13 @@ from datasets.bags.odometry import (
     _increasing,
     _source,
     base_of,
+    find_odometry,
     odometry_at,
     running,
     sensor_matrix,
 )
+from datasets.bags.source import open_bag
+from datasets.bags.streams import Streams
 from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import Trajectory
@@ -180,3 +184,36 @@ def test_a_sensor_is_looked_for_from_the_odometrys_base_and_then_from_the_usual_
             assert sensor_matrix(path, far, "base_link", "laser", notes)[0, 3] == x
     tree.add(link("base_footprint", "base_link", (0.0, 0.0, 0.1)), static=True)
     assert base_of(tree) == "base_footprint"
+
+
+def test_odometry_is_the_one_topic_or_odom_and_else_the_transforms(tmp_path):
+    def bag(name, *topics, moving=True):
+        messages = [
+            ("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0, 0, 0), (0, 0, 0, 1))))
+        ]
+        for k in range(4):
+            messages += [(topic, ODOMETRY, k * S, odometry(k * S, float(k))) for topic in topics]
+            if moving:
+                step = transform(k * S, "odom", "base_footprint", (2.0 * k, 0, 0), (0, 0, 0, 1))
+                messages.append(("/tf", TF, k * S, tf(step)))
+        return Streams(open_bag(write_foreign(tmp_path / name, messages)))
+
+    several = "several odometry topics and no /odom (/a, /b): /tf is used"
+    by_tf, none = (
+        "odometry from /tf (odom -> base_footprint)",
+        "no odometry: neither an Odometry topic nor odom -> base in /tf",
+    )
+    for name, topics, moving, notes, step in (
+        ("a", ["/x"], True, [], 1.0),
+        ("b", ["/odom", "/x"], True, [], 1.0),
+        ("c", ["/a", "/b"], True, [several, by_tf], 2.0),
+        ("d", [], True, [by_tf], 2.0),
+        ("e", [], False, [none], None),
+    ):
+        said = []
+        found = find_odometry(bag(name, *topics, moving=moving), "base_scan", said)
+        assert (found.base, said) == ("base_footprint", notes)
+        if step is None:
+            assert found.poses is None
+        else:
+            np.testing.assert_allclose(found.poses.poses.x, step * np.arange(4))

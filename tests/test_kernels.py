@@ -83,6 +83,17 @@ def test_every_kernel_is_kept_by_a_key_of_its_own():
     assert time.process_time() - begin < 0.5
 
 
+@njit(cache=True)
+def steps_down(n: int) -> int:
+    """Names itself."""
+    return 0 if n <= 0 else 1 + steps_down(n - 1)
+
+
+def test_a_kernel_that_calls_itself_has_a_key_too():
+    told = kernels.content(steps_down, frozenset(), set())
+    assert told[-1]["steps_down"] == ["again", "steps_down"]
+
+
 def test_nobody_goes_past_the_cache():
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

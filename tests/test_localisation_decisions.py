@@ -209,6 +209,25 @@ def test_the_trust_in_odometry_follows_the_scans_surprise():
     np.testing.assert_allclose(tracked.T_map_base.xyt, PLACE.xyt)
 
 
+def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_where_it_disagrees():
+    fine, points = FinePose(GRID, AmclConfig()), beams_at(PLACE).points
+    off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
+    cloud = Estimate(off, np.diag([1e-3, 1e-3, 1e-3]), np.eye(3), 1.0)
+    found = PLACE.inverse() @ fine.correct(cloud, points)
+    assert np.hypot(found.x, found.y) < 0.015
+    assert abs(float(found.yaw)) < 0.008
+    tracked = fine._filter
+    fine.correct(cloud, points)
+    assert fine._filter is tracked
+    far = Estimate(PLACE @ SE2.from_xyt(0.5, 0.0, 0.0), cloud.core, np.eye(3), 1.0)
+    fine.correct(far, points)
+    assert fine._filter is not tracked
+    wide = Estimate(off, np.eye(3), np.eye(3), 1.0)
+    fine.forget()
+    assert fine.correct(wide, points) is off
+    assert fine._filter is None
+
+
 def test_tempering_takes_the_steepest_power_that_leaves_enough():
     rng = np.random.default_rng(5)
     log_likelihood = rng.normal(0.0, 40.0, 500)

@@ -62,6 +62,18 @@ def test_a_cluster_is_settled_on_its_mean_from_its_edge():
     np.testing.assert_allclose(alone.covariance, alone.core - 1e-6 * np.eye(3), atol=1e-12)
 
 
+def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_told(monkeypatch):
+    asked = []
+
+    def noted(poses, bin_xy, bin_yaw):
+        asked.append((bin_xy, bin_yaw))
+        return sampling.bin_numbers(poses, bin_xy, bin_yaw)
+
+    monkeypatch.setattr(estimate, "bin_numbers", noted)
+    estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25), 0.5, 0.1)
+    assert asked == [(0.5, 0.1)]
+
+
 def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
     """Four bins share the heavier cluster, each lighter than the bin of the other."""
     corners = np.array([[x, y, 0.1] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])

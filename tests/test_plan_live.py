@@ -214,9 +214,10 @@ def half_seen(seed):
     return OccupancyGrid(cells, RES, SE2.from_xyt(1.0, -1.0, 0.5))
 
 
+@pytest.mark.parametrize("most_gain", [0.6, 9.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed):
-    grid, config = half_seen(seed), FrontierConfig(gain=0.7, most_gain=0.6)
+def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, most_gain):
+    grid, config = half_seen(seed), FrontierConfig(gain=0.7, most_gain=most_gain)
     labels = frontiers(grid, 0.4)
     unknown = np.pad(grid.cells == UNKNOWN, 1)
     beside = np.any([unknown[a : a + 40, b : b + 50] for a in range(3) for b in range(3)], axis=0)

@@ -207,6 +207,9 @@ def test_a_path_in_the_open_is_free_and_one_whose_goal_is_not_is_nowhere():
     assert free_from(cross, RES, LONG, away) == 1
     away[0, 2] = 0.75 * math.pi
     assert free_from(cross, RES, LONG, away) == 0
+    # a pose said twice keeps its heading, and has no other to turn to
+    moved = np.roll(cross, 5, axis=1)
+    assert free_from(moved, RES, LONG, np.tile([x + 5 * RES, y, 0.25 * math.pi], (3, 1))) == 0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -60,7 +60,6 @@ class Ros1Scan:
         self.path = path
         self.state = Ros1State()
         self._data = FileBytes(path)
-        self._total = Unpacked(path, len(self._data))
         if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
             raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
 
