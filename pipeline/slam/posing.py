@@ -12,7 +12,7 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.threads import in_parts
-from pipeline.slam.track import Track
+from pipeline.slam.track import HYPOTHESES, Track
 
 ITERATIONS = 5
 
@@ -81,7 +81,8 @@ def pose_all_scans(
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
     good = (overlap >= config.min_overlap) & (shift <= config.max_shift_m)
     poses[scans[good]] = new[good]
-    overlaps[scans] = overlap
+    by_lines = track.source[scans] != HYPOTHESES.index("kiss-icp")
+    overlaps[scans[by_lines]] = overlap[by_lines]
     return SE2(poses), overlaps
 
 
