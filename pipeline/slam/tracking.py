@@ -1,10 +1,11 @@
 """Front end: each scan matched with the last key scans, several hypotheses competing.
 
 Odometry can lie (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
-therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits;
-the alignment itself carries odometry as a heavy-tailed prior, which decides the directions the scan
-cannot see and gives way where the scan contradicts it. Scans without surfaces (posts, legs) are
-registered by KISS-ICP.
+therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits
+where the key scans looked; the alignment itself carries odometry as a heavy-tailed prior, which decides
+the directions the scan cannot see and gives way where the scan contradicts it. Wheels that the scans
+keep contradicting lose that say until the scans confirm them. Scans without surfaces (posts, legs)
+are registered by KISS-ICP.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class Tracker:
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.stamps = recording.stamps_ns
         self.doubt: Doubt | None = None
-        self.lying = 0
+        self.caught, self.lying = False, 0
         self.settled: range = range(0)
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
@@ -96,7 +97,7 @@ class Tracker:
         if not believed:
             guess, information = steady, STEADY_SHARE * information
         if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
-            result, source = self._by_points(scan, guess, steady)
+            result, source = self._by_points(scan, carried, steady)
         else:
             starts = [(0, guess)] if odometry_step is None else [(0, carried), (1, steady)]
             result, source = self._by_lines(scan, starts if believed else starts[::-1], information)
@@ -111,16 +112,18 @@ class Tracker:
         return result, source
 
     def _trust(self, error: Array, odometry_step: Array, seen: Array) -> None:
-        """Whether the wheels are believed at the next scan: not while they are caught lying.
+        """Whether the wheels are believed at the next scan: not once they were caught lying twice.
 
-        Where the scans are blind nothing is learnt, and the last verdict stands for a while.
+        A jump is over at once; wheels that slip go on. Where the scans are blind nothing is learnt, and the
+        last verdict stands for a while.
         """
         surprise = error @ self.config.odometry.information(odometry_step) @ error
         told = error @ seen @ error / STEP_INFLATION
-        if surprise < CONFIRMS_SIGMAS**2 and sees_everything(seen):
-            self.lying = 0
-        elif min(surprise, told) > LIES_SIGMAS**2:
-            self.lying = DOUBTED_SCANS
+        if min(surprise, told) > LIES_SIGMAS**2:
+            self.lying = DOUBTED_SCANS if self.caught else 0
+            self.caught = True
+        elif surprise < CONFIRMS_SIGMAS**2 and sees_everything(seen):
+            self.lying, self.caught = 0, False
         else:
             self.lying = max(0, self.lying - 1)
 
