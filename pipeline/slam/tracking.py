@@ -102,9 +102,11 @@ class Tracker:
             starts = [(0, guess)] if odometry_step is None else [(0, carried), (1, steady)]
             result, source = self._by_lines(scan, starts if believed else starts[::-1], information)
         new = result.T_map_base.xyt
-        if odometry_step is not None:
-            self._trust(between(carried, new), odometry_step, result.information)
         sure, self._last = self._judge(scan, result), scan
+        if self.doubt is not None:
+            self.caught, self.lying = False, 0
+        elif odometry_step is not None:
+            self._trust(between(carried, new), odometry_step, result.information)
         self.velocity = between(self.pose, new)
         self.pose = new
         if self._moved_enough() and self.can_be_key(scan) and sure:
@@ -114,8 +116,8 @@ class Tracker:
     def _trust(self, error: Array, odometry_step: Array, seen: Array) -> None:
         """Whether the wheels are believed at the next scan: not once they were caught lying twice.
 
-        A jump is over at once; wheels that slip go on. Where the scans are blind nothing is learnt, and the
-        last verdict stands for a while.
+        A jump is over at once; wheels that slip go on; after a gap the scans may be wrong as well. Where the
+        scans are blind nothing is learnt, and the last verdict stands for a while.
         """
         surprise = error @ self.config.odometry.information(odometry_step) @ error
         told = error @ seen @ error / STEP_INFLATION
