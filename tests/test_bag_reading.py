@@ -134,9 +134,10 @@ def test_a_recording_has_its_scans_odometry_and_laser_or_a_line_that_says_why_no
     assert len(read_for_mapping(open_bag(write_foreign(tmp_path / "c", drive("/front/scan", "/x"))))) == 8
     over = (*LASER[:3], (1, 0, 0, 0))
     turned = read_for_mapping(open_bag(write_foreign(tmp_path / "d", drive("/scan", static=over))))
-    # the last beam comes first now, and was measured first
-    assert turned.stamps_ns.tolist() == [k * S + 62_500_000 for k in range(8)]
-    assert turned.lidar.time_increment == -(2.0**-6)
+    # the beams go round the other way; each keeps its time, and the scan its stamp
+    assert turned.stamps_ns.tolist() == [k * S for k in range(8)]
+    assert turned.lidar.time_increment == 2.0**-6
+    np.testing.assert_allclose(turned.lidar.angles, -found.lidar.angles)
     with pytest.raises(InputError, match=r"no /scan .* its topics: /odom, /tf_static") as error:
         read_for_mapping(open_bag(write_foreign(tmp_path / "e", drive())))
     assert error.value.clouds == []

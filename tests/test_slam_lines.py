@@ -160,7 +160,7 @@ def test_ranges_that_say_nothing_are_no_points():
     )
     log = Recording("x", np.array([0, 10**8]), ranges, lidar, SE2.from_xyt(1.0, 2.0, 0.0))
     kept = make_clouds(log, 30.0)
-    assert kept.starts.tolist() == [0, 3, 6]
+    assert kept.starts.tolist() == [0, 2, 5]  # at range_max nothing came back
     np.testing.assert_allclose(
         kept.points[0], [1.0 + 0.011 * math.cos(0.1), 2.0 + 0.011 * math.sin(0.1)], atol=1e-6
     )
@@ -168,7 +168,7 @@ def test_ranges_that_say_nothing_are_no_points():
     above = LidarSpec(6, 0.0, 0.1, 0.5, 8.0)
     assert make_clouds(
         Recording("x", log.stamps_ns, ranges, above, SE2.identity()), 30.0
-    ).starts.tolist() == [0, 2, 5]
+    ).starts.tolist() == [0, 1, 4]
     assert kept.table.shape == (2, 63)
 
 

@@ -109,12 +109,12 @@ def test_how_far_a_beam_clears_and_whether_it_ends_on_something():
         ],
         dtype=np.float32,
     )
-    length, returned = beam_lengths(ranges, 0.1, 8.0, 5.0, 4.0)
+    length, returned = beam_lengths(ranges, LidarSpec(8, 0.0, 0.1, 0.1, 8.0), 5.0, 4.0)
     f = np.float32
     np.testing.assert_array_equal(
         length,
         [
-            [0, f(0.1), 2, 5, 5, 5, 0, 0],
+            [0, f(0.1), 2, 5, 5, 4, 4, 0],
             [4, 4, 2, 0, 2, 4, 5, 4],
             [2, 0, 2, 2, 4, 4, 2, 0],
         ],
@@ -124,7 +124,8 @@ def test_how_far_a_beam_clears_and_whether_it_ends_on_something():
         [False, False, True, False, True, False, False, False],
         [True, False, True, True, False, False, True, False],
     ]
-    assert not beam_lengths(np.full((1, 3), 0.009, np.float32), 0.0, 8.0, 5.0, 4.0)[1].any()
+    blind = LidarSpec(3, 0.0, 0.1, 0.0, 8.0)
+    assert not beam_lengths(np.full((1, 3), 0.009, np.float32), blind, 5.0, 4.0)[1].any()
 
 
 def test_the_counts_agree_or_not_in_bits():
