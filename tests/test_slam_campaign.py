@@ -3,9 +3,11 @@
 import json
 import os
 import time
+from collections import Counter
 from functools import partial
 
 from benchmarks import slam_campaign, slam_rows, slam_targets
+from benchmarks.numbers import counted
 from benchmarks.slam_cases import drive_cases
 from benchmarks.slam_detector import KINDS, detection, detector_cases, judged
 from benchmarks.slam_rows import Case, Rows
@@ -164,3 +166,23 @@ def test_targets_are_judged_by_the_figures_they_name():
     assert [line["met"] for line in slam_targets.drives([drive] * 29 + [bad])] == ["NO", "yes", "yes"]
     assert [line["met"] for line in slam_targets.drives([drive] * 28 + [bad] * 2)] == ["NO", "NO", "NO"]
     assert slam_targets.spread([drive, bad, {"error": "x"}])["errors"] == 1
+
+
+def test_numbers_that_somebody_chose_are_counted():
+    source = """
+LEAST, MOST = 0.1, 2
+GATES = (0.2, 0.1, -0.1)
+VAR = 0.05**2
+NAMES = ("a", "b")
+SHAPE = np.array([1.0, 2.0])
+
+class Config(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    enabled: bool = True
+    gate_m: float = Field(default=0.3, gt=0.0)
+    name: str = "x"
+    inner: Inner = Inner()
+"""
+    settings, constants = counted(source)
+    assert settings == ["Config.enabled", "Config.gate_m"]
+    assert Counter(constants) == {"LEAST": 2, "GATES": 3, "VAR": 1, "SHAPE": 2}

@@ -1,0 +1,76 @@
+"""How many numbers somebody chose: settings and constants of the mapper, file by file.
+
+python -m benchmarks.numbers [FOLDER ...]
+
+Settings are fields of the configuration whose default is a number or a switch; constants are numbers that
+stand under a name in capitals at the top of a module, each number of a tuple by itself. Without FOLDER: those of
+mapping in the plane, `pipeline/slam`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def counted(source: str) -> tuple[list[str], list[str]]:
+    """Names of the settings and of the constants of a module; a tuple's name as often as it holds numbers."""
+    settings, constants = [], []
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "BaseModel" for base in node.bases):
+            settings += [
+                f"{node.name}.{ast.unparse(item.target)}"
+                for item in node.body
+                if isinstance(item, ast.AnnAssign)
+                and item.value is not None
+                and _numbers(_default(item.value))
+            ]
+        elif isinstance(node, ast.Assign):
+            for target in node.targets:
+                names = [ast.unparse(name) for name in getattr(target, "elts", [target])]
+                if all(name.isupper() for name in names):
+                    constants += [names[0]] * _numbers(node.value)
+    return settings, constants
+
+
+def _default(value: ast.expr) -> ast.expr:
+    """The default that `Field(...)` is given, or the value itself."""
+    if isinstance(value, ast.Call) and ast.unparse(value.func) == "Field":
+        return next((word.value for word in value.keywords if word.arg == "default"), ast.Constant(None))
+    return value
+
+
+def _numbers(value: ast.expr) -> int:
+    """Numbers and switches in an expression of literals; `0.05**2` is one."""
+    if isinstance(value, ast.Tuple | ast.List):
+        return sum(_numbers(item) for item in value.elts)
+    if isinstance(value, ast.Call):
+        return sum(_numbers(item) for item in value.args)
+    if isinstance(value, ast.BinOp):
+        return max(_numbers(value.left), _numbers(value.right))
+    if isinstance(value, ast.UnaryOp):
+        return _numbers(value.operand)
+    return int(isinstance(value, ast.Constant) and isinstance(value.value, bool | int | float))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folders", nargs="*", metavar="FOLDER", default=[str(ROOT / "pipeline/slam")])
+    totals = [0, 0, 0]
+    print(f"{'module':32s} {'lines':>6s} {'settings':>8s} {'constants':>9s}")
+    for folder in parser.parse_args().folders:
+        for path in sorted(Path(folder).glob("*.py")):
+            text = path.read_text()
+            settings, constants = counted(text)
+            row = [text.count("\n"), len(settings), len(constants)]
+            totals = [a + b for a, b in zip(totals, row, strict=True)]
+            print(f"{path.name:32s} {row[0]:6d} {row[1]:8d} {row[2]:9d}")
+    print(f"{'together':32s} {totals[0]:6d} {totals[1]:8d} {totals[2]:9d}")
+
+
+if __name__ == "__main__":
+    main()
