@@ -3,8 +3,8 @@
 python -m benchmarks.numbers [FOLDER ...]
 
 Settings are fields of the configuration whose default is a number or a switch; constants are numbers that
-stand under a name in capitals at the top of a module, each number of a tuple by itself. Without FOLDER: those of
-mapping in the plane, `pipeline/slam`.
+stand under a name in capitals at the top of a module, each number of a tuple by itself. Without FOLDER:
+those of mapping in the plane, `pipeline/slam`.
 """
 
 from __future__ import annotations
