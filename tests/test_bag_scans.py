@@ -38,6 +38,14 @@ def test_readings_that_are_none_get_their_own_value():
     assert notes[1].startswith("25.0 % of the readings are at or past range_max")
 
 
+def test_a_few_readings_at_range_max_are_not_worth_a_line():
+    for far, said in ((1, 0), (2, 1)):
+        notes = []
+        ranges, _ = assemble([scan([8.0] * far + [2.0 + 0.01 * k for k in range(200 - far)])], notes)
+        assert np.isinf(ranges).sum() == far
+        assert len(notes) == said
+
+
 def test_scans_of_another_geometry_are_put_on_the_nearest_beams():
     usual = [scan([1, 2, 3, 4], -1.0, 0.5)] * 12
     other = scan([5, 6, 7], -0.51, 0.5)

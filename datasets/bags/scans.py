@@ -176,6 +176,9 @@ def _places(key: Geometry, lidar: LidarSpec) -> NDArray[np.int64]:
     return np.where((places >= 0) & (places < lidar.n_beams), places, -1)
 
 
+WORTH_SAYING = 0.01
+
+
 def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
     """REP-117: 0 and below is no measurement, from range_max on no return, within range_min too near."""
     with np.errstate(invalid="ignore"):
@@ -187,7 +190,8 @@ def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
         notes.append(
             f"{100.0 * zero.mean():.1f} % of the readings are 0: taken for invalid, not for free space"
         )
-    if far.any():
+    # noise carries a few returns of the farthest walls past it in any log
+    if far.mean() >= WORTH_SAYING:
         notes.append(
             f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: taken for no return"
         )
