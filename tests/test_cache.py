@@ -26,7 +26,7 @@ from pipeline.slam.slam import SlamConfig, run_slam
 from tests.slam_rooms import ROOM, around_the_room, drifted, recording
 
 POSES = around_the_room(60)
-STEPS = ["front end", "loops", "refinement", "scan poses", "grid", "self-check"]
+STEPS = ["turns", "front end", "loops", "refinement", "scan poses", "grid", "self-check"]
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,8 @@ def everything(result):
         ({"grid": {"resolution_m": 0.1}}, ["grid", "self-check"]),
         ({"self_check": {"near_m": 1.0}}, ["self-check"]),
         ({"posing": {"enabled": False}}, ["scan poses", "grid", "self-check"]),
-        ({"refine": {"rounds": 1}}, STEPS[2:]),
-        ({"loops": {"min_overlap": 0.8}}, STEPS[1:]),
+        ({"refine": {"rounds": 1}}, STEPS[3:]),
+        ({"loops": {"min_overlap": 0.8}}, STEPS[2:]),
         ({"tracking": {"reference_keys": 6}}, STEPS),
         ({"usable_range_m": 6.0}, STEPS),
     ],
@@ -83,13 +83,13 @@ def test_other_scans_are_another_recording(filled):
 def test_joined_sessions_keep_their_steps(log, tmp_path):
     other = recording(ROOM, POSES[::-1] + np.array([0.1, 0.1, np.pi]), seed=4)
     plain = run_slam(log, SlamConfig(), more=[other])
-    for made in (["front end", "loops", "refinement", "joining", *STEPS[3:]], []):
+    for made in ([*STEPS[:4], "joining", *STEPS[4:]], []):
         cache = StageCache(tmp_path)
         assert everything(run_slam(log, SlamConfig(), more=[other], cache=cache)) == everything(plain)
         assert cache.made == made
     cache = StageCache(tmp_path)
     run_slam(log, SlamConfig(refine={"rounds": 1}), more=[other], cache=cache)
-    assert cache.found == ["front end", "loops"]
+    assert cache.found == ["turns", "front end", "loops"]
 
 
 def flipped(content):
@@ -285,7 +285,7 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     )
     found, said = mapped("fine", "--set", "grid.resolution_m=0.025")
     assert said == [
-        "from the cache: reading, front end, loops, refinement, scan poses; made anew: grid, self-check"
+        "from the cache: reading, turns, front end, loops, refinement, scan poses; made anew: grid, self-check"
     ]
     assert mapped("moved", "--laser", "0.1,0,0")[0] == []
     words = ["compare", str(tmp_path / "first"), str(tmp_path / "fine"), "--out", str(tmp_path / "to-fine")]

@@ -8,16 +8,12 @@ import pytest
 
 from datasets.bags import units
 from datasets.carmen import (
-    _field_of_view,
     _in_metres,
     _laser_pose,
     _Lines,
-    _normalised,
     _numbers,
-    _one_size,
     _period,
     is_carmen,
-    no_return_value,
     parse_carmen,
 )
 from datasets.errors import InputError
@@ -58,55 +54,6 @@ def test_rows_with_words_or_impossible_poses_leave_every_column():
     assert _numbers(lines([]), []).shape == (0, 6)
 
 
-def test_scans_of_the_usual_size_are_kept():
-    mixed = _Lines([b"a", b"b", b"c"], [4, 5, 4], [1, 2, 3], [7, 8, 9], [(0.0, 1.0), (0.0, 2.0), (0.0, 3.0)])
-    notes = []
-    kept = _one_size(mixed, notes)
-    assert (kept.numbers, kept.stamps, kept.line_numbers) == ([b"a", b"c"], [1, 3], [7, 9])
-    assert kept.views == [(0.0, 1.0), (0.0, 3.0)]
-    assert notes == ["1 scans with other than 4 beams skipped"]
-    same = lines(["1", "2"])
-    assert _one_size(same, notes) is same
-
-
-def test_what_is_no_return_stands_out_as_one_value_again_and_again():
-    rng = np.random.default_rng(1)
-    base = rng.uniform(0.5, 4.0, 1000)
-
-    def with_top(count, top=5.0, below=0):
-        out = base.copy()
-        out[:count], out[count : count + below] = top, 0.96 * top
-        return out
-
-    assert no_return_value(with_top(5)) == 5.0
-    assert no_return_value(with_top(4)) == math.inf
-    assert no_return_value(with_top(900)) == 5.0
-    assert no_return_value(with_top(901)) == math.inf
-    assert no_return_value(with_top(31, below=10)) == 5.0
-    assert no_return_value(with_top(30, below=10)) == math.inf
-    assert no_return_value(np.array([1.0, 49.99, 81.0, np.nan, np.inf])) == 49.99
-    assert no_return_value(with_top(4, top=49.98)) == math.inf
-    assert no_return_value(np.array([np.nan])) == math.inf
-
-
-def test_readings_become_ranges_with_notes():
-    notes = []
-    ranges, top = _normalised(np.array([[0.0, -1.0, 2.5, 81.0], [3.2, 60.0, np.nan, 1.0]]), notes)
-    np.testing.assert_array_equal(
-        ranges, np.array([[np.nan, np.nan, 2.5, np.inf], [3.2, np.inf, np.nan, 1.0]], np.float32)
-    )
-    assert top == 4.0
-    assert notes == ["readings of 60 m and more are 'no return' (25.0 %)"]
-    notes.clear()
-    assert _normalised(np.array([[81.0, 0.0]]), notes)[1] == 49.99
-    assert notes == ["no beam of the whole log measured anything"]
-    notes.clear()
-    plain = np.random.default_rng(5).uniform(0.5, 4.9, (4, 90))
-    plain[0, 0] = 5.0
-    assert _normalised(plain, notes)[1] == 5.0
-    assert notes == []
-
-
 def test_millimetres_become_metres_apart_for_readings_and_poses():
     stamps = np.arange(20, dtype=np.int64) * 10**9
     rng = np.random.default_rng(2)
@@ -122,28 +69,6 @@ def test_millimetres_become_metres_apart_for_readings_and_poses():
     assert len(notes) == 2
     readings_only = np.column_stack([values[:, :-6], found[:, -6:]])
     np.testing.assert_allclose(_in_metres(readings_only, stamps, notes), found)
-
-
-def test_the_field_of_view_is_stated_or_half_a_circle():
-    notes = []
-    stated = lines(["x"] * 3, beams=5, views=[(-1.0, 0.1), (-2.0, 0.2), (-2.0, 0.2)])
-    assert _field_of_view(stated, notes) == (-2.0, 0.2)
-    assert notes == ["the stated field of view changes; the most frequent one is used"]
-    for n, steps, said in (
-        (180, 180, 0),
-        (181, 180, 0),
-        (360, 360, 0),
-        (361, 360, 0),
-        (90, 90, 1),
-        (91, 90, 1),
-        (1, 1, 1),
-    ):
-        notes.clear()
-        assert _field_of_view(lines(["x"], beams=n), notes) == pytest.approx((-math.pi / 2, math.pi / steps))
-        assert len(notes) == said
-    notes.clear()
-    assert _field_of_view(lines(["x"], views=[(-1.0, 0.1)]), notes) == (-1.0, 0.1)
-    assert notes == []
 
 
 def test_the_laser_sits_where_the_poses_say_or_else_the_parameter():
@@ -191,14 +116,14 @@ def test_a_log_is_read_line_by_line():
     found = parse_carmen(content, Path("a.log"), T_base_lidar=None, notes=notes)
     assert found.stamps_ns.tolist() == [5_250_000_000, 4_500_000_000]
     np.testing.assert_allclose(found.T_odom_base.xyt, [[0.2, 0.3, 0.4], [0.0, 0.0, 0.0]])
-    # one and the same largest reading in every scan is no return
-    assert found.ranges.tolist() == [[1.0, 2.0, math.inf]] * 2
-    assert found.notes[:3] == (
+    # so few readings do not tell a wall from a code for no return
+    assert found.ranges.tolist() == [[1.0, 2.0, 3.0]] * 2
+    assert found.notes[1:4] == (
         "4 damaged lines skipped, the first is line 6",
         "1 rear laser scans (RLASER) not used",
         "stamps go back 1 times; file order kept",
     )
-    assert (found.lidar.range_min, found.lidar.range_max, found.lidar.n_beams) == (0.0, 2.0, 3)
+    assert (found.lidar.range_min, found.lidar.range_max, found.lidar.n_beams) == (0.0, 4.0, 3)
     told = parse_carmen(content, Path("a"), T_base_lidar=SE2.from_xyt(1.0, 2.0, 3.0), notes=[])
     np.testing.assert_array_equal(told.T_base_lidar.xyt, SE2.from_xyt(1.0, 2.0, 3.0).xyt)
     for text, says in (

@@ -209,7 +209,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     usable = config.usable(recording.lidar)
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    told, _ = run.cache.step("front end", ["turns", *content], lambda: compared_turns(recording))
+    told, _ = run.cache.step("turns", content, lambda: compared_turns(recording))
     recording = in_step(recording, *told)
     recording = with_gyro(recording) if config.gyro else recording
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
