@@ -5,33 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
+from filter_room import PLACE, beams_at, made, scan_at
+from localisation_room import LIDAR
 
 from datasets.se2 import SE2, wrap
-from datasets.types import Scan
 from pipeline.localisation import amcl as module
 from pipeline.localisation import sampling
-from pipeline.localisation.amcl import Amcl
-from pipeline.localisation.beams import prepare
 from pipeline.localisation.estimate import Estimate
-from pipeline.localisation.parameters import AmclConfig
-
-ROOM = l_shaped_room()
-GRID = ROOM.grid()
-PLACE = SE2.from_xyt(2.0, 2.0, 0.4)
-
-
-def made(seed=1, **settings):
-    return Amcl(GRID, LIDAR, T_BASE_LIDAR, AmclConfig(**settings), np.random.default_rng(seed))
-
-
-def scan_at(pose, lidar=STILL_LIDAR):
-    ranges = ROOM.ranges(SE2((pose @ T_BASE_LIDAR).xyt[None]), lidar.angles, lidar.range_max)
-    return Scan(0, ranges.astype(np.float32), lidar)
-
-
-def beams_at(pose):
-    return prepare(scan_at(pose), T_BASE_LIDAR)
 
 
 def test_the_limits_of_the_ranges_are_the_lidars_or_narrower():

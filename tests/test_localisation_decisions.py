@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
+from filter_room import GRID, PLACE, beams_at, made
+from localisation_room import STILL_LIDAR, T_BASE_LIDAR
 
 from datasets.se2 import SE2, wrap
 from datasets.types import Scan
 from pipeline.localisation import fine_pose, standing
-from pipeline.localisation.amcl import Amcl
 from pipeline.localisation.beams import prepare
 from pipeline.localisation.estimate import Estimate
 from pipeline.localisation.fine_pose import FinePose, _agree
@@ -17,23 +17,6 @@ from pipeline.localisation.parameters import AmclConfig
 from pipeline.localisation.rivals import Contest, Glimpse, Rivals, apart, within
 from pipeline.localisation.search import GlobalSearch, tempered
 from pipeline.localisation.standing import StandingWatch, _still, changed_share
-
-ROOM = l_shaped_room()
-GRID = ROOM.grid()
-PLACE = SE2.from_xyt(2.0, 2.0, 0.4)
-
-
-def made(seed=1, **settings):
-    return Amcl(GRID, LIDAR, T_BASE_LIDAR, AmclConfig(**settings), np.random.default_rng(seed))
-
-
-def scan_at(pose, lidar=STILL_LIDAR):
-    ranges = ROOM.ranges(SE2((pose @ T_BASE_LIDAR).xyt[None]), lidar.angles, lidar.range_max)
-    return Scan(0, ranges.astype(np.float32), lidar)
-
-
-def beams_at(pose):
-    return prepare(scan_at(pose), T_BASE_LIDAR)
 
 
 def test_a_view_has_changed_by_the_share_of_beams_that_see_otherwise():

@@ -12,7 +12,6 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
-from test_carmen import flaser
 
 from datasets.bags.copying import into_mcap
 from datasets.bags.decode import yaw_of
@@ -24,7 +23,6 @@ from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.recordings import load_recording
 from datasets.se2 import SE2
-from pipeline.commands.arguments import laser
 
 FULL_TURN = 2.0 * math.pi
 
@@ -181,88 +179,6 @@ def test_odometry_and_laser_pose_from_tf(tmp_path, storage):
         same(load_recording(next((tmp_path / "bag").glob("*.db3"))), recording)
 
 
-def test_a_lidar_upside_down_is_turned_over(tmp_path):
-    ranges = np.linspace(1.0, 2.0, 360)
-    messages = [
-        ("/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (1, 0, 0, 0)))),
-        ("/scan", SCAN, 0, laser_scan(0, ranges)),
-    ]
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    upright = {
-        round(math.degrees(a)) % 360: r
-        for a, r in zip(recording.lidar.angles, recording.ranges[0], strict=True)
-    }
-    assert upright[359] == np.float32(ranges[1])
-    assert upright[0] == np.float32(ranges[0])
-
-
-def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
-    """Reading k is taken at bearing -k degrees, k / 1800 s after the message's stamp."""
-    at, ranges = 10**9, np.linspace(1.0, 2.0, 300, dtype=np.float32)
-    over = transform(0, "base_footprint", "base_scan", (0, 0, 0.2), (1, 0, 0, 0))
-    messages = [("/tf_static", TF, 0, tf(over))]
-    messages += [("/odom", ODOMETRY, t, odometry(t, t * 1e-9)) for t in range(0, 2 * 10**9, 50_000_000)]
-    messages += [("/scan", SCAN, at, laser_scan(at, ranges, time_increment=1 / 1800))]
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    lidar = recording.lidar
-    order = np.argsort(recording.ranges[0])
-    np.testing.assert_array_equal(recording.ranges[0][order], ranges)
-    bearings = np.degrees(np.unwrap(lidar.angles)[order])
-    np.testing.assert_allclose((bearings + np.arange(300) + 180.0) % 360.0, 180.0, atol=1e-4)
-    times = recording.stamps_ns[0] * 1e-9 + lidar.time_increment * np.arange(300)
-    np.testing.assert_allclose(times[order], 1.0 + np.arange(300) / 1800, atol=1e-6)
-    assert recording.stamps_ns.tolist() == [at]  # what a trajectory is to carry
-    assert float(recording.T_odom_base.x[0]) == pytest.approx(1.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("log", [False, True], ids=["bag", "CARMEN log"])
-def test_an_option_turns_the_lidar_over(tmp_path, log):
-    path = tmp_path / "a.clf"
-    path.write_text(flaser(np.linspace(1.0, 2.0, 180)))
-    if not log:
-        scan = laser_scan(0, np.linspace(1.0, 2.0, 180), time_increment=1 / 1800)
-        path = write_foreign(tmp_path / "bag", [("/scan", SCAN, 0, scan)])
-    T, over = laser("0.1,0.2,0.3,upside-down")
-    upright, turned = (load_recording(path, T_base_lidar=T, upside_down=down) for down in (False, over))
-    np.testing.assert_allclose(turned.T_base_lidar.xyt, [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(turned.lidar.angles, -upright.lidar.angles, atol=1e-12)
-    assert turned.lidar.time_increment == upright.lidar.time_increment
-    np.testing.assert_array_equal(turned.ranges, upright.ranges)
-    assert turned.notes == (*upright.notes, "the laser hangs upside down; its scans were turned over")
-    assert laser("0.1,0.2,0.3")[1] is False
-    assert laser(None) == (None, False)
-    for wrong in ("0,0,0,down", "0,0,upside-down", "upside-down", "0,0,0,upside-down,upside-down"):
-        with pytest.raises(InputError, match=f"--laser {wrong.removesuffix(',upside-down')}: expected"):
-            laser(wrong)
-
-
-@pytest.mark.parametrize("static", [False, True], ids=["no static transforms", "another frame"])
-def test_odometry_on_tf_counts_where_nothing_tells_the_lidar_s_place(tmp_path, static):
-    sits = (-0.032, 0.0, 0.172), (0.0, 0.0, 0.0, 1.0)
-    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "laser", *sits)))] if static else []
-    for k in range(11):
-        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
-        messages.append(("/tf", TF, k * 10**8, tf(link)))
-        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
-    assert any("odometry from /tf (odom -> base_link)" in note for note in recording.notes)
-    assert any("no fixed transform base_link -> base_scan" in note for note in recording.notes)
-    assert not any("no odometry" in note for note in recording.notes)
-
-
-def test_of_several_odometries_on_tf_the_one_that_carries_the_lidar_counts(tmp_path):
-    sits = (0.1, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)
-    messages = [("/tf_static", TF, 0, tf(transform(0, "base_link", "base_scan", *sits)))]
-    for k in range(11):
-        other = transform(k * 10**8, "cart_odom", "cart", (0, 0.1 * k, 0), (0, 0, 0, 1))
-        link = transform(k * 10**8, "odom", "base_link", (0.1 * k, 0, 0), (0, 0, 0, 1))
-        messages.append(("/tf", TF, k * 10**8, tf(other, link)))
-        messages.append(("/scan", SCAN, k * 10**8, laser_scan(k * 10**8, np.ones(360))))
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    np.testing.assert_allclose(recording.T_odom_base.x, 0.1 * np.arange(11))
-
-
 @pytest.mark.parametrize("length", [0.2, 1.0, 3.0])
 def test_a_quaternion_s_length_does_not_matter(length):
     for yaw in np.linspace(-3.1, 3.1, 9):
@@ -275,73 +191,6 @@ def test_a_quaternion_s_length_does_not_matter(length):
         )
         assert yaw_of(length * tilted) == pytest.approx(plain)
         assert yaw_of([0.0, 0.0, length * z, length * w]) == pytest.approx(yaw)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "changes", "note"),
-    [
-        ((360, 359, 360), {}, "another geometry"),
-        ((360,), {"angle_max": FULL_TURN}, "361 beams"),
-        ((360,), {"angle_max": FULL_TURN, "angle_increment": FULL_TURN / 359}, ""),
-        ((360,), {"angle_increment": 0.0}, ""),
-    ],
-)
-def test_fence_posts(tmp_path, sizes, changes, note):
-    messages = [
-        ("/scan", SCAN, k, laser_scan(k, np.arange(size) * 0.001 + 1.0, **changes))
-        for k, size in enumerate(sizes)
-    ]
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    assert recording.ranges.shape == (len(sizes), 360)
-    assert any(note in line for line in recording.notes)
-    for row, size in zip(recording.ranges, sizes, strict=True):
-        np.testing.assert_allclose(row[:size], np.arange(size) * 0.001 + 1.0, rtol=1e-6)
-        assert np.isnan(row[size:]).all()
-
-
-def wall_ahead(angles, distance=1.5):
-    """Ranges to the line x = distance, +inf where it is not seen."""
-    with np.errstate(divide="ignore"):
-        ranges = distance / np.cos(angles)
-    return np.where((ranges > 0.0) & (ranges < 3.4), ranges, np.inf)
-
-
-def test_a_motor_that_wavers_does_not_make_scans_different(tmp_path):
-    messages = [
-        (
-            "/scan",
-            SCAN,
-            k,
-            laser_scan(k, np.ones(360), time_increment=(1 + 0.01 * k) / 1800, scan_time=0.2 + k),
-        )
-        for k in range(5)
-    ]
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    assert recording.lidar.n_beams == 360
-    assert recording.lidar.time_increment == pytest.approx(1.02 / 1800)
-    assert not any("geometry" in note for note in recording.notes)
-
-
-def test_angles_that_change_with_every_scan_keep_the_walls_straight(tmp_path):
-    """The LDS-02 gives some 230 beams, their number, start and increment new in each turn."""
-    rng = np.random.default_rng(0)
-    messages = []
-    for k in range(40):
-        n = int(rng.integers(225, 235))
-        start, step = float(rng.uniform(0.0, 0.02)), 2.0 * math.pi / n
-        angles = (np.float32(start) + np.float32(step) * np.arange(n)).astype(float)
-        scan = laser_scan(
-            k, wall_ahead(angles), angle_min=start, angle_max=start + (n - 1) * step, angle_increment=step
-        )
-        messages.append(("/scan", SCAN, k, scan))
-    recording = load_recording(write_foreign(tmp_path / "bag", messages))
-    assert any("change from scan to scan" in note for note in recording.notes)
-    seen = [recording.scan(index).points_lidar() for index in range(len(recording))]
-    assert min(len(points) for points in seen) > 75
-    points = np.concatenate(seen)
-    near = np.abs(points[:, 1]) < 1.5
-    assert np.abs(points[near, 0] - 1.5).max() < 0.006
-    assert np.unique(np.isinf(recording.ranges).sum(axis=1)).min() > 100
 
 
 def test_readings_are_normalised(tmp_path):

@@ -1,0 +1,27 @@
+"""A filter in the room of `localisation_room`, and what it would see from a pose there."""
+
+import numpy as np
+from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
+
+from datasets.se2 import SE2
+from datasets.types import Scan
+from pipeline.localisation.amcl import Amcl
+from pipeline.localisation.beams import prepare
+from pipeline.localisation.parameters import AmclConfig
+
+ROOM = l_shaped_room()
+GRID = ROOM.grid()
+PLACE = SE2.from_xyt(2.0, 2.0, 0.4)
+
+
+def made(seed=1, **settings):
+    return Amcl(GRID, LIDAR, T_BASE_LIDAR, AmclConfig(**settings), np.random.default_rng(seed))
+
+
+def scan_at(pose, lidar=STILL_LIDAR):
+    ranges = ROOM.ranges(SE2((pose @ T_BASE_LIDAR).xyt[None]), lidar.angles, lidar.range_max)
+    return Scan(0, ranges.astype(np.float32), lidar)
+
+
+def beams_at(pose):
+    return prepare(scan_at(pose), T_BASE_LIDAR)
