@@ -8,7 +8,7 @@ from foreign_bags import SCAN, laser_scan, write_foreign
 from test_carmen import flaser, write
 
 from datasets.recordings import load_recording
-from datasets.returns import no_return_value
+from datasets.returns import no_return_value, without_repeats
 from datasets.se2 import SE2
 from datasets.types import Observation as Seen
 from datasets.types import Odometry, Scan
@@ -123,3 +123,22 @@ def test_beams_put_on_a_finer_grid_have_the_same_noise_lines_and_open_space(corr
         make_grid(one, SE2.from_array(DRIVE), OccupancyConfig(), 30.0).cells for one in (finer, corridor)
     ]
     np.testing.assert_array_equal(*grids)
+
+
+def test_sweeps_sent_again_while_the_robot_moves_are_not_used():
+    log = recording(CORRIDOR, DRIVE, SICK, odometry=DRIVE)
+    log.ranges[8:13] = log.ranges[7]
+    log.ranges[15, 3] = np.nan
+    log.ranges[16] = log.ranges[15]
+    found = without_repeats(log)
+    assert np.flatnonzero(np.isnan(found.ranges).all(axis=1)).tolist() == [8, 9, 10, 11, 12, 16]
+    kept = [k for k in range(len(log)) if k not in (8, 9, 10, 11, 12, 16)]
+    np.testing.assert_array_equal(found.ranges[kept], log.ranges[kept])
+    assert "6 scans repeat an earlier one" in found.notes[-1]
+
+
+@pytest.mark.parametrize("odometry", [SE2.from_array(np.tile(DRIVE[:1], (20, 1))), None])
+def test_the_same_sweep_from_a_standing_robot_stays(odometry):
+    log = replace(recording(CORRIDOR, np.tile(DRIVE[:1], (20, 1)), SICK), T_odom_base=odometry)
+    log.ranges[5:] = log.ranges[4]
+    assert without_repeats(log) is log

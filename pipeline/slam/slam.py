@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.returns import without_repeats
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
@@ -205,7 +206,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
-    recording, config = _with_sensors(recording, run.config)
+    recording, config = _with_sensors(without_repeats(recording), run.config)
     usable = config.usable(recording.lidar)
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
