@@ -45,8 +45,8 @@ def no_return_value(readings: NDArray[np.floating]) -> float:
 
 
 def without_repeats(recording: Recording) -> Recording:
-    """The recording without what a lidar that hangs sends: the ranges of one sweep, to the last bit, while the
-    robot moves on. Such scans keep their stamps and lose their ranges; a note says how many they are."""
+    """The recording without what a lidar that hangs sends: the same ranges, to the last bit, while the robot
+    moves on. Such scans keep their stamps and lose their ranges; a note says how many they are."""
     odometry, bits = recording.T_odom_base, np.ascontiguousarray(recording.ranges).view(np.uint32)
     measured = recording.lidar.returns(recording.ranges).any(axis=1)
     same = measured & np.concatenate([[False], (bits[1:] == bits[:-1]).all(axis=1)])

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.slam_drives import integrate
 from datasets.se2 import SE2
+from datasets.types import Recording
 from pipeline.slam.clouds import Clouds, make_clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.selfcheck import SelfCheckConfig, check_map
-from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
+from pipeline.slam.track import OdometryNoise, Track, TrackingConfig, dead_reckoning
 from tests.slam_rooms import ROOM, around_the_room, recording
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -17,20 +19,22 @@ SURE = Certainty(0.1, 0.9)
 
 
 @pytest.fixture(scope="module")
-def drive() -> tuple[Clouds, Track]:
+def drive() -> tuple[Recording, Clouds, Track]:
     """A lap round the room, at the true poses, every scan fitting."""
     poses = around_the_room(60)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
     track = dead_reckoning(log, clouds, TrackingConfig())
-    return clouds, replace(track, overlap=np.ones(60), information=np.tile(np.eye(3), (60, 1, 1)))
+    return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
-def reasons(drive, breaks=NONE, certainty=SURE, **changes):
-    clouds, track = drive
-    T_map_keys = track.T_track_base[track.keys]
+def reasons(drive, breaks=NONE, certainty=SURE, T_odom_base=None, **changes):
+    log, clouds, track = drive
+    log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
+    track = replace(track, **changes)
+    T = track.T_track_base
     return check_map(
-        clouds, replace(track, **changes), T_map_keys, SelfCheckConfig(), breaks, certainty
+        log, clouds, track, T, T[track.keys], SelfCheckConfig(), OdometryNoise(), breaks, certainty
     ).reasons
 
 
@@ -68,6 +72,48 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     track = replace(dead_reckoning(log, clouds, TrackingConfig()), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
-    found = check_map(clouds, track, SE2(drawn), SelfCheckConfig(apart_keys=10), NONE, SURE)
+    found = check_map(
+        log,
+        clouds,
+        track,
+        track.T_track_base,
+        SE2(drawn),
+        SelfCheckConfig(apart_keys=10),
+        OdometryNoise(),
+        NONE,
+        SURE,
+    )
     assert found.revisits > 20
     assert any("contradict each other" in reason for reason in found.reasons) == doubled
+
+
+def slipping(T, scans, times):
+    """Odometry (n,) that tells so many times the way at some steps."""
+    steps = (T[:-1].inverse() @ T[1:]).xyt.copy()
+    steps[scans, :2] *= times
+    return SE2.from_array(integrate(T.xyt[0], steps))
+
+
+@pytest.mark.parametrize(("shift", "jumps"), [(0.2, 0), (1.5, 1)])
+def test_a_robot_that_jumps_is_told_unless_its_odometry_does(drive, shift, jumps):
+    T = drive[2].T_track_base
+    moved = T.xyt.copy()
+    moved[30:] += [shift, 0.0, 0.0]
+    found = reasons(drive, T_track_base=SE2(moved))
+    assert len(found) == jumps
+    assert all(reason.endswith("(first: to scan 30)") for reason in found)
+    assert reasons(drive, T_track_base=SE2(moved), T_odom_base=SE2(moved)) == ()
+
+
+def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
+    """Scans 30 to 40 are blind; the wheels slip before, or all is well, or one step of them jumps."""
+    track = drive[2]
+    T, seen = track.T_track_base, track.information.copy()
+    seen[30:40] = np.diag([0.0, 1e5, 1e5])
+    assert reasons(drive, information=seen) == ()
+    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 30), 3.0))
+    assert "up to scan 39: the scans are blind there, and the odometry was wrong" in reason
+    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(39, 50), 3.0))
+    assert "up to scan 39: the scans are blind there, and the odometry was wrong" in reason
+    assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
+    assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()

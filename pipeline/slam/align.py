@@ -33,6 +33,8 @@ SAME_PARTNERS_M, TURN_REACH_M = 0.005, 2.0
 # Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
 # weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
 PRIOR_SHARE = 0.01
+# The points of one scan share their errors: a match is worth far less than the sum of its points.
+STEP_INFLATION = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,13 +294,24 @@ def _step(
         e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior[2])])
         w = 1.0
         if prior_soft > 0.0:
-            q = e @ (prior_information @ e)
-            w = 1.0 / (1.0 + q / (prior_soft * prior_soft))
+            d = e - _safe_solve(hessian, np.array([g0, g1, g2]))
+            w = 1.0 / (1.0 + contradiction(d, prior_information, a) / (prior_soft * prior_soft))
         # what the scan sees it decides; odometry fills in the directions it is blind in
         w *= PRIOR_SHARE
         a = a + w * prior_information
         b = b - w * (prior_information @ e)
     return _safe_solve(a, b)
+
+
+@njit(cache=True)
+def contradiction(apart: Array, information: Array, seen: Array) -> float:
+    """How far a scan and a prior are apart, in squared standard deviations of both together.
+
+    `apart` (3,) is the scan's own answer seen from the prior's, `information` (3, 3) the prior's, `seen` what
+    the points of the scan tell. In a direction that the scan hardly sees it contradicts nobody.
+    """
+    sure = seen / STEP_INFLATION
+    return float(apart @ (information @ np.linalg.solve(information + sure, sure @ apart)))
 
 
 @njit(cache=True)

@@ -17,20 +17,19 @@ from numpy.typing import NDArray
 
 from datasets.se2 import Array
 from datasets.types import Recording
-from pipeline.slam.track import AGREE_M, GAP_S, Track, confirms
+from pipeline.slam.track import GAP_S, Track
+from pipeline.slam.witnesses import agree, blind, too_fast
 
 # A gap is also this many usual periods long.
 GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
-# A match after a gap counts when this share of the scan fits and it is not blind in any direction.
-MIN_OVERLAP, LEAST_OVERLAP, BLIND = 0.5, 0.3, 0.01
+# A match after a gap counts when this share of the scan fits and it is not blind.
+MIN_OVERLAP, LEAST_OVERLAP = 0.5, 0.3
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
 SHORT_S = 5.0
 # Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.
 SEEN_DRIFT, BLIND_DRIFT, UNWITNESSED_DRIFT = 0.02, 0.1, 0.4
 ANYWHERE = 1e6
-# Nobody drives this many times as fast as nearly always before.
-FASTER = 1.3
 
 
 @dataclass(frozen=True)
@@ -139,21 +138,22 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
     T, keys = track.T_track_base, track.keys
     steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
     length = np.hypot(steps[:, 0], steps[:, 1])
-    blind = _blind(track)[keys[1:]]
+    unseen = blind(track)
     unwitnessed = UNWITNESSED_DRIFT if recording.T_odom_base is None else BLIND_DRIFT
-    drift = length * np.where(blind, unwitnessed, SEEN_DRIFT)
+    drift = length * np.where(unseen[keys[1:]], unwitnessed, SEEN_DRIFT)
     broken, contradicted, alone = np.zeros((3, len(steps)), dtype=bool)
     gaps = []
-    for before, after in _gaps(recording, track):
+    waited = _gaps(recording, track)
+    for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
         step = int(np.searchsorted(keys, after)) - 1
         if not 0 <= step < len(steps):
             continue
-        agree = _agree(recording, track, before, after) and not _too_fast(recording, track, before, after)
+        agreed = agree(recording, track, before, after, T) and not fast
         wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
-        seen = track.overlap[after] >= MIN_OVERLAP and (wait < SHORT_S or not _blind(track)[after])
-        if not (agree and seen):
+        seen = track.overlap[after] >= MIN_OVERLAP and (wait < SHORT_S or not unseen[after])
+        if not (agreed and seen):
             broken[step] = True
-            contradicted[step] |= not agree
+            contradicted[step] |= not agreed
             alone[step] |= track.overlap[after] < LEAST_OVERLAP
             gaps.append((before, after))
     drift = np.where(broken, ANYWHERE, drift)
@@ -161,43 +161,16 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
     return Chain(broken, contradicted, alone, drift, length, between)
 
 
-def _blind(track: Track) -> NDArray[np.bool_]:
-    least = np.linalg.eigvalsh(track.information[:, :2, :2])
-    return np.asarray(least[:, 0] < BLIND * np.maximum(least[:, 1], 1e-9))
-
-
-def _gaps(recording: Recording, track: Track) -> list[tuple[int, int]]:
-    """Pairs of successive scans with surfaces between which nothing was seen for long."""
+def _gaps(recording: Recording, track: Track) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans with surfaces between which nothing was seen for long."""
     usable = np.flatnonzero(track.usable)
     stamps = recording.stamps_ns[usable] * 1e-9
     if len(stamps) < 2:
-        return []
+        return np.zeros((0, 2), dtype=np.int64)
     # stamps out of order make gaps that are none: the latest before against the earliest after
     padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
     waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
     usual = float(np.median(np.abs(np.diff(stamps))))
     long = np.flatnonzero(waits > max(GAP_S, GAP_PERIODS * usual))
-    return [(int(usable[k]), int(usable[k + 1])) for k in long]
-
-
-def _agree(recording: Recording, track: Track, before: int, after: int) -> bool:
-    """Whether odometry says of the motion between two scans what the track says."""
-    if recording.T_odom_base is None:
-        return False
-    T, T_odom = track.T_track_base, recording.T_odom_base
-    odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
-    return confirms(odometry, (T[before].inverse() @ T[after]).xyt)
-
-
-def _too_fast(recording: Recording, track: Track, before: int, after: int) -> bool:
-    """Whether the track crosses a gap faster than the robot is ever seen to drive."""
-    waits = np.diff(recording.stamps_ns) * 1e-9
-    xy = track.T_track_base.xy
-    driven = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
-    if not seen.any():
-        return False
-    usual = float(np.quantile(driven[seen] / waits[seen], 0.995))
-    wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
-    return bool(np.linalg.norm(xy[after] - xy[before]) > FASTER * usual * wait + AGREE_M)
+    return np.stack([usable[long], usable[long + 1]], axis=1)

@@ -18,11 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
+from datasets.types import Recording
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
-from pipeline.slam.track import HYPOTHESES, Track
+from pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
 from pipeline.slam.verdict import Verdict
+from pipeline.slam.witnesses import agree, too_fast, unwitnessed
 
 
 class SelfCheckConfig(BaseModel):
@@ -74,17 +76,21 @@ class SelfCheck(Verdict):
 
 
 def check_map(
+    recording: Recording,
     clouds: Clouds,
     track: Track,
+    T_map_base: SE2,
     T_map_keys: SE2,
     config: SelfCheckConfig,
+    noise: OdometryNoise,
     breaks: NDArray[np.int64],
     certainty: Certainty,
 ) -> SelfCheck:
-    """Check a finished map; the track's `overlap` is that of each scan with the map as it ended.
+    """Check a finished map: poses of all scans (n,) and of the key scans.
 
-    `breaks` are the scans before which nothing confirms the motion, and that no recognised place joins to
-    the rest; `certainty` is the grid's.
+    The track's `overlap` is that of each scan with the map as it ended. `noise` is what the odometry's is
+    taken for, `breaks` are the scans before which nothing confirms the motion, and that no recognised place
+    joins to the rest; `certainty` is the grid's.
     """
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
@@ -123,6 +129,7 @@ def check_map(
     blind = int(np.count_nonzero(~track.usable))
     if blind > 0.1 * len(track.usable):
         reasons.append(f"{blind} scans see no surface")
+    reasons += _unlikely_motion(recording, track, T_map_base, noise)
     longest = _longest_blind(track)
     if longest is not None and track.odometry_steps is None:
         reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
@@ -144,6 +151,28 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     visits = np.bincount(pairs.ravel(), minlength=n)
     denials = np.bincount(pairs[share > limit].ravel(), minlength=n)
     return np.flatnonzero(2 * denials > visits)
+
+
+def _unlikely_motion(recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise) -> list[str]:
+    """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
+    reasons, scans = [], np.arange(len(recording) - 1)
+    fast = too_fast(recording, track, T_map_base, scans, scans + 1)
+    jumps = [k for k in scans[fast].tolist() if not agree(recording, track, k, k + 1, T_map_base)]
+    if jumps:
+        reasons.append(
+            f"the robot jumps {len(jumps)} times farther than it can drive (first: to scan {jumps[0] + 1})"
+        )
+    way = unwitnessed(recording, track, noise)
+    total = np.cumsum(way)
+    # of a stretch: what was gathered since the last scan that is none of it
+    stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
+    if len(stretch) and stretch.max() > AGREE_M:
+        last = int(stretch.argmax())
+        reasons.append(
+            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, and the "
+            "odometry was wrong just before or after"
+        )
+    return reasons
 
 
 def _longest_blind(track: Track) -> tuple[int, int] | None:

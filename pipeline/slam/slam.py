@@ -17,6 +17,7 @@ from datasets.returns import without_repeats
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
+from pipeline.slam.align import STEP_INFLATION
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
@@ -38,7 +39,7 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.track import STEP_INFLATION, Track, TrackingConfig, dead_reckoning
+from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
 from pipeline.slam.tracking import STEADY_SHARE, track_log
 from pipeline.slam.turns import compared_turns, in_step
 
@@ -197,7 +198,17 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     check, _ = run.cache.step(
         "self-check",
         [key, config.self_check],
-        lambda: check_map(clouds(), placed, graph.T_map_keys, config.self_check, breaks, certainty),
+        lambda: check_map(
+            recording,
+            clouds(),
+            placed,
+            poses,
+            graph.T_map_keys,
+            config.self_check,
+            config.tracking.odometry,
+            breaks,
+            certainty,
+        ),
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 

@@ -19,8 +19,6 @@ HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 GAP_S = 2.0
 # How well scans and odometry must agree on a motion: floors [m], [rad], and shares of the motion.
 AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
-# The points of one scan share their errors: a match is worth far less than the sum of its points.
-STEP_INFLATION = 5.0
 
 
 class OdometryNoise(BaseModel):

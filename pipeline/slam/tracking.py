@@ -23,7 +23,8 @@ from pipeline.slam.calibration import Calibration, calibrate
 from pipeline.slam.clouds import MIN_LINES, Clouds, point_information
 from pipeline.slam.correlative import best_pose, make_field
 from pipeline.slam.odometry import LidarOdometry
-from pipeline.slam.track import GAP_S, STEP_INFLATION, Track, TrackingConfig, confirms, sees_everything
+from pipeline.slam.track import GAP_S, Track, TrackingConfig, confirms
+from pipeline.slam.witnesses import Wheels
 
 # A score must be that much higher to prefer a steady motion to the odometry's.
 SURELY_BETTER = 0.05
@@ -37,9 +38,6 @@ DOUBTED_SCANS = 12
 FITS = 0.25
 # Less of a scan than this on the surfaces of others tells nothing.
 LEAST_OVERLAP = 0.3
-# What the scans see of a step contradicts the odometry when it is this many standard deviations off, and
-# confirms it within so many.
-LIES_SIGMAS, CONFIRMS_SIGMAS = 10.0, 3.0
 # What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
 SURPRISE = 0.03
 
@@ -64,7 +62,7 @@ class Tracker:
         self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
         self.stamps = recording.stamps_ns
         self.doubt: Doubt | None = None
-        self.caught, self.lying = False, 0
+        self.wheels = Wheels(config.odometry)
         self.settled: range = range(0)
         self.keys: list[int] = []
         self.key_poses: list[Array] = []
@@ -93,7 +91,7 @@ class Tracker:
         guess = steady if odometry_step is None else compose(self.pose, odometry_step)
         prior_step = self.velocity if odometry_step is None else odometry_step
         information = self.config.odometry.information(prior_step)
-        carried, believed = guess, odometry_step is not None and self.lying == 0
+        carried, believed = guess, odometry_step is not None and self.wheels.believed
         if not believed:
             guess, information = steady, STEADY_SHARE * information
         if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
@@ -104,30 +102,14 @@ class Tracker:
         new = result.T_map_base.xyt
         sure, self._last = self._judge(scan, result), scan
         if self.doubt is not None:
-            self.caught, self.lying = False, 0
+            self.wheels.forget()
         elif odometry_step is not None:
-            self._trust(between(carried, new), odometry_step, result.information)
+            self.wheels.judge(odometry_step, new, result.information)
         self.velocity = between(self.pose, new)
         self.pose = new
         if self._moved_enough() and self.can_be_key(scan) and sure:
             self._add_key(scan)
         return result, source
-
-    def _trust(self, error: Array, odometry_step: Array, seen: Array) -> None:
-        """Whether the wheels are believed at the next scan: not once they were caught lying twice.
-
-        A jump is over at once; wheels that slip go on; after a gap the scans may be wrong as well. Where the
-        scans are blind nothing is learnt, and the last verdict stands for a while.
-        """
-        surprise = error @ self.config.odometry.information(odometry_step) @ error
-        told = error @ seen @ error / STEP_INFLATION
-        if min(surprise, told) > LIES_SIGMAS**2:
-            self.lying = DOUBTED_SCANS if self.caught else 0
-            self.caught = True
-        elif surprise < CONFIRMS_SIGMAS**2 and sees_everything(seen):
-            self.lying, self.caught = 0, False
-        else:
-            self.lying = max(0, self.lying - 1)
 
     def _judge(self, scan: int, found: Alignment) -> bool:
         """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.

@@ -1,0 +1,129 @@
+"""Who saw a motion: the scans, the odometry, both, or neither."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array, between, compose
+from datasets.types import Recording
+from pipeline.slam.align import contradiction
+from pipeline.slam.track import AGREE_M, AGREE_RAD, OdometryNoise, Track, confirms
+
+# A scan is blind when it sees this share along one direction of what it sees along the other, or less.
+BLIND = 0.01
+# Nobody drives this many times as fast as nearly always before.
+FASTER, NEARLY_ALWAYS = 1.3, 0.98
+# A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
+# its last steps are taken together.
+LIE_SIGMAS, RECENT = 2.5, 5
+
+
+def blind(track: Track) -> NDArray[np.bool_]:
+    """Which scans see one direction only, (n,)."""
+    least = np.linalg.eigvalsh(track.information[:, :2, :2])
+    return np.asarray(least[:, 0] < BLIND * np.maximum(least[:, 1], 1e-9))
+
+
+def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
+    """Whether the odometry says of the motion between two scans what their poses (n,) say."""
+    if recording.T_odom_base is None:
+        return False
+    T_odom = recording.T_odom_base
+    odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
+    return confirms(odometry, (T_map_base[before].inverse() @ T_map_base[after]).xyt)
+
+
+def too_fast(
+    recording: Recording, track: Track, T_map_base: SE2, before: NDArray[np.int64], after: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether the poses (n,) move faster between scans (k,) and later ones (k,) than the robot ever drives or
+    turns, (k,)."""
+    waits, steps = np.diff(recording.stamps_ns) * 1e-9, _moved(T_map_base, np.arange(len(T_map_base) - 1), 1)
+    seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
+    if not seen.any():
+        return np.zeros(len(before), dtype=bool)
+    # stamps jitter: no step counts as shorter than usual
+    least_s = np.median(waits[seen])
+    speeds = steps[seen] / np.maximum(waits[seen], least_s)[:, None]
+    reach = FASTER * np.quantile(speeds, NEARLY_ALWAYS, axis=0)
+    wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+    moved = _moved(T_map_base, before, after - before)
+    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE_RAD]
+    return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
+
+
+def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
+    """Way [m] and turn [rad] between poses and later ones, (k, 2)."""
+    steps = np.abs((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
+    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), steps[:, 2]])
+
+
+class Wheels:
+    """Whether the odometry is believed where the scans are blind.
+
+    Not once it was caught lying, until it says the same as the scans again, or, where these are blind, the
+    same as a steady motion.
+    """
+
+    def __init__(self, noise: OdometryNoise) -> None:
+        self._noise = noise
+        self._odometry = np.zeros(3)
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known of them any more."""
+        self.believed, self._last = True, deque[tuple[Array, Array]](maxlen=RECENT + 1)
+
+    def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
+        """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
+
+        A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
+        rest tell nothing.
+        """
+        self._odometry = compose(self._odometry, odometry_step)
+        self._last.append((self._odometry, T_map_base))
+        if len(self._last) < 2:
+            return
+        told, error = self._apart(-2)
+        information = self._noise.information(told)
+        surprising = error @ information @ error > LIE_SIGMAS**2
+        if not surprising and moves(odometry_step, self._noise):
+            self.believed = True
+        told, error = self._apart(0)
+        if surprising and contradiction(error, self._noise.information(told), seen) > LIE_SIGMAS**2:
+            self.believed = False
+
+    def _apart(self, since: int) -> tuple[Array, Array]:
+        """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""
+        (odometry, pose), (odometry_now, pose_now) = self._last[since], self._last[-1]
+        told = between(odometry, odometry_now)
+        return told, between(told, between(pose, pose_now))
+
+
+def unwitnessed(recording: Recording, track: Track, noise: OdometryNoise) -> Array:
+    """Metres that the odometry tells of each step (n,) where the scan is blind and the odometry was not to be
+    believed before or after; 0 elsewhere, and without odometry."""
+    n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
+    way = np.zeros(n)
+    if T_odom is None:
+        return way
+    unseen = blind(track)
+    for order in (np.arange(n), np.arange(n)[::-1]):
+        T = T_odom[order]
+        steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
+        wheels = Wheels(noise)
+        for scan, step in zip(order[1:].tolist(), steps, strict=True):
+            if not unseen[scan]:
+                wheels.judge(step, poses[scan], track.information[scan])
+            elif not wheels.believed:
+                way[scan] = np.hypot(step[0], step[1])
+    return way
+
+
+def moves(odometry_step: Array, noise: OdometryNoise) -> bool:
+    """Whether an odometry step (3,) stands out of its noise."""
+    way, turn = float(np.hypot(odometry_step[0], odometry_step[1])), abs(float(odometry_step[2]))
+    return way > 2.0 * noise.floor_m or turn > 2.0 * noise.floor_rad
