@@ -24,7 +24,7 @@ from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
 from pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
 from pipeline.slam.verdict import Verdict
-from pipeline.slam.witnesses import agree, too_fast, unwitnessed
+from pipeline.slam.witnesses import GROSS, agree, too_fast, unwitnessed
 
 
 class SelfCheckConfig(BaseModel):
@@ -166,11 +166,11 @@ def _unlikely_motion(recording: Recording, track: Track, T_map_base: SE2, noise:
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it
     stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
-    if len(stretch) and stretch.max() > AGREE_M:
+    if len(stretch) and GROSS * stretch.max() > AGREE_M:
         last = int(stretch.argmax())
         reasons.append(
-            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, and the "
-            "odometry was wrong just before or after"
+            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, and "
+            "the odometry was wrong just before or after"
         )
     return reasons
 

@@ -87,13 +87,14 @@ class Tracker:
         odometry_step = self._odometry_step(scan)
         if not self._has_reference:
             return self._carry(scan, odometry_step)
-        steady = compose(self.pose, self.velocity)
-        guess = steady if odometry_step is None else compose(self.pose, odometry_step)
-        prior_step = self.velocity if odometry_step is None else odometry_step
-        information = self.config.odometry.information(prior_step)
-        carried, believed = guess, odometry_step is not None and self.wheels.believed
+        believed = odometry_step is not None and self.wheels.believed
+        steadily = self.velocity if self.wheels.believed else self.wheels.steady_step()
+        steady = compose(self.pose, steadily)
+        carried = steady if odometry_step is None else compose(self.pose, odometry_step)
+        guess = carried if believed else steady
+        information = self.config.odometry.information(steadily if odometry_step is None else odometry_step)
         if not believed:
-            guess, information = steady, STEADY_SHARE * information
+            information *= STEADY_SHARE
         if self.config.kiss.enabled and self.clouds.placed_by(scan) == "points":
             result, source = self._by_points(scan, carried, steady)
         else:

@@ -19,6 +19,8 @@ FASTER, NEARLY_ALWAYS = 1.3, 0.98
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
+# And when it is wrong by this share of the way: wheels whose clock is late are wrong by less at every start.
+GROSS = 0.3
 
 
 def blind(track: Track) -> NDArray[np.bool_]:
@@ -77,24 +79,35 @@ class Wheels:
         """Nothing is known of them any more."""
         self.believed, self._last = True, deque[tuple[Array, Array]](maxlen=RECENT + 1)
 
-    def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
+    def judge(
+        self, odometry_step: Array, T_map_base: Array, seen: Array, *, independent: bool = True
+    ) -> None:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
-        rest tell nothing.
+        rest confirm nothing, nor do those that the pose may have been taken from (not `independent`).
         """
         self._odometry = compose(self._odometry, odometry_step)
         self._last.append((self._odometry, T_map_base))
         if len(self._last) < 2:
             return
         told, error = self._apart(-2)
-        information = self._noise.information(told)
-        surprising = error @ information @ error > LIE_SIGMAS**2
-        if not surprising and moves(odometry_step, self._noise):
+        surprising = error @ self._along(told) @ error > LIE_SIGMAS**2
+        if independent and not surprising and moves(odometry_step, self._noise):
             self.believed = True
         told, error = self._apart(0)
-        if surprising and contradiction(error, self._noise.information(told), seen) > LIE_SIGMAS**2:
+        gross = abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0]))
+        if surprising and gross and contradiction(error, self._along(told), seen) > LIE_SIGMAS**2:
             self.believed = False
+
+    def steady_step(self) -> Array:
+        """The mean of the last steps as the scans saw them, (3,)."""
+        T = SE2(np.array([pose for _, pose in self._last]))
+        return np.asarray((T[:-1].inverse() @ T[1:]).xyt.mean(axis=0))
+
+    def _along(self, told: Array) -> Array:
+        """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
+        return np.diag([1.0, 0.0, 0.0]) * self._noise.information(told)
 
     def _apart(self, since: int) -> tuple[Array, Array]:
         """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""
@@ -116,9 +129,8 @@ def unwitnessed(recording: Recording, track: Track, noise: OdometryNoise) -> Arr
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
         wheels = Wheels(noise)
         for scan, step in zip(order[1:].tolist(), steps, strict=True):
-            if not unseen[scan]:
-                wheels.judge(step, poses[scan], track.information[scan])
-            elif not wheels.believed:
+            wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
+            if unseen[scan] and not wheels.believed:
                 way[scan] = np.hypot(step[0], step[1])
     return way
 
