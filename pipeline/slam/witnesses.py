@@ -21,6 +21,8 @@ FASTER, NEARLY_ALWAYS = 1.3, 0.98
 LIE_SIGMAS, RECENT = 2.5, 5
 # And when it is wrong by this share of the way: wheels whose clock is late are wrong by less at every start.
 GROSS = 0.3
+# So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
+SEVERAL = 3
 
 
 def blind(track: Track) -> NDArray[np.bool_]:
@@ -66,8 +68,8 @@ def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] 
 class Wheels:
     """Whether the odometry is believed where the scans are blind.
 
-    Not once it was caught lying, until it says the same as the scans again, or, where these are blind, the
-    same as a steady motion.
+    Not once it was caught lying several times, until it says the same as the scans again, or, where these are
+    blind, the same as a steady motion.
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
@@ -77,7 +79,12 @@ class Wheels:
 
     def forget(self) -> None:
         """Nothing is known of them any more."""
-        self.believed, self._last = True, deque[tuple[Array, Array]](maxlen=RECENT + 1)
+        self._lies, self._last = 0, deque[tuple[Array, Array]](maxlen=RECENT + 1)
+
+    @property
+    def believed(self) -> bool:
+        """Whether its next step is believed."""
+        return self._lies < SEVERAL
 
     def judge(
         self, odometry_step: Array, T_map_base: Array, seen: Array, *, independent: bool = True
@@ -85,20 +92,21 @@ class Wheels:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
-        rest confirm nothing, nor do those that the pose may have been taken from (not `independent`).
+        rest tell nothing. They confirm nothing where the pose may have been taken from them (not
+        `independent`).
         """
         self._odometry = compose(self._odometry, odometry_step)
         self._last.append((self._odometry, T_map_base))
-        if len(self._last) < 2:
+        if len(self._last) < 2 or not moves(odometry_step, self._noise):
             return
         told, error = self._apart(-2)
         surprising = error @ self._along(told) @ error > LIE_SIGMAS**2
-        if independent and not surprising and moves(odometry_step, self._noise):
-            self.believed = True
+        if independent and not surprising:
+            self._lies = 0
         told, error = self._apart(0)
         gross = abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0]))
         if surprising and gross and contradiction(error, self._along(told), seen) > LIE_SIGMAS**2:
-            self.believed = False
+            self._lies += 1
 
     def steady_step(self) -> Array:
         """The mean of the last steps as the scans saw them, (3,)."""
