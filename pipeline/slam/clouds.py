@@ -8,6 +8,8 @@ surface; where there is none (lone returns, corners of the visible part) `line_o
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import cache as once
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -40,6 +42,8 @@ MIN_REACH_M, REACH_BEAMS, MAX_REACH_M = 0.12, 4.0, 0.6
 SURE_RAD = 0.04
 # A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
 Z_SURFACE = 3.09
+# Points of a log of no more readings than this stay in memory, some 70 bytes each.
+FEW_READINGS = 1_000_000
 # The direction of a line less sure than this says nothing.
 UNSURE_RAD = 0.3
 
@@ -95,40 +99,96 @@ def point_information(points: Array) -> Array:
 
 
 def make_clouds(
-    recording: Recording, usable_range: float, motion: SE2 | None = None, noise: RangeNoise | None = None
+    recording: Recording,
+    usable_range: float,
+    motion: SE2 | None = None,
+    noise: RangeNoise | None = None,
+    scans: NDArray[np.int64] | None = None,
 ) -> Clouds:
-    """Points of every scan, the robot's motion during the sweep undone.
+    """Points of every scan, or of `scans` (k,) numbered anew, the robot's motion during the sweep undone.
 
     `motion` (n, KNOTS) is the base's during each sweep as `sweep_motion` gives it; None uses the log's own
     odometry where the beams are taken one after another. `noise` is the lidar's, None: as the
     log itself shows it.
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
-    lidar = recording.lidar
-    valid = lidar.returns(recording.ranges) & (recording.ranges <= usable_range)
+    lidar, readings = recording.lidar, recording.ranges if scans is None else recording.ranges[scans]
+    valid = lidar.returns(readings) & (readings <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
     scan_of, beam_of = np.nonzero(valid)
-    ranges = recording.ranges[valid].astype(np.float64)
+    ranges = readings[valid].astype(np.float64)
     points_lidar = lidar.directions[beam_of] * ranges[:, None]
     points = recording.T_base_lidar @ points_lidar
     if lidar.time_increment != 0.0:
         motion = motion if motion is not None else sweep_motion(recording)
         if motion is not None:
+            motion = motion if scans is None else motion[scans]
             points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
     point_var, normal_var = noise.variance(ranges), np.zeros(len(points))
-    table = np.full((len(recording), n_bins), -1, dtype=np.int32)
+    table = np.full((len(readings), n_bins), -1, dtype=np.int32)
 
-    def prepare(scans: slice) -> None:
-        part = starts[scans.start : scans.stop + 1]
+    def prepare(rows: slice) -> None:
+        part = starts[rows.start : rows.stop + 1]
         _fit_lines(points, part, origin, increment, normals, centers, line_ok, point_var, normal_var)
-        _bearing_tables(points, starts[scans.start : scans.stop + 1], origin, table[scans])
+        _bearing_tables(points, part, origin, table[rows])
 
-    in_parts(prepare, len(recording))
+    in_parts(prepare, len(readings))
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
+
+
+def clouds_maker(
+    recording: Recording, usable_range: float, motion: SE2 | None
+) -> Callable[[NDArray[np.int64] | None], Clouds]:
+    """`make_clouds` of any scans of a recording, None for all; those of a short log are made once."""
+    noise = once(lambda: range_noise(recording, usable_range))
+
+    def made(scans: NDArray[np.int64] | None = None) -> Clouds:
+        return make_clouds(recording, usable_range, motion, noise(), scans)
+
+    if recording.ranges.size > FEW_READINGS:
+        return made
+    whole = once(made)
+    return lambda scans: whole() if scans is None else chosen(whole(), scans)
+
+
+def joined_clouds(clouds: Sequence[Clouds]) -> Clouds:
+    """Several clouds as one, their scans numbered on from one to the next."""
+    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
+    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
+    tables = [
+        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
+        for cloud, row in zip(clouds, rows, strict=False)
+    ]
+    return Clouds(
+        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
+        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
+        table=np.concatenate(tables).astype(np.int32),
+        origin=clouds[0].origin,
+    )
+
+
+def among(clouds: Clouds, scans: NDArray[np.int64], n: int) -> Clouds:
+    """The clouds of `scans` (k,), ascending, numbered as in their log of n scans; all others are empty."""
+    counts, table = np.zeros(n, dtype=np.int64), np.full((n, clouds.table.shape[1]), -1, dtype=np.int32)
+    counts[scans], table[scans] = np.diff(clouds.starts), clouds.table
+    return clouds._replace(starts=np.concatenate([[0], np.cumsum(counts)]), table=table)
+
+
+def chosen(clouds: Clouds, scans: NDArray[np.int64]) -> Clouds:
+    """The clouds of `scans` (k,), ascending, alone and numbered anew."""
+    counts, keep = np.diff(clouds.starts), np.zeros(len(clouds.table), dtype=np.bool_)
+    keep[scans] = True
+    rows = np.repeat(keep, counts)
+    row = np.append(np.cumsum(rows, dtype=np.int32) - 1, np.int32(-1))  # the last one is that of no point
+    return clouds._replace(
+        **{name: getattr(clouds, name)[rows] for name in PER_POINT},
+        starts=np.concatenate([[0], np.cumsum(counts[scans])]),
+        table=row[clouds.table[scans]],
+    )
 
 
 def sweep_motion(recording: Recording) -> SE2 | None:

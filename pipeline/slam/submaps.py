@@ -94,13 +94,14 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
     inner = query.points[np.linalg.norm(query.points, axis=1) < REACH_M - 2.0]
     if len(inner) == 0:
         return []
-    for heading in _headings(query.directions, other.directions):
-        yaw = heading * 2.0 * np.pi / HEADINGS
-        cells = _cells(SE2.from_xyt(0.0, 0.0, yaw) @ inner)
-        image = np.zeros((CELLS, CELLS), dtype=np.float32)
-        image[cells[:, 1] % CELLS, cells[:, 0] % CELLS] = 1.0
-        product = other.spectrum * np.conj(scipy.fft.rfft2(image))
-        score = scipy.fft.irfft2(product, (CELLS, CELLS)) / image.sum()
+    yaws = np.array(_headings(query.directions, other.directions)) * 2.0 * np.pi / HEADINGS
+    cells = _cells(SE2.from_xyt(0.0, 0.0, yaws[:, None]) @ inner) % CELLS
+    images = np.zeros((len(yaws), CELLS, CELLS), dtype=np.float32)
+    images[np.arange(len(yaws))[:, None], cells[..., 1], cells[..., 0]] = 1.0
+    # all headings in one transform: each alone costs more in calls than in work
+    products = other.spectrum * np.conj(scipy.fft.rfft2(images))
+    scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / images.sum(axis=(1, 2))[:, None, None]
+    for yaw, score in zip(yaws.tolist(), scores, strict=True):
         for value, dx, dy in _best_shifts(score, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
@@ -161,8 +162,7 @@ def _headings(query: Array, other: Array) -> list[int]:
 def _best_shifts(score: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
     """The best translations of a correlation, at least 0.8 m apart: score, x, y [m]."""
     size = 2 * MOST_SHIFT + 1
-    index = np.arange(-MOST_SHIFT, MOST_SHIFT + 1)
-    window = score[np.ix_(index % CELLS, index % CELLS)].copy()
+    window = np.roll(score, (MOST_SHIFT, MOST_SHIFT), (0, 1))[:size, :size].copy()
     out = []
     for _ in range(count):
         row, col = divmod(int(np.argmax(window)), size)
