@@ -101,8 +101,9 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
     # all headings in one transform: each alone costs more in calls than in work
     products = other.spectrum * np.conj(scipy.fft.rfft2(images))
     scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / images.sum(axis=(1, 2))[:, None, None]
-    for yaw, score in zip(yaws.tolist(), scores, strict=True):
-        for value, dx, dy in _best_shifts(score, CANDIDATES):
+    windows = np.roll(scores, (MOST_SHIFT, MOST_SHIFT), (1, 2))[:, : 2 * MOST_SHIFT + 1, : 2 * MOST_SHIFT + 1]
+    for yaw, window in zip(yaws.tolist(), windows, strict=True):
+        for value, dx, dy in _best_shifts(window, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
     chosen: list[tuple[float, Array]] = []
@@ -159,13 +160,12 @@ def _headings(query: Array, other: Array) -> list[int]:
     return sorted({int(p + d) % HEADINGS for p in peaks for d in (-1, 0, 1)})
 
 
-def _best_shifts(score: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
-    """The best translations of a correlation, at least 0.8 m apart: score, x, y [m]."""
-    size = 2 * MOST_SHIFT + 1
-    window = np.roll(score, (MOST_SHIFT, MOST_SHIFT), (0, 1))[:size, :size].copy()
+def _best_shifts(window: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
+    """The best translations of a correlation (2 MOST_SHIFT + 1 square, the middle one is none), which is
+    used up, at least 0.8 m apart: score, x, y [m]."""
     out = []
     for _ in range(count):
-        row, col = divmod(int(np.argmax(window)), size)
+        row, col = divmod(int(np.argmax(window)), window.shape[1])
         dx, dy = (col - MOST_SHIFT) * RESOLUTION_M, (row - MOST_SHIFT) * RESOLUTION_M
         out.append((float(window[row, col]), dx, dy))
         window[max(row - 4, 0) : row + 5, max(col - 4, 0) : col + 5] = 0.0
