@@ -32,6 +32,7 @@ SCANS = 20_000
 LAPS = (1, 2, 4)
 BLOCKS = (1, 2, 3, 4)
 BLOCK_M = 14.0
+COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "scans per s", "peak_mb", "verdict")
 NO_RETURN_M = 81.83
 """How a SICK's log says "nothing came back"."""
 
@@ -51,15 +52,14 @@ def map_cost(log: Path, scratch: Path) -> Row:
 
     A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
     """
-    command = [sys.executable, "-m", "pipeline", "-q", "map", str(log), "--force", "--out"]
+    command = [sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
     while True:
         with tempfile.TemporaryDirectory(dir=scratch) as place:
             before, out = _compiled(), Path(place) / "map"
             done = subprocess.run(
                 [sys.executable, "-I", "-S", "-c", METER, *command, str(out)],
                 env=os.environ | {"TURTLEBAG_STAGE_CACHE": f"{place}/cache"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
+                capture_output=True,
                 text=True,
                 check=True,
             )
@@ -76,6 +76,7 @@ def map_cost(log: Path, scratch: Path) -> Row:
                 "area_m2": round(int(shape[0]) * int(shape[1]) * 0.05**2),
                 "cpu_s": round(cpu_s, 1),
                 "ms a scan": round(1e3 * cpu_s / said["scans"], 2),
+                "scans per s": round(said["scans"] / cpu_s),
                 "peak_mb": round(peak_kb / 1e3),
                 "verdict": said["self_check"]["verdict"],
             }
@@ -130,8 +131,8 @@ def _row(write: Callable[[Path], object]) -> Row:
 def there_and_back(content: bytes, scans: int = SCANS) -> bytes:
     """A CARMEN log driven forwards, then backwards, and so on, until it has so many scans.
 
-    Only so is the way from each scan to the next one that was driven: the log does not end where it begins. The
-    wheels err backwards as they do forwards. The clock goes on.
+    Only so is the way from each scan to the next one that was driven: the log does not end where it
+    begins. The wheels err backwards as they do forwards. The clock goes on.
     """
     lines = [line.split() for line in content.split(b"\n") if line.startswith(b"FLASER ")]
     there = list(range(len(lines)))

@@ -220,14 +220,6 @@ def office(seed: int, what: str = "plain") -> Log:
     return change(log)
 
 
-def office_laps(times: int) -> Log:
-    """The office gone round `times` times: a longer log of the same place."""
-    route = np.concatenate([office_route()] * times)
-    return make_log(
-        f"office-laps-{times}", office_plan(1), route, OFFICE_SENSOR, wheels=WHEELS[1], seed=1, pace=1.0
-    )
-
-
 def _same(log: Log) -> Log:
     return log
 

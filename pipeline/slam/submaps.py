@@ -101,8 +101,7 @@ def laid_on(query: Submap, other: Submap) -> list[tuple[float, Array]]:
     # all headings in one transform: each alone costs more in calls than in work
     products = other.spectrum * np.conj(scipy.fft.rfft2(images))
     scores = scipy.fft.irfft2(products, (CELLS, CELLS)) / images.sum(axis=(1, 2))[:, None, None]
-    windows = np.roll(scores, (MOST_SHIFT, MOST_SHIFT), (1, 2))[:, : 2 * MOST_SHIFT + 1, : 2 * MOST_SHIFT + 1]
-    for yaw, window in zip(yaws.tolist(), windows, strict=True):
+    for yaw, window in zip(yaws.tolist(), _windows(scores), strict=True):
         for value, dx, dy in _best_shifts(window, CANDIDATES):
             candidates.append((value, np.array([dx, dy, (yaw + np.pi) % (2.0 * np.pi) - np.pi])))
     candidates.sort(key=lambda pair: -pair[0])
@@ -160,9 +159,14 @@ def _headings(query: Array, other: Array) -> list[int]:
     return sorted({int(p + d) % HEADINGS for p in peaks for d in (-1, 0, 1)})
 
 
+def _windows(scores: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The shifts of correlations (n, CELLS, CELLS) that are looked at, the middle one none."""
+    size = 2 * MOST_SHIFT + 1
+    return np.asarray(np.roll(scores, (MOST_SHIFT, MOST_SHIFT), (1, 2))[:, :size, :size])
+
+
 def _best_shifts(window: NDArray[np.float32], count: int) -> list[tuple[float, float, float]]:
-    """The best translations of a correlation (2 MOST_SHIFT + 1 square, the middle one is none), which is
-    used up, at least 0.8 m apart: score, x, y [m]."""
+    """The best translations of one of `_windows`, which is used up, at least 0.8 m apart: score, x, y [m]."""
     out = []
     for _ in range(count):
         row, col = divmod(int(np.argmax(window)), window.shape[1])
