@@ -51,7 +51,8 @@ def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
 
     monkeypatch.setattr(clouds, "FEW_READINGS", 0)
     monkeypatch.setattr(clouds, "make_clouds", counted)
-    monkeypatch.setattr(posing, "SCANS_AT_ONCE", 7)
+    for module in (clouds, posing):
+        monkeypatch.setattr(module, "SCANS_AT_ONCE", 7)
     result = run_slam(LOG, SlamConfig())
     keys = result.keys
     others = len(LOG) - len(keys)

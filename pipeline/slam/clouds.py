@@ -44,6 +44,8 @@ SURE_RAD = 0.04
 Z_SURFACE = 3.09
 # Points of a log of no more readings than this stay in memory, some 70 bytes each.
 FEW_READINGS = 1_000_000
+# Scans whose points are made together: what that takes besides is several times their size.
+SCANS_AT_ONCE = 2000
 # The direction of a line less sure than this says nothing.
 UNSURE_RAD = 0.3
 
@@ -115,20 +117,27 @@ def make_clouds(
     lidar, readings = recording.lidar, recording.ranges if scans is None else recording.ranges[scans]
     valid = lidar.returns(readings) & (readings <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
-    scan_of, beam_of = np.nonzero(valid)
-    ranges = readings[valid].astype(np.float64)
-    points_lidar = lidar.directions[beam_of] * ranges[:, None]
-    points = recording.T_base_lidar @ points_lidar
-    if lidar.time_increment != 0.0:
+    if lidar.time_increment == 0.0:
+        motion = None
+    else:
         motion = motion if motion is not None else sweep_motion(recording)
+        motion = motion if motion is None or scans is None else motion[scans]
+    points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1])
+    for first in range(0, len(readings), SCANS_AT_ONCE):
+        some = slice(first, min(first + SCANS_AT_ONCE, len(readings)))
+        rows = slice(starts[some.start], starts[some.stop])
+        scan_of, beam_of = np.nonzero(valid[some])
+        ranges = readings[some][valid[some]].astype(np.float64)
+        points[rows] = recording.T_base_lidar @ (lidar.directions[beam_of] * ranges[:, None])
+        point_var[rows] = noise.variance(ranges)
         if motion is not None:
-            motion = motion if scans is None else motion[scans]
-            points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
+            at = beam_of / max(lidar.n_beams - 1, 1)
+            points[rows] = _deskewed(points[rows], motion[some], scan_of, at)
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
-    point_var, normal_var = noise.variance(ranges), np.zeros(len(points))
+    normal_var = np.zeros(len(points))
     table = np.full((len(readings), n_bins), -1, dtype=np.int32)
 
     def prepare(rows: slice) -> None:

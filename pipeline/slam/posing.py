@@ -12,13 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
-from pipeline.slam.clouds import Clouds, chosen, joined_clouds
+from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds, chosen, joined_clouds
 from pipeline.slam.threads import in_parts
 from pipeline.slam.track import HYPOTHESES, Track
 
 ITERATIONS = 5
-# Scans between key scans whose points are in memory at once.
-SCANS_AT_ONCE = 2000
 
 
 class PosingConfig(BaseModel):
