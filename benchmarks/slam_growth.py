@@ -23,7 +23,9 @@ from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import door
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_rows import Case, Row
+from datasets.grid import UNKNOWN
 from datasets.kernels import folders
+from datasets.maps import load_map
 from datasets.seeds import stream
 from datasets.types import Recording
 from pipeline.record import record
@@ -69,11 +71,11 @@ def map_cost(log: Path, scratch: Path) -> Row:
             if _compiled() != before:
                 continue
             said = json.loads((out / "metrics.json").read_text())
-            shape = (out / "map.pgm").read_bytes().split(b"\n", 2)[1].split()
+            grid = load_map(out / "map.yaml")
             return {
                 "scans": said["scans"],
                 "keys": said["keyframes"],
-                "area_m2": round(int(shape[0]) * int(shape[1]) * 0.05**2),
+                "area_m2": round(np.count_nonzero(grid.cells != UNKNOWN) * grid.resolution**2),
                 "cpu_s": round(cpu_s, 1),
                 "ms a scan": round(1e3 * cpu_s / said["scans"], 2),
                 "scans per s": round(said["scans"] / cpu_s),
