@@ -9,7 +9,8 @@ import pytest
 
 from datasets.se2 import SE2, wrap
 from pipeline.slam.calibration import Calibration
-from pipeline.slam.clouds import joined_clouds, make_clouds
+from pipeline.slam.cloud_parts import joined_clouds
+from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.explain import _residual
 from pipeline.slam.factors import Constraint

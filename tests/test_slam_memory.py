@@ -12,8 +12,9 @@ from benchmarks.slam_growth import carmen, floor, there_and_back
 from datasets.carmen import parse_carmen
 from datasets.errors import InputError
 from datasets.se2 import SE2
-from pipeline.slam import clouds, occupancy, posing, submaps
-from pipeline.slam.clouds import among, chosen, make_clouds
+from pipeline.slam import cloud_parts, clouds, occupancy, posing, submaps
+from pipeline.slam.cloud_parts import among, chosen
+from pipeline.slam.clouds import make_clouds
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.slam import SlamConfig, run_slam
 from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
@@ -43,14 +44,14 @@ def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
 
 def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
     usual = run_slam(LOG, SlamConfig())
-    made, make = [], clouds.make_clouds
+    made, make = [], make_clouds
 
     def counted(*args):
         made.append(len(LOG) if args[4] is None else len(args[4]))
         return make(*args)
 
-    monkeypatch.setattr(clouds, "FEW_READINGS", 0)
-    monkeypatch.setattr(clouds, "make_clouds", counted)
+    monkeypatch.setattr(cloud_parts, "FEW_READINGS", 0)
+    monkeypatch.setattr(cloud_parts, "make_clouds", counted)
     for module in (clouds, posing):
         monkeypatch.setattr(module, "SCANS_AT_ONCE", 7)
     result = run_slam(LOG, SlamConfig())

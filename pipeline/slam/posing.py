@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
-from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds, chosen, joined_clouds
+from pipeline.slam.cloud_parts import chosen, joined_clouds
+from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
 from pipeline.slam.threads import in_parts
 from pipeline.slam.track import HYPOTHESES, Track
 

@@ -18,15 +18,8 @@ from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
-from pipeline.slam.clouds import (
-    Clouds,
-    among,
-    clouds_maker,
-    joined_clouds,
-    make_clouds,
-    sweep_motion,
-    sweep_motion_by_track,
-)
+from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
+from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro

@@ -26,7 +26,8 @@ from datasets.types import LidarSpec, Recording
 from datasets.yaml_files import checked
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import KNOTS, among, clouds_maker
+from pipeline.slam.cloud_parts import among, clouds_maker
+from pipeline.slam.clouds import KNOTS
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
