@@ -12,7 +12,7 @@ Suites:
   detector   the self-check on good and bad maps (benchmarks.slam_detector)
   worlds     the drives of docs/results.md
   ablation   each part of the mapper switched off
-  growth     cost of one, two, four times the drive
+  growth     CPU seconds and memory of the whole command, by size of the log
 
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
 suite's cases is fixed, and any first part of it (--limit) is a fair sample; --quick takes a small one of
@@ -36,7 +36,8 @@ from pathlib import Path
 from benchmarks import slam_targets as targets
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
 from benchmarks.slam_detector import detection, detector_cases, judged
-from benchmarks.slam_parts import ablation_cases, ablation_table, growth_cases
+from benchmarks.slam_growth import COSTS, growth_cases
+from benchmarks.slam_parts import ablation_cases, ablation_table
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
 from benchmarks.slam_rows import Case, Row, Rows, code_of, shown, write
 from benchmarks.workers import in_processes
@@ -119,7 +120,9 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
             ablation_cases(data), (*EXACT, *ENDS), targets.ablation, ablation_table, code=SYNTHETIC
         ),
         "growth": Suite(
-            growth_cases(), ("case", "scans", "m", "cpu_s", "ms a scan", "error"), code=SYNTHETIC
+            growth_cases(data),
+            ("case", *COSTS, "error"),
+            code=(*SYNTHETIC, "sim", "pipeline/build_map.py", "benchmarks/slam_growth.py"),
         ),
     }
 

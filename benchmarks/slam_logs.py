@@ -72,12 +72,12 @@ def killian(seed: int) -> Log:
         plan.carve(x0 - w, y - w, x2 + w, y + w)
         for x in np.arange(x0 + 4.0, x2 - 3.0, 4.0):
             for side in (-1.0, 1.0):
-                _door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
+                door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
     for x in (x0, x1, x2):
         plan.carve(x - w, y0 - w, x + w, y1 + w)
         for y in np.arange(y0 + 6.0, y1 - 5.0, 4.0):
             for side in (-1.0, 1.0):
-                _door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
+                door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
     for _ in range(25):
         x = rng.choice([x0, x1]) + rng.uniform(4.0, 46.0)
         y, side = rng.choice([y0, y1]), rng.choice([-1.0, 1.0])
@@ -119,7 +119,7 @@ def aces(seed: int) -> Log:
             for side in (-1.0, 1.0):
                 for axis in (0.0, 1.0):
                     if rng.random() < 0.5:
-                        _door(plan, along, c + side * w, axis, side, False)
+                        door(plan, along, c + side * w, axis, side, False)
     a, b, c = lines
     lap = [(a, a), (c, a), (c, c), (a, c)]
     route = np.array(
@@ -130,7 +130,7 @@ def aces(seed: int) -> Log:
     )
 
 
-def _door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:
+def door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:
     """An alcove 0.9 m wide, 0.2 m deep; a room of 3.4 x 4 m behind it when open."""
 
     def carve(a0: float, a1: float, c0: float, c1: float) -> None:
@@ -218,14 +218,6 @@ def office(seed: int, what: str = "plain") -> Log:
         wheels=wheels_of(seed), lies=lies, seed=seed, person=person, pace=1.0,
     )  # fmt: skip
     return change(log)
-
-
-def office_laps(times: int) -> Log:
-    """The office gone round `times` times: a longer log of the same place."""
-    route = np.concatenate([office_route()] * times)
-    return make_log(
-        f"office-laps-{times}", office_plan(1), route, OFFICE_SENSOR, wheels=WHEELS[1], seed=1, pace=1.0
-    )
 
 
 def _same(log: Log) -> Log:

@@ -1,4 +1,4 @@
-"""What each part of the mapper is worth (switched off, one at a time), and how its cost grows."""
+"""What each part of the mapper is worth (switched off, one at a time)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.slam_cases import errors, mapped
-from benchmarks.slam_logs import LOGS, office_laps
+from benchmarks.slam_logs import LOGS
 from benchmarks.slam_public import by_relations, read
 from benchmarks.slam_rows import Case, Row
 from datasets.relations import load_relations
@@ -59,16 +59,3 @@ def ablation_table(rows: list[Row]) -> list[Row]:
         found = row.get("error") or f"{row['m']:.4f} / {degrees:.3f} ({row['cpu_s']:.0f} s)"
         table[row["variant"]][row["log"]] = found
     return list(table.values())
-
-
-def growth_row(laps: int) -> Row:
-    """Cost of a drive that goes round the same office several times."""
-    log = office_laps(laps)
-    result, row = mapped(log.recording)
-    row |= errors(result.trajectory.poses, log.truth.poses)
-    return row | {"ms a scan": 1e3 * row["cpu_s"] / row["scans"]}
-
-
-def growth_cases() -> list[Case]:
-    """One, two and four laps."""
-    return [Case(f"{laps} laps", partial(growth_row, laps), {"laps": laps}) for laps in (1, 2, 4)]

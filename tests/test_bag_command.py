@@ -1,5 +1,8 @@
 """`turtlebag bag`: what the verbs print and how they end."""
 
+import subprocess
+import sys
+
 import pytest
 from bag_samples import write_drive
 from rosbags.highlevel import AnyReader
@@ -22,6 +25,16 @@ def test_info_prints_each_topic_with_count_and_rate(drive, capsys):
     assert lines["/scan"][1:4] == ["sensor_msgs/msg/LaserScan", "20", "5.00"]
     assert lines["/odom"][2:4] == ["120", "30.00"]
     assert lines["seed"] == ["seed", "7"]
+
+
+def test_info_loads_nothing_that_it_does_not_need(drive):
+    program = (
+        "import sys; from pipeline.cli import main; main(sys.argv[1:]); "
+        "print(sorted({'rich', 'numba', 'datasets.outputs', 'importlib.metadata'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", program, "bag", "info", str(drive)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said.splitlines()[-1] == "[]"
 
 
 def test_info_of_no_bag_is_one_line_and_exit_2(tmp_path, capsys):

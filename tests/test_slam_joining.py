@@ -9,6 +9,7 @@ import pytest
 
 from datasets.se2 import SE2, wrap
 from pipeline.slam.calibration import Calibration
+from pipeline.slam.cloud_parts import joined_clouds
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.explain import _residual
@@ -24,7 +25,7 @@ from pipeline.slam.selfcheck import (
     contradicted_keys,
     hypothesis_shares,
 )
-from pipeline.slam.sessions import border_constraint, joined_clouds, joined_track
+from pipeline.slam.sessions import border_constraint, joined_track
 from pipeline.slam.track import HYPOTHESES, Track
 from tests.slam_rooms import ROOM, around_the_room, recording
 

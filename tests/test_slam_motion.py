@@ -109,10 +109,14 @@ def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():
     track = replace(dead_reckoning(log, clouds, TrackingConfig()), keys=np.array([0, 4, 8]))
     T_map_keys = SE2.from_array(poses[[0, 4, 8]] + [[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.0]])
     none, gap = np.zeros((0, 2), dtype=np.int64), np.array([[1, 2]])
-    carried, _ = pose_all_scans(clouds, track, T_map_keys, PosingConfig(enabled=False), none)
+    carried, _ = pose_all_scans(
+        lambda: clouds, lambda scans: clouds, track, T_map_keys, PosingConfig(enabled=False), none
+    )
     np.testing.assert_allclose(carried.y, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4, 0.4], atol=1e-9)
     # nothing is known of the motion from scan 1 to scan 2: the correction happens there
-    carried, _ = pose_all_scans(clouds, track, T_map_keys, PosingConfig(enabled=False), gap)
+    carried, _ = pose_all_scans(
+        lambda: clouds, lambda scans: clouds, track, T_map_keys, PosingConfig(enabled=False), gap
+    )
     np.testing.assert_allclose(carried.y, [0.0, 0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4], atol=1e-9)
     np.testing.assert_allclose(carried.x, poses[:, 0], atol=1e-9)
 

@@ -109,7 +109,7 @@ def test_the_best_shifts_are_the_peaks_of_the_window_four_cells_apart():
         dy, dx = max(values, key=lambda k: values[k])
         expected.append((values[dy, dx], dx * 0.25, dy * 0.25))
         values = {k: v for k, v in values.items() if max(abs(k[0] - dy), abs(k[1] - dx)) > 4}
-    assert submaps._best_shifts(score, 5) == expected
+    assert submaps._best_shifts(submaps._windows(score[None])[0], 5) == expected
 
 
 @pytest.mark.parametrize("off", [(1.0, -0.5, 0.6), (-2.0, 1.5, -2.4), (0.25, 0.5, 3.0)])

@@ -8,9 +8,9 @@ import pytest
 from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import Trajectory
+from pipeline.slam.cloud_parts import joined_clouds
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.relocate import Place, agreed_place, find_place
-from pipeline.slam.sessions import joined_clouds
 from pipeline.slam.slam import SlamConfig, run_slam
 from reports.metrics.trajectory import ate
 from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, recording, rectangle

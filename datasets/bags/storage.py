@@ -71,7 +71,7 @@ class _McapFile:
 
         chosen = None if wanted is None else lambda channel: wanted(topic_of(channel))
         for channel, time, data in self.scan.messages(chosen, step_over=step_over):
-            yield Message(topic_of(channel), time, data)
+            yield Message(topics.get(id(channel)) or topic_of(channel), time, data)
         state = self.scan.state
         _note_problems(self.scan.path, state.problems, state.stopped and not step_over, notes)
 

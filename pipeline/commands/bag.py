@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datasets.errors import InputError
-from datasets.outputs import Stopwatch, staged_file, staged_output, write_manifest
 from pipeline.commands.arguments import add_output, epilog
 from pipeline.console import log, log_notes, number_of
 
 if TYPE_CHECKING:
     from datasets.bags.reader import BagInfo
+    from datasets.outputs import Stopwatch
     from datasets.types import Recording
 
 EXAMPLE = "turtlebag bag info data/record"
@@ -113,29 +113,23 @@ def _print_log(log_read: Recording) -> None:
 
 
 def _print_info(info: BagInfo) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=120, highlight=False)
-    console.print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
-    console.print(
+    print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
+    print(
         f"{info.count} messages, {info.duration():.2f} s, "
         f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
     )
     if info.custom:
-        console.print(
-            ", ".join(f"{key} {value}" for key, value in info.custom.items()), markup=False, soft_wrap=True
-        )
-    table = Table(box=None, pad_edge=False)
-    for name in ("topic", "type"):
-        table.add_column(name, overflow="fold")
-    for name in ("messages", "rate, Hz", "longest gap, s"):
-        table.add_column(name, justify="right")
+        print(", ".join(f"{key} {value}" for key, value in info.custom.items()))
+    rows = [("topic", "type", "messages", "rate, Hz", "longest gap, s")]
     for topic in info.topics:
         rate = f"{topic.rate_hz():.2f}" if topic.count > 1 else "-"
         gap = f"{topic.longest_gap_ns * 1e-9:.3f}" if topic.count > 1 else "-"
-        table.add_row(topic.name, topic.msgtype, str(topic.count), rate, gap)
-    console.print(table)
+        rows.append((topic.name, topic.msgtype, str(topic.count), rate, gap))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        words = [cell.ljust(width) for cell, width in zip(row[:2], widths, strict=False)]
+        numbers = [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        print("  ".join([*words, *numbers]))
     log_notes(info.notes)
 
 
@@ -178,6 +172,7 @@ def _play(args: argparse.Namespace) -> int:
 
 def _recover(args: argparse.Namespace) -> int:
     from datasets.bags.recover import recover
+    from datasets.outputs import Stopwatch, staged_output
 
     watch = Stopwatch()
     with staged_output(args.out, force=args.force) as folder:
@@ -191,6 +186,7 @@ def _recover(args: argparse.Namespace) -> int:
 
 def _convert(args: argparse.Namespace) -> int:
     from datasets.bags import convert
+    from datasets.outputs import Stopwatch, staged_file, staged_output
 
     watch = Stopwatch()
     if not args.bag.exists():
@@ -238,6 +234,8 @@ def _a_bag(path: Path) -> Path:
 
 
 def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:
+    from datasets.outputs import write_manifest
+
     write_manifest(
         folder,
         stage=stage,

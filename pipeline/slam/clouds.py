@@ -40,6 +40,8 @@ MIN_REACH_M, REACH_BEAMS, MAX_REACH_M = 0.12, 4.0, 0.6
 SURE_RAD = 0.04
 # A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
 Z_SURFACE = 3.09
+# Scans whose points are made together: what that takes besides is several times their size.
+SCANS_AT_ONCE = 2000
 # The direction of a line less sure than this says nothing.
 UNSURE_RAD = 0.3
 
@@ -95,39 +97,51 @@ def point_information(points: Array) -> Array:
 
 
 def make_clouds(
-    recording: Recording, usable_range: float, motion: SE2 | None = None, noise: RangeNoise | None = None
+    recording: Recording,
+    usable_range: float,
+    motion: SE2 | None = None,
+    noise: RangeNoise | None = None,
+    scans: NDArray[np.int64] | None = None,
 ) -> Clouds:
-    """Points of every scan, the robot's motion during the sweep undone.
+    """Points of every scan, or of `scans` (k,) numbered anew, the robot's motion during the sweep undone.
 
     `motion` (n, KNOTS) is the base's during each sweep as `sweep_motion` gives it; None uses the log's own
     odometry where the beams are taken one after another. `noise` is the lidar's, None: as the
     log itself shows it.
     """
     noise = range_noise(recording, usable_range) if noise is None else noise
-    lidar = recording.lidar
-    valid = lidar.returns(recording.ranges) & (recording.ranges <= usable_range)
+    lidar, readings = recording.lidar, recording.ranges if scans is None else recording.ranges[scans]
+    valid = lidar.returns(readings) & (readings <= usable_range)
     starts = np.concatenate([[0], np.cumsum(valid.sum(axis=1))]).astype(np.int64)
-    scan_of, beam_of = np.nonzero(valid)
-    ranges = recording.ranges[valid].astype(np.float64)
-    points_lidar = lidar.directions[beam_of] * ranges[:, None]
-    points = recording.T_base_lidar @ points_lidar
-    if lidar.time_increment != 0.0:
+    if lidar.time_increment == 0.0:
+        motion = None
+    else:
         motion = motion if motion is not None else sweep_motion(recording)
+        motion = motion if motion is None or scans is None else motion[scans]
+    points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1])
+    for first in range(0, len(readings), SCANS_AT_ONCE):
+        some = slice(first, min(first + SCANS_AT_ONCE, len(readings)))
+        rows = slice(starts[some.start], starts[some.stop])
+        scan_of, beam_of = np.nonzero(valid[some])
+        ranges = readings[some][valid[some]].astype(np.float64)
+        points[rows] = recording.T_base_lidar @ (lidar.directions[beam_of] * ranges[:, None])
+        point_var[rows] = noise.variance(ranges)
         if motion is not None:
-            points = _deskewed(points, motion, scan_of, beam_of / max(lidar.n_beams - 1, 1))
+            at = beam_of / max(lidar.n_beams - 1, 1)
+            points[rows] = _deskewed(points[rows], motion[some], scan_of, at)
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
     normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
-    point_var, normal_var = noise.variance(ranges), np.zeros(len(points))
-    table = np.full((len(recording), n_bins), -1, dtype=np.int32)
+    normal_var = np.zeros(len(points))
+    table = np.full((len(readings), n_bins), -1, dtype=np.int32)
 
-    def prepare(scans: slice) -> None:
-        part = starts[scans.start : scans.stop + 1]
+    def prepare(rows: slice) -> None:
+        part = starts[rows.start : rows.stop + 1]
         _fit_lines(points, part, origin, increment, normals, centers, line_ok, point_var, normal_var)
-        _bearing_tables(points, starts[scans.start : scans.stop + 1], origin, table[scans])
+        _bearing_tables(points, part, origin, table[rows])
 
-    in_parts(prepare, len(recording))
+    in_parts(prepare, len(readings))
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
 
 

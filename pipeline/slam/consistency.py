@@ -70,10 +70,11 @@ def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list
 
     A largest clique is grown greedily from every place (Pattabiraman et al. 2015), taken out, and again.
     """
-    left = set(range(len(found)))
+    left, overlap = set(range(len(found))), np.array([place.overlap for place in found])
     sets = []
     while left:
-        grown = [_grow(seed, sorted(left), agree, found) for seed in sorted(left)]
+        among = np.array(sorted(left))
+        grown = [_grow(seed, among, agree, overlap) for seed in among.tolist()]
         best = max(grown, key=lambda members: (support(found, members), len(members)))
         sets.append(sorted(best))
         left -= set(best)
@@ -85,15 +86,14 @@ def support(found: Sequence[Recognised], members: Sequence[int]) -> int:
     return len({found[k].i for k in members})
 
 
-def _grow(seed: int, left: Sequence[int], agree: NDArray[np.bool_], found: Sequence[Recognised]) -> list[int]:
-    members = [seed]
-    candidates = [k for k in left if k != seed and agree[seed, k]]
-    while candidates:
-        inside = agree[np.ix_(candidates, candidates)].sum(axis=1)
-        best = max(range(len(candidates)), key=lambda c: (inside[c], found[candidates[c]].overlap))
-        chosen = candidates[best]
+def _grow(seed: int, left: NDArray[np.int64], agree: NDArray[np.bool_], overlap: Array) -> list[int]:
+    members, candidates = [seed], left[(left != seed) & agree[seed, left]]
+    while len(candidates):
+        inside = np.count_nonzero(agree[np.ix_(candidates, candidates)], axis=1)
+        best = np.where(inside == inside.max(), overlap[candidates], -np.inf).argmax()
+        chosen = int(candidates[best])
         members.append(chosen)
-        candidates = [k for k in candidates if k != chosen and agree[chosen, k]]
+        candidates = candidates[(candidates != chosen) & agree[chosen, candidates]]
     return members
 
 

@@ -29,6 +29,8 @@ MAX_COUNTED = 400_000_000
 MIN_MET = 3
 # Returns of a far wall scatter over so many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
 BEHIND_CELLS = 3
+# The last cells of a beam may end up unknown: its return may have overshot.
+SURE_CELLS = 10
 
 
 class OccupancyConfig(BaseModel):
@@ -95,9 +97,12 @@ def make_checked_grid(
     cols, rows = (np.ceil(high / resolution) - corner).astype(int)
     if rows * cols > MAX_COUNTED:
         raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
-    hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     if motion is None and lidar.time_increment != 0.0:
         motion = sweep_motion(recording)
+    if rows * cols > MAX_CELLS and motion is None:
+        # most of what is counted may be cut off again: only what is surely known is too large for certain
+        _require_drawable(_known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution))
+    hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     sweep = np.zeros((0, KNOTS, 3)) if motion is None else motion.xyt
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
     _cast(hits, misses, *args, recording.T_base_lidar.xyt, sweep, True, config.occupied_share)
@@ -107,7 +112,7 @@ def make_checked_grid(
 
 def certainty(hits: NDArray[np.uint16], misses: NDArray[np.uint16], min_hits: int) -> Certainty:
     """How well the beams agree on the cells: a wall drawn twice is seen through, and so undecided."""
-    met = hits.astype(np.int64) + misses
+    met = hits.astype(np.int32) + misses
     known = met >= MIN_MET
     if not known.any():
         return Certainty(math.nan, math.nan)
@@ -215,11 +220,29 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
     r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
     c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
     kept = cells[r0:r1, c0:c1].copy()
-    if kept.size > MAX_CELLS:
-        rows, cols = kept.shape
-        raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
+    _require_drawable(kept.shape)
     x, y = (corner + np.array([c0, r0])) * config.resolution_m
     return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
+
+
+def _known(
+    T_map_lidar: SE2, lidar: LidarSpec, length: NDArray[np.float32], resolution: float
+) -> tuple[int, int]:
+    """Rows and columns that the map has at least: beams of such lengths (n, beams) passed all but the end."""
+    low, high = T_map_lidar.xy.min(axis=0), T_map_lidar.xy.max(axis=0)
+    for angle, reach in zip(lidar.angles.tolist(), length.T, strict=True):
+        yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - SURE_CELLS * resolution, 0.0)
+        ends = T_map_lidar.xy + passed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+        low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
+    cols, rows = np.floor((high - low) / resolution).astype(int).tolist()
+    return rows, cols
+
+
+def _require_drawable(shape: tuple[int, ...]) -> None:
+    """InputError for more cells than any program could work with."""
+    rows, cols = shape
+    if rows * cols > MAX_CELLS:
+        raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
 
 
 @njit(cache=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -10,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import align_kernel
-from pipeline.slam.clouds import Clouds
+from pipeline.slam.cloud_parts import chosen, joined_clouds
+from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
 from pipeline.slam.threads import in_parts
 from pipeline.slam.track import HYPOTHESES, Track
 
@@ -52,11 +55,17 @@ def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2
 
 
 def pose_all_scans(
-    clouds: Clouds, track: Track, T_map_keys: SE2, config: PosingConfig, gaps: NDArray[np.int64]
+    clouds: Callable[[], Clouds],
+    clouds_of: Callable[[NDArray[np.int64]], Clouds],
+    track: Track,
+    T_map_keys: SE2,
+    config: PosingConfig,
+    gaps: NDArray[np.int64],
 ) -> tuple[SE2, Array]:
     """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,).
 
-    Key scans keep their refined poses. `gaps` as in `carried_poses`.
+    Key scans keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in
+    `carried_poses`.
     """
     carried = carried_poses(track, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
@@ -70,13 +79,23 @@ def pose_all_scans(
     is_key[track.keys] = True
     scans = np.flatnonzero(~is_key & track.usable)
 
-    def aligned(part: slice) -> tuple[Array, Array]:
-        return _align_each(
-            clouds, scans[part], poses[scans[part]], track.keys, near[scans[part]], T_map_keys.xyt,
-            config.gate_m, config.sigma_m, config.most_points, information,
+    keys, of_keys = np.arange(len(track.keys)), chosen(clouds(), track.keys)
+
+    def aligned(some: NDArray[np.int64]) -> list[tuple[Array, Array]]:
+        both, numbers = joined_clouds([of_keys, clouds_of(some)]), len(keys) + np.arange(len(some))
+        return in_parts(
+            lambda part: _align_each(
+                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt,
+                config.gate_m, config.sigma_m, config.most_points, information,
+            ),
+            len(some),
         )  # fmt: skip
 
-    found = in_parts(aligned, len(scans))
+    found = [
+        one for at in range(0, len(scans), SCANS_AT_ONCE) for one in aligned(scans[at : at + SCANS_AT_ONCE])
+    ]
+    if not found:
+        return carried, overlaps
     new, overlap = (np.concatenate([part[k] for part in found]) for k in (0, 1))
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
     good = (overlap >= config.min_overlap) & (shift <= config.max_shift_m)

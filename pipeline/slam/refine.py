@@ -91,10 +91,12 @@ def overlapping_pairs(T_map_keys: SE2, radius: float, neighbours: int) -> NDArra
         turn = np.abs((T_map_keys.yaw[others] - T_map_keys.yaw[i] + np.pi) % (2 * np.pi) - np.pi)
         order = np.argsort(distance + 0.5 * turn, kind="stable")
         taken: list[int] = []
-        for k in others[order]:
+        beside: set[int] = set()
+        for k in others[order].tolist():
             # at most one key of any three successive ones: the same view adds nothing
-            if all(abs(int(k) - t) > 2 for t in taken):
-                taken.append(int(k))
+            if k not in beside:
+                taken.append(k)
+                beside.update(range(k - 2, k + 3))
                 if len(taken) == neighbours:
                     break
         found |= {(min(i, k), max(i, k)) for k in taken}

@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.se2 import SE2
 from datasets.types import Recording
 from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import PER_POINT, Clouds
+from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
@@ -39,12 +39,14 @@ class Graph:
 class Session:
     """One recording (or several joined) with its map; `key` is that of its last cached step.
 
-    The clouds are made when a step needs them: none does when all came from the cache. `motion` is the
-    base's during each sweep, None where a sweep is one instant.
+    The clouds are made when a step needs them: none does when all came from the cache. `clouds` are those
+    of the key scans, all that stays in memory; `clouds_of` makes those of any scans. `motion` is the base's
+    during each sweep, None where a sweep is one instant.
     """
 
     recording: Recording
     clouds: Callable[[], Clouds]
+    clouds_of: Callable[[NDArray[np.int64]], Clouds]
     motion: SE2 | None
     track: Track
     chain: Chain
@@ -81,22 +83,6 @@ def joined_recording(recordings: list[Recording]) -> Recording:
         T_odom_base=SE2(np.concatenate(odometry)) if with_odometry else None,
         odometry=None,
         notes=tuple(note for recording in recordings for note in recording.notes),
-    )
-
-
-def joined_clouds(clouds: list[Clouds]) -> Clouds:
-    """The clouds of several recordings as one."""
-    rows = np.cumsum([0, *[len(cloud.points) for cloud in clouds]])
-    starts = [cloud.starts[:-1] + row for cloud, row in zip(clouds, rows, strict=False)]
-    tables = [
-        np.where(cloud.table >= 0, cloud.table + np.int32(row), np.int32(-1))
-        for cloud, row in zip(clouds, rows, strict=False)
-    ]
-    return Clouds(
-        **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in PER_POINT},
-        starts=np.concatenate([*starts, rows[-1:]]).astype(np.int64),
-        table=np.concatenate(tables).astype(np.int32),
-        origin=clouds[0].origin,
     )
 
 

@@ -20,6 +20,7 @@ from pipeline.cache import StageCache
 from pipeline.slam.align import STEP_INFLATION
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
+from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
@@ -34,7 +35,6 @@ from pipeline.slam.sessions import (
     Graph,
     Session,
     border_constraint,
-    joined_clouds,
     joined_recording,
     joined_track,
     place_of,
@@ -186,7 +186,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     (poses, overlap), key = run.cache.step(
         "scan poses",
         [session.key, config.posing],
-        lambda: pose_all_scans(clouds(), track, graph.T_map_keys, config.posing, chain.gaps),
+        lambda: pose_all_scans(clouds, session.clouds_of, track, graph.T_map_keys, config.posing, chain.gaps),
     )
     (grid, certainty), key = run.cache.step(
         "grid",
@@ -240,11 +240,12 @@ def _session(recording: Recording, run: _Run) -> Session:
             content,
             lambda: sweep_motion_by_track(recording, front_end(make_clouds(recording, usable)).T_track_base),
         )
-    clouds = once(lambda: make_clouds(recording, usable, motion))
-    track, key = run.cache.step("front end", content, lambda: front_end(clouds()))
+    clouds_of = clouds_maker(recording, usable, motion)
+    track, key = run.cache.step("front end", content, lambda: front_end(clouds_of(None)))
+    clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
     chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
     graph, key = _optimised(clouds, track, chain, steps, key, replace(run, config=config))
-    return Session(recording, clouds, motion, track, chain, graph, key)
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph, key)
 
 
 def _joined(a: Session, b: Session, run: _Run) -> Session:
@@ -252,6 +253,13 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     track_a, track_b, T_map_keys = a.carried(), b.carried(), a.graph.T_map_keys
     recording = joined_recording([a.recording, b.recording])
     clouds = once(lambda: joined_clouds([a.clouds(), b.clouds()]))
+
+    def clouds_of(scans: NDArray[np.int64]) -> Clouds:
+        border = len(a.recording)
+        return joined_clouds(
+            [a.clouds_of(scans[scans < border]), b.clouds_of(scans[scans >= border] - border)]
+        )
+
     T_map_b, key = run.cache.step(
         "joining", [a.key, b.key], lambda: place_of(clouds(), track_a, T_map_keys, track_b)
     )
@@ -265,7 +273,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))
     config = _with_sensors(recording, run.config)[1]
     graph, key = _optimised(clouds, track, chain, [*steps, border], key, replace(run, config=config))
-    return Session(recording, clouds, motion, track, chain, graph, key)
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph, key)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:

@@ -26,7 +26,8 @@ from datasets.types import LidarSpec, Recording
 from datasets.yaml_files import checked
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import KNOTS, make_clouds
+from pipeline.slam.cloud_parts import among, clouds_maker
+from pipeline.slam.clouds import KNOTS
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loops import Loop
@@ -197,8 +198,9 @@ def _session(stored: dict[str, Any], key: str) -> tuple[Session, SlamConfig]:
         stored["unbridged"],
     )
     chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
-    clouds = once(lambda: make_clouds(recording, usable, motion))
-    return Session(recording, clouds, motion, Track(**track), chain, graph, key), config
+    keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
+    clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
+    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph, key), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:

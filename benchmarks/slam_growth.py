@@ -1,0 +1,190 @@
+"""What a map costs: CPU seconds and peak memory of `turtlebag map` as a whole command, by size of the log.
+
+Grown are the time at one place (the arena gone round again and again), the area (a floor of more and more
+corridors, each driven once) and a public log (ACES, there and back until it has 20,000 scans).
+"""
+
+from __future__ import annotations
+
+import bz2
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
+from benchmarks.slam_logs import door
+from benchmarks.slam_plans import FloorPlan
+from benchmarks.slam_rows import Case, Row
+from datasets.grid import UNKNOWN
+from datasets.kernels import folders
+from datasets.maps import load_map
+from datasets.seeds import stream
+from datasets.types import Recording
+from pipeline.record import record
+
+SCANS = 20_000
+LAPS = (1, 2, 4)
+BLOCKS = (1, 2, 3, 4)
+BLOCK_M = 14.0
+COSTS = ("scans", "keys", "area_m2", "cpu_s", "ms a scan", "scans per s", "peak_mb", "verdict")
+NO_RETURN_M = 81.83
+"""How a SICK's log says "nothing came back"."""
+
+# A process of a few megabytes starts the command: Linux counts what the starting process held as the peak of
+# the one that it starts.
+METER = """
+import json, os, sys
+child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ)
+_, status, used = os.wait4(child, 0)
+code = os.waitstatus_to_exitcode(status)
+print(json.dumps([code, used.ru_utime + used.ru_stime, used.ru_maxrss]))
+"""
+
+
+def map_cost(log: Path, scratch: Path) -> Row:
+    """CPU seconds (user and system) and peak memory [MB] of mapping a file, the cache of stages empty.
+
+    A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
+    """
+    command = [sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
+    while True:
+        with tempfile.TemporaryDirectory(dir=scratch) as place:
+            before, out = _compiled(), Path(place) / "map"
+            done = subprocess.run(
+                [sys.executable, "-I", "-S", "-c", METER, *command, str(out)],
+                env=os.environ | {"TURTLEBAG_STAGE_CACHE": f"{place}/cache"},
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            code, cpu_s, peak_kb = json.loads(done.stdout.splitlines()[-1])
+            if code:
+                raise RuntimeError(done.stderr.strip() or f"exit code {code}")
+            if _compiled() != before:
+                continue
+            said = json.loads((out / "metrics.json").read_text())
+            grid = load_map(out / "map.yaml")
+            return {
+                "scans": said["scans"],
+                "keys": said["keyframes"],
+                "area_m2": round(np.count_nonzero(grid.cells != UNKNOWN) * grid.resolution**2),
+                "cpu_s": round(cpu_s, 1),
+                "ms a scan": round(1e3 * cpu_s / said["scans"], 2),
+                "scans per s": round(said["scans"] / cpu_s),
+                "peak_mb": round(peak_kb / 1e3),
+                "verdict": said["self_check"]["verdict"],
+            }
+
+
+def _compiled() -> set[Path]:
+    return {file for folder in folders() for file in folder.glob("*.kernel")}
+
+
+def growth_cases(data: Path | None) -> list[Case]:
+    """The public logs there are, then the arena and the floor in all sizes."""
+    cases = []
+    if data is not None:
+        logs: dict[str, tuple[Path, Callable[[bytes], bytes]]] = {
+            "Intel": (data / "radish" / "intel.clf.bz2", bytes),
+            f"ACES to {SCANS} scans": (data / "wild" / "aces.clf.bz2", there_and_back),
+        }
+        for name, (log, change) in logs.items():
+            if log.is_file():
+                cases.append(Case(name, partial(log_row, log, change)))
+    cases += [Case(f"arena, {laps} x", partial(arena_row, laps)) for laps in LAPS]
+    return cases + [Case(f"floor, {n} x {n} blocks", partial(floor_row, n)) for n in BLOCKS]
+
+
+def log_row(log: Path, change: Callable[[bytes], bytes]) -> Row:
+    """A CARMEN log after a change of its text."""
+    return _row(lambda file: file.write_bytes(change(bz2.decompress(log.read_bytes()))))
+
+
+def arena_row(laps: int) -> Row:
+    """The tutorial's arena with the tour driven so many times."""
+    with tempfile.TemporaryDirectory() as place:
+        script, drive = Path(place) / "laps.yaml", Path(place) / "drive"
+        steps = [{"wait": 1.0}, *[{"route": "tour"}] * laps, {"wait": 1.0}]
+        script.write_text(yaml.safe_dump({"name": "laps", "v": 0.2, "w": 0.6, "steps": steps}))
+        record("turtlebot3_world", "burger", str(script), 1, drive)
+        return map_cost(drive, Path(place))
+
+
+def floor_row(blocks: int) -> Row:
+    """A floor of blocks x blocks squares with corridors about them."""
+    return _row(lambda file: file.write_text(carmen(floor(blocks).recording)))
+
+
+def _row(write: Callable[[Path], object]) -> Row:
+    with tempfile.TemporaryDirectory() as place:
+        log = Path(place) / "log.clf"
+        write(log)
+        return map_cost(log, Path(place))
+
+
+def there_and_back(content: bytes, scans: int = SCANS) -> bytes:
+    """A CARMEN log driven forwards, then backwards, and so on, until it has so many scans.
+
+    Only so is the way from each scan to the next one that was driven: the log does not end where it
+    begins. The wheels err backwards as they do forwards. The clock goes on.
+    """
+    lines = [line.split() for line in content.split(b"\n") if line.startswith(b"FLASER ")]
+    there = list(range(len(lines)))
+    order = [0]
+    while len(order) < scans:
+        order += there[1:] if order[-1] == 0 else there[-2::-1]
+    order = order[:scans]
+    stamps = np.array([float(words[-3]) for words in lines])
+    clock = stamps[0] + np.concatenate([[0.0], np.cumsum(np.abs(np.diff(stamps[order])))])
+    said = (
+        b" ".join([*lines[k][:-3], b"%.6f" % t, lines[k][-2], b"%.6f" % t])
+        for k, t in zip(order, clock.tolist(), strict=True)
+    )
+    return b"\n".join(said) + b"\n"
+
+
+def carmen(recording: Recording) -> str:
+    """A recording as FLASER lines; its lidar sees half a circle and sits at the robot's centre."""
+    assert recording.T_odom_base is not None
+    lines = []
+    ranges = np.where(np.isfinite(recording.ranges), recording.ranges, NO_RETURN_M)
+    for stamp, beams, pose in zip(
+        recording.stamps_ns.tolist(), ranges, recording.T_odom_base.xyt, strict=True
+    ):
+        at, when = " ".join(f"{value:.6f}" for value in pose), f"{stamp * 1e-9:.6f}"
+        readings = " ".join(f"{value:.2f}" for value in beams)
+        lines.append(f"FLASER {len(beams)} {readings} {at} {at} {when} nohost {when}")
+    return "\n".join(lines) + "\n"
+
+
+def floor(blocks: int) -> Log:
+    """Corridors with doors about blocks x blocks squares of 14 m, each corridor driven once or twice."""
+    rng, w = stream(blocks, "floor"), 1.1
+    size, lines = BLOCK_M * blocks, [6.0 + BLOCK_M * k for k in range(blocks + 1)]
+    plan = FloorPlan(size + 12.0, size + 12.0)
+    for c in lines:
+        plan.carve(6.0 - w, c - w, 6.0 + size + w, c + w)
+        plan.carve(c - w, 6.0 - w, c + w, 6.0 + size + w)
+    for c in lines:
+        for along in np.arange(9.0, 4.0 + size, 3.5):
+            for axis, side in ((0.0, -1.0), (0.0, 1.0), (1.0, -1.0), (1.0, 1.0)):
+                if min(abs(along - other) for other in lines) > 2.0 and rng.random() < 0.5:
+                    door(plan, float(along), c + side * w, axis, side, False)
+    ends = (lines[0], lines[-1])
+    along_x = [(ends[(k + i) % 2], y) for k, y in enumerate(lines) for i in (0, 1)]
+    along_y = [(x, ends[(k + i) % 2]) for k, x in enumerate(lines) for i in (0, 1)]
+    if along_x[-1][0] > along_y[0][0]:
+        along_x.append((ends[0], along_x[-1][1]))
+    if along_x[-1][1] > along_y[0][1]:
+        along_x.append((ends[0], ends[0]))
+    route = np.array([(ends[0] + 2.0, ends[0]), *along_x[1:], *along_y[1:]])
+    sensor, wheels = Sensor(sick(180, 30.0), 0.2), Wheels(0.01, 0.02, 0.001)
+    return make_log(f"floor-{blocks}", plan, route, sensor, drive=Drive(v=0.6), wheels=wheels)
