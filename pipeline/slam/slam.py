@@ -20,8 +20,10 @@ from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.course import Maker, track_log
 from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro
+from pipeline.slam.kiss import KissIcp
 from pipeline.slam.loops import Loop, LoopConfig
 from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
@@ -37,9 +39,10 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.track import STEP_INFLATION, Track, TrackingConfig, dead_reckoning
-from pipeline.slam.tracking import STEADY_SHARE, track_log
+from pipeline.slam.track import STEP_INFLATION, Track, TrackingConfig
+from pipeline.slam.tracking import STEADY_SHARE, Lines
 from pipeline.slam.turns import compared_turns, in_step
+from pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
@@ -49,6 +52,8 @@ Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
     Field(description="which witnesses to use; odometry alone draws the map along the wheels"),
 ]
+FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
+"""What `front_end` may be; see `pipeline.slam.front_end`."""
 
 
 class SlamConfig(BaseModel):
@@ -56,6 +61,9 @@ class SlamConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
+    front_end: Literal["lines", "kiss_icp", "wheels"] = Field(
+        default="lines", description="what places each scan: our line tracker, KISS-ICP, or the odometry"
+    )
     usable_range_m: float = Field(
         default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
     )
@@ -124,9 +132,9 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 @dataclass(frozen=True)
 class Steps:
-    """Front end and loop closure: the blame study puts the truth in their place."""
+    """What the blame study puts the truth in the place of; the front end, if it is not the settings'."""
 
-    front_end: Callable[..., Track] = track_log
+    front_end: Maker | None = None
     close_graph: Callable[..., Closed] = close_graph
 
 
@@ -215,10 +223,9 @@ def _session(recording: Recording, run: _Run) -> Session:
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:
-        if config.sensors == "odometry":
-            return dead_reckoning(recording, clouds, config.tracking)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        return run.steps.front_end(recording, clouds, config.tracking, usable, scans)
+        make = run.steps.front_end or FRONT_ENDS[config.front_end]
+        return track_log(recording, clouds, config.tracking, usable, scans, make)
 
     content[0] = replace(recording, source="", notes=())
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
@@ -257,15 +264,20 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
-    """The recording and settings cut down to the witnesses asked for."""
+    """The recording and settings cut down to the witnesses asked for; InputError without those needed."""
     if not config.deskew:
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar":
-        return replace(recording, T_odom_base=None, odometry=None), config
+        recording = replace(recording, T_odom_base=None, odometry=None)
+    if recording.T_odom_base is None:
+        for setting in ("sensors=odometry", "front_end=wheels"):
+            name, value = setting.split("=")
+            if getattr(config, name) == value:
+                raise InputError(f"{recording.source}: no odometry to map with, which {setting} needs")
     if config.sensors == "odometry":
-        if recording.T_odom_base is None:
-            raise InputError(f"{recording.source}: no odometry to map with")
         off = {
+            "front_end": "wheels",
+            "tracking": config.tracking.model_copy(update={"calibration": False}),
             "loops": config.loops.model_copy(update={"enabled": False}),
             "recall": config.recall.model_copy(update={"enabled": False}),
             "refine": config.refine.model_copy(update={"rounds": 0}),
