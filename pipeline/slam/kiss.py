@@ -17,6 +17,8 @@ from pipeline.slam.track import HYPOTHESES
 
 # A fit must be that much better to prefer a steady motion to the odometry's.
 SURELY_BETTER = 0.05
+# Standard deviation of a point on the voxel map, in voxels: it is matched with whatever point was kept there.
+VOXELS = 0.6
 SOURCE = HYPOTHESES.index("kiss-icp")
 
 
@@ -44,7 +46,7 @@ class KissIcp:
             self._kiss.update(points, starts[0], starts[0])
             return Placed(starts[0], np.zeros((3, 3)), fits[best])
         self._kiss.update(points, found[best], starts[0])
-        information = point_information(points) / course.config.sigma_m**2
+        information = point_information(points) / (VOXELS * course.config.kiss.voxel_m) ** 2
         return Placed(found[best], information, fits[best], source=SOURCE)
 
     def _of_keys(self) -> LidarOdometry:

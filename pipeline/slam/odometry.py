@@ -3,6 +3,8 @@
 Vizzo et al. (2023), "KISS-ICP: In Defense of Point-to-Point ICP". Its pipeline has no odometry input,
 so its parts are used: the voxel map, the adaptive threshold and the registration, started from the
 caller's prediction. Planar points stay planar. One thread, for the same bits every time.
+All points of a scan are registered: thinned as KISS-ICP thins a hundred thousand points, the few of a planar
+lidar say half as much (CSAIL: a step is off by 3.3 cm, with all of them by 1.5 cm).
 
 As one more start of the point-to-line alignment it adds nothing where walls are seen (measured: no error of
 a log with odometry changes by 1 % with or without it).
@@ -51,10 +53,9 @@ class LidarOdometry:
         """Pose (3,) of a scan's points (n, 2) against the local map, started at a guess (3,)."""
         if self._map.empty() or len(points) < 3:
             return T_map_guess
-        source = self._thinned(_flat(points), 1.5 * self._voxel)
         sigma = self._threshold.get_threshold()
         guess = _matrix(T_map_guess)
-        pose = self._registration.align_points_to_map(source, self._map, guess, 3.0 * sigma, sigma)
+        pose = self._registration.align_points_to_map(_flat(points), self._map, guess, 3.0 * sigma, sigma)
         if not np.all(np.isfinite(pose)):
             return T_map_guess
         return SE2.from_matrix(
