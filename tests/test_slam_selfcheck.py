@@ -9,8 +9,8 @@ from datasets.se2 import SE2
 from pipeline.slam.clouds import Clouds, make_clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.selfcheck import SelfCheckConfig, check_map
-from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
-from tests.slam_rooms import ROOM, around_the_room, recording
+from pipeline.slam.track import Track
+from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 
 NONE = np.zeros(0, dtype=np.int64)
 SURE = Certainty(0.1, 0.9)
@@ -22,7 +22,7 @@ def drive() -> tuple[Clouds, Track]:
     poses = around_the_room(60)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = dead_reckoning(log, clouds, TrackingConfig())
+    track = dead_reckoning(log, clouds)
     return clouds, replace(track, overlap=np.ones(60), information=np.tile(np.eye(3), (60, 1, 1)))
 
 
@@ -65,7 +65,7 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     poses = around_the_room(120, laps=2)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds, TrackingConfig()), overlap=np.ones(120))
+    track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
     found = check_map(clouds, track, SE2(drawn), SelfCheckConfig(apart_keys=10), NONE, SURE)

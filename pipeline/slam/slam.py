@@ -274,17 +274,27 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
             name, value = setting.split("=")
             if getattr(config, name) == value:
                 raise InputError(f"{recording.source}: no odometry to map with, which {setting} needs")
-    if config.sensors == "odometry":
-        off = {
-            "front_end": "wheels",
-            "tracking": config.tracking.model_copy(update={"calibration": False}),
-            "loops": config.loops.model_copy(update={"enabled": False}),
-            "recall": config.recall.model_copy(update={"enabled": False}),
-            "refine": config.refine.model_copy(update={"rounds": 0}),
-            "posing": config.posing.model_copy(update={"enabled": False}),
-        }
-        return recording, config.model_copy(update=off)
-    return recording, config
+    return recording, _by_odometry(config) if config.sensors == "odometry" else config
+
+
+def _by_odometry(config: SlamConfig) -> SlamConfig:
+    """The settings with the odometry as it is for front end, and nothing that would move a scan after."""
+    off = {
+        "front_end": "wheels",
+        "tracking": config.tracking.model_copy(update={"calibration": False}),
+        "loops": config.loops.model_copy(update={"enabled": False}),
+        "recall": config.recall.model_copy(update={"enabled": False}),
+        "refine": config.refine.model_copy(update={"rounds": 0}),
+        "posing": config.posing.model_copy(update={"enabled": False}),
+    }
+    return config.model_copy(update=off)
+
+
+def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
+    """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
+    config = _by_odometry(config) if config.sensors == "odometry" else config
+    matcher = config.loops.match if config.loops.enabled else None
+    return {"front_end": config.front_end, "loops.match": matcher}
 
 
 def _optimised(
