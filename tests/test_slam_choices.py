@@ -17,7 +17,7 @@ from pipeline.slam.clouds import make_clouds, point_information
 from pipeline.slam.course import Course, track_log
 from pipeline.slam.front_end import FrontEnd, Placed
 from pipeline.slam.line_match import LineMatch
-from pipeline.slam.loop_match import LoopMatch, Stretch
+from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
 from pipeline.slam.loops import MATCHERS
 from pipeline.slam.open3d_icp import Open3dMatch
 from pipeline.slam.slam import FRONT_ENDS, SlamConfig, Steps, run_slam
@@ -207,14 +207,14 @@ def test_loop_matchers_say_the_same_pose_in_the_same_frame(matcher):
     assert isinstance(by, LineMatch | Open3dMatch)
     true = (SE2(poses[8]).inverse() @ SE2(poses[12])).xyt
     start = compose(true, np.array([0.05, -0.04, 0.03]))
-    found = by.match(clouds, query, place, start, gate=0.2, sigma=0.05, iterations=20)
+    found = by.match(clouds, query, place, start, Limits(0.2, 0.05, 20))
     error = (SE2(true).inverse() @ found.T_map_base).xyt
     assert np.hypot(*error[:2]) < 0.02
     assert abs(error[2]) < 0.01
     assert found.overlap > 0.8
     assert found.rmse < 0.06
     assert np.linalg.eigvalsh(found.information)[0] > 1e3
-    still = by.match(clouds, query, place, start, gate=0.2, sigma=0.05, iterations=0)
+    still = by.match(clouds, query, place, start, Limits(0.2, 0.05, 0))
     np.testing.assert_allclose(still.T_map_base.xyt, start, atol=1e-12)
     assert by.confirms(clouds, query, place, true)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datasets.se2 import Array
 from pipeline.slam.align import Alignment, align
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.loop_match import Stretch
+from pipeline.slam.loop_match import Limits, Stretch
 from pipeline.slam.open3d_icp import Open3dMatch, stays_put
 
 
@@ -16,31 +16,15 @@ class LineMatch:
         self._points = Open3dMatch()
 
     def match(
-        self,
-        clouds: Clouds,
-        query: Stretch,
-        place: Stretch,
-        start: Array,
-        *,
-        gate: float,
-        sigma: float,
-        iterations: int,
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
     ) -> Alignment:
         """As in `LoopMatch`; of the query the scan `about` alone, where it has surfaces."""
         if clouds.placed_by(query.about) == "points":
-            return self._points.match(
-                clouds, query, place, start, gate=gate, sigma=sigma, iterations=iterations
-            )
+            return self._points.match(clouds, query, place, start, limits)
         return align(
-            clouds,
-            query.about,
-            start,
-            place.scans,
-            place.T_about_scans,
-            gate=gate,
-            sigma=sigma,
-            iterations=iterations,
-        )
+            clouds, query.about, start, place.scans, place.T_about_scans,
+            gate=limits.gate, sigma=limits.sigma, iterations=limits.iterations,
+        )  # fmt: skip
 
     def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
         """As in `LoopMatch`: whether Open3D's ICP would leave the scan where it is."""

@@ -7,7 +7,7 @@ limits of those who ask (`min_overlap`, `max_rmse_m`) judge by what it says.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,24 +31,23 @@ class Stretch:
         return points_in_map(clouds.points, clouds.starts, self.scans, self.T_about_scans)
 
 
+class Limits(NamedTuple):
+    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of a robust kernel, for
+    those who have one; after so many iterations it is over, and with none the fit at the start is told."""
+
+    gate: float
+    sigma: float
+    iterations: int = 15
+
+
 class LoopMatch(Protocol):
     """Aligns two stretches of a log."""
 
     def match(
-        self,
-        clouds: Clouds,
-        query: Stretch,
-        place: Stretch,
-        start: Array,
-        *,
-        gate: float,
-        sigma: float,
-        iterations: int,
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
     ) -> Alignment:
         """The pose of `query` seen from `place`, searched from `start` (3,).
 
-        `gate` is the largest distance [m] at which points may be partners, `sigma` the width of a robust
-        kernel [m] for those who have one, `iterations` a limit; with 0 the fit at `start` is told.
         `T_map_base` of the answer is the base of `query.about` in the frame of `place.about`, `information`
         (3, 3) is in the frame of the former, zero where nothing was seen; `overlap` is the share 0..1 of
         the query's points with a partner, `rmse` their distance [m].

@@ -24,7 +24,7 @@ from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field
 from pipeline.slam.factors import Constraint
 from pipeline.slam.line_match import LineMatch
-from pipeline.slam.loop_match import LoopMatch, Stretch
+from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
 from pipeline.slam.open3d_icp import Open3dMatch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.track import sees_everything
@@ -236,7 +236,7 @@ class LoopFinder:
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
-        result = self.matcher.match(self.clouds, query, place, fine, gate=0.2, sigma=0.05, iterations=15)
+        result = self.matcher.match(self.clouds, query, place, fine, Limits(0.2, 0.05))
         loop = replace(
             loop,
             T_j_i=result.T_map_base.xyt,

@@ -10,7 +10,7 @@ import numpy as np
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import Alignment
 from pipeline.slam.clouds import Clouds, point_information
-from pipeline.slam.loop_match import Stretch
+from pipeline.slam.loop_match import Limits, Stretch
 from pipeline.slam.open3d_loader import open3d
 
 CORRESPONDENCE_M = 0.15
@@ -75,19 +75,11 @@ class Open3dMatch:
     """Loops by Open3D's ICP: all points of the stretch on all points of the place."""
 
     def match(
-        self,
-        clouds: Clouds,
-        query: Stretch,
-        place: Stretch,
-        start: Array,
-        *,
-        gate: float,
-        sigma: float,
-        iterations: int,
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
     ) -> Alignment:
         """As in `LoopMatch`; there is no kernel."""
-        del sigma
-        found = match_points(query.points(clouds), place.points(clouds), start, gate, iterations)
+        source, target = query.points(clouds), place.points(clouds)
+        found = match_points(source, target, start, limits.gate, limits.iterations)
         pose = SE2(found.T_target_source)
         return Alignment(pose, found.information, found.overlap, found.rmse, 1.0 - found.overlap)
 
