@@ -12,7 +12,8 @@ from datasets.se2 import SE2
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from pipeline.slam.open3d_icp import match_points
-from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
+from pipeline.slam.slam import SlamConfig, run_slam
+from pipeline.slam.steps import step_constraints
 from pipeline.slam.threads import WORTH_IT, in_parts
 from pipeline.slam.track import Track, TrackingConfig
 

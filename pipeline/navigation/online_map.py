@@ -19,7 +19,8 @@ from pipeline.slam.clouds import KNOTS, sweep_motion
 from pipeline.slam.course import Course
 from pipeline.slam.loops import BATCH, LoopFinder
 from pipeline.slam.occupancy import make_grid
-from pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam, step_constraints
+from pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
+from pipeline.slam.steps import step_constraints
 
 # A scan is kept when the robot has moved this far since the last one kept.
 KEEP_M, KEEP_RAD = 0.1, 0.15

@@ -39,8 +39,9 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.track import STEP_INFLATION, Track, TrackingConfig
-from pipeline.slam.tracking import STEADY_SHARE, Lines
+from pipeline.slam.steps import step_constraints
+from pipeline.slam.track import Track, TrackingConfig
+from pipeline.slam.tracking import Lines
 from pipeline.slam.turns import compared_turns, in_step
 from pipeline.slam.wheels import Wheels
 
@@ -318,26 +319,3 @@ def _optimised(
             lambda: refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine),
         )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged), key
-
-
-def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
-    """Between successive key scans: what the scans saw, and what the calibrated odometry says.
-
-    In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
-    odometry a weak belief in the front end's own motion takes its place.
-    """
-    T = track.T_track_base[track.keys]
-    matched = (T[:-1].inverse() @ T[1:]).xyt
-    constraints = []
-    for k, step in enumerate(matched):
-        seen = track.information[track.keys[k + 1]] / STEP_INFLATION
-        constraints.append(Constraint(k, k + 1, step, seen, "step"))
-        if track.odometry_steps is None:
-            # without it the front end took the motion for steady there; nothing at all would tear the graph
-            steady = STEADY_SHARE * config.odometry.information(step)
-            constraints.append(Constraint(k, k + 1, step, steady, "steady"))
-        else:
-            odometry = track.odometry_steps[k]
-            information = track.calibration.information(odometry)
-            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
-    return constraints
