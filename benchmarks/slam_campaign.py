@@ -11,7 +11,8 @@ Suites:
   synthetic  the synthetic logs (benchmarks.slam_logs), as they are and with four other lidars
   detector   the self-check on good and bad maps (benchmarks.slam_detector)
   worlds     the drives of docs/results.md
-  ablation   each part of the mapper switched off
+  ablation   each part of the mapper switched off or exchanged
+  parts      the exchangeable parts on public logs and drives
   growth     CPU seconds and memory of the whole command, by size of the log
 
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
@@ -37,7 +38,7 @@ from benchmarks import slam_targets as targets
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
 from benchmarks.slam_detector import detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
-from benchmarks.slam_parts import ablation_cases, ablation_table
+from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
 from benchmarks.slam_rows import Case, Row, Rows, code_of, shown, write
 from benchmarks.workers import in_processes
@@ -119,6 +120,7 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         "ablation": Suite(
             ablation_cases(data), (*EXACT, *ENDS), targets.ablation, ablation_table, code=SYNTHETIC
         ),
+        "parts": Suite(parts_cases(data), (*EXACT, *ENDS), None, ablation_table, code=(*SYNTHETIC, "sim")),
         "growth": Suite(
             growth_cases(data),
             ("case", *COSTS, "error"),

@@ -1,22 +1,38 @@
-"""What each part of the mapper is worth (switched off, one at a time)."""
+"""What each part of the mapper is worth (switched off or exchanged)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.slam_cases import errors, mapped
+from benchmarks.disturb import Known, known
+from benchmarks.slam_cases import PLACES, driven, errors, mapped
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_public import by_relations, read
+from benchmarks.slam_public import RADISH, by_relations, read
 from benchmarks.slam_rows import Case, Row
 from datasets.relations import load_relations
 
 OFF = {"enabled": False}
-ABLATIONS: dict[str, dict[str, Any]] = {
+OPEN3D = {"match": "open3d"}
+CHOICES: dict[str, dict[str, Any]] = {
     "everything": {},
-    "no KISS-ICP": {"tracking": {"kiss": OFF}},
-    "no Open3D": {"loops": {"open3d": False}, "refine": {"open3d": False}},
+    "KISS-ICP front end": {"front_end": "kiss_icp"},
+    "wheels front end": {"front_end": "wheels"},
+    "Open3D loops": {"loops": OPEN3D},
+    "KISS-ICP, Open3D": {"front_end": "kiss_icp", "loops": OPEN3D},
+    "libraries alone": {
+        "front_end": "kiss_icp",
+        "loops": OPEN3D,
+        "tracking": {"calibration": False},
+        "refine": {"rounds": 0},
+        "posing": OFF,
+    },
+}
+"""The exchangeable parts; `libraries alone` is KISS-ICP, Open3D and GTSAM without any alignment of ours."""
+ABLATIONS: dict[str, dict[str, Any]] = {
+    **CHOICES,
     "no loop closure": {"loops": OFF},
     "graph not robust": {"loops": {"soft": 0.0}, "refine": {"soft": 0.0}},
     "no joint refinement": {"refine": {"rounds": 0}},
@@ -29,26 +45,43 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 ABLATED = ("mit-csail", "fr079", "intel", "posts-1", "hall-2", "office-all-1", "rooms-1", "arena-fast-1")
 
 
+PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", "aces")
+"""Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
+
+
+def made_log(name: str) -> Known:
+    """A synthetic log with its truth."""
+    log = LOGS[name]()
+    return known(log.recording, log.truth.poses)
+
+
 def ablated_row(data: Path | None, log: str, variant: str) -> Row:
-    """A log with one of ABLATIONS: relations of a public log, or the exact truth of a synthetic one."""
-    if log in LOGS:
-        made = LOGS[log]()
+    """A log with one of ABLATIONS: relations of a public log, or the exact truth of a made one or a drive."""
+    if log in LOGS or log in PLACES:
+        made = made_log(log) if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
         result, row = mapped(made.recording, ABLATIONS[variant])
-        return row | errors(result.trajectory.poses, made.truth.poses)
+        return row | errors(result.trajectory.poses, made.reference)
     assert data is not None
-    result, row = mapped(read(data / "radish" / f"{log}.clf.bz2"), ABLATIONS[variant])
-    relations = load_relations(data / "radish" / f"{log}.relations")
-    return row | by_relations(result.trajectory, relations)
+    folder = data / ("radish" if log in RADISH else "wild")
+    result, row = mapped(read(folder / f"{log}.clf.bz2"), ABLATIONS[variant])
+    return row | by_relations(result.trajectory, load_relations(folder / f"{log}.relations"))
 
 
-def ablation_cases(data: Path | None) -> list[Case]:
+def ablation_cases(
+    data: Path | None, variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED
+) -> list[Case]:
     """Every variant on every log there is."""
-    logs = [log for log in ABLATED if log in LOGS or data is not None]
+    there = [log for log in logs if log in LOGS or log in PLACES or data is not None]
     return [
         Case(f"{log}, {variant}", partial(ablated_row, data, log, variant), {"log": log, "variant": variant})
-        for variant in ABLATIONS
-        for log in logs
+        for variant in variants
+        for log in there
     ]
+
+
+def parts_cases(data: Path | None) -> list[Case]:
+    """The exchangeable parts on public logs and drives."""
+    return ablation_cases(data, CHOICES, PARTS)
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:

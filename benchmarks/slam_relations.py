@@ -30,7 +30,7 @@ from datasets.relations import Relations, load_relations
 from datasets.se2 import SE2, Array, wrap
 from pipeline.slam.clouds import Clouds, make_clouds
 from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.open3d_icp import match_points
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.refine import linearise_pairs
 from reports.metrics.relations import nearest
@@ -83,10 +83,10 @@ def _by_lines(
 
 def _by_points(clouds: Clouds, a: NDArray[np.int64], b: NDArray[np.int64], start: SE2) -> tuple[SE2, Array]:
     """Each pair of scans matched by Open3D, points only, and the share of points matched."""
-    icp, T, overlap = IcpCheck(), [], []
+    T, overlap = [], []
     for i, j, guess in zip(a, b, start.xyt, strict=True):
-        wide = icp.match(clouds.of(j), clouds.of(i), guess, 0.3, 30)
-        found = icp.match(clouds.of(j), clouds.of(i), wide.T_target_source, 0.1, 30)
+        wide = match_points(clouds.of(j), clouds.of(i), guess, 0.3, 30)
+        found = match_points(clouds.of(j), clouds.of(i), wide.T_target_source, 0.1, 30)
         T.append(found.T_target_source)
         overlap.append(found.overlap)
     return SE2.from_array(np.array(T)), np.array(overlap)

@@ -25,7 +25,7 @@ from pipeline.console import log, log_notes, track
 from pipeline.map_lines import tell_map
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
-from pipeline.slam.slam import SlamConfig, SlamResult, continue_slam, run_slam
+from pipeline.slam.slam import SlamConfig, SlamResult, chosen_parts, continue_slam, run_slam
 from pipeline.slam.stored import FILE as GRAPH
 from pipeline.slam.stored import load_session, require_same_front_end, save_session
 from pipeline.slam.turns import delay_metrics
@@ -131,7 +131,8 @@ def build_map(
             seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
-            | ({"from_cache": cache.found} if cache.found else {}),
+            | ({"from_cache": cache.found} if cache.found else {})
+            | {"parts": chosen_parts(resolved)},
         )
     if cache.found:
         log.info(f"from the cache: {', '.join(cache.found)}; made anew: {', '.join(cache.made) or 'nothing'}")

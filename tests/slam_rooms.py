@@ -6,6 +6,9 @@ import numpy as np
 
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording
+from pipeline.slam.course import track_log
+from pipeline.slam.track import TrackingConfig
+from pipeline.slam.wheels import Wheels
 
 SICK = LidarSpec(180, -math.pi / 2, math.pi / 180.0, 0.05, 30.0)
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 8.0)
@@ -65,3 +68,9 @@ def drifted(poses, *, scale=1.03, bias=0.004, seed=1):
     for step in steps:
         out.append((SE2(out[-1]) @ SE2(step)).xyt)
     return np.array(out)
+
+
+def dead_reckoning(log, clouds):
+    """The track that the odometry of a log draws, as it is."""
+    config = TrackingConfig(calibration=False)
+    return track_log(log, clouds, config, 30.0, range(1, len(log)), Wheels)

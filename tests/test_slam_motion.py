@@ -17,11 +17,12 @@ from pipeline.localise import sweep_ends
 from pipeline.slam.align import align
 from pipeline.slam.calibration import calibrate
 from pipeline.slam.clouds import make_clouds
+from pipeline.slam.course import Course, track_log
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
-from pipeline.slam.track import OdometryNoise, TrackingConfig, dead_reckoning
-from pipeline.slam.tracking import DOUBTED_SCANS, Tracker, track_log
-from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
+from pipeline.slam.track import OdometryNoise, TrackingConfig
+from pipeline.slam.tracking import DOUBTED_SCANS, Lines
+from tests.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, ranges_to, recording
 
 SWEEP_S = 0.2
 TURNING = LidarSpec(360, 0.0, np.pi / 180.0, 0.12, 8.0, SWEEP_S / 360, SWEEP_S)
@@ -98,7 +99,7 @@ def test_a_turning_robot_maps_as_well_whichever_way_its_lidar_turns(lidar):
     route = np.array([(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (24.0, 7.0)])
     log = make_log("turns", office_plan(1), route, sensor, wheels=Wheels(0.0, 0.0, 0.0, 0.0, 0.0))
     clouds = make_clouds(log.recording, 8.0)
-    track = track_log(log.recording, clouds, TrackingConfig(), 8.0, range(1, len(log.recording)))
+    track = track_log(log.recording, clouds, TrackingConfig(), 8.0, range(1, len(log.recording)), Lines)
     assert np.linalg.norm(track.T_track_base.xy - log.truth.poses.xy, axis=1).max() < 0.03
 
 
@@ -106,7 +107,7 @@ def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():
     poses = np.column_stack([0.1 * np.arange(9), np.zeros((9, 2))])
     log = recording(ROOM, poses + np.array([1.0, 1.0, 0.0]), odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds, TrackingConfig()), keys=np.array([0, 4, 8]))
+    track = replace(dead_reckoning(log, clouds), keys=np.array([0, 4, 8]))
     T_map_keys = SE2.from_array(poses[[0, 4, 8]] + [[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.0]])
     none, gap = np.zeros((0, 2), dtype=np.int64), np.array([[1, 2]])
     carried, _ = pose_all_scans(
@@ -161,7 +162,7 @@ def test_what_the_scans_taught_about_the_wheels_carries_a_blind_robot():
     log = recording(ROOM, truth, LDS, odometry=odometry)
     log.ranges[len(lap) :] = np.inf
     clouds = make_clouds(log, 30.0)
-    track = track_log(log, clouds, TrackingConfig(), 30.0, range(1, len(log)))
+    track = track_log(log, clouds, TrackingConfig(), 30.0, range(1, len(log)), Lines)
     way = track.T_track_base[len(lap) - 1].inverse() @ track.T_track_base[-1]
     assert float(way.x) == pytest.approx(3.0, abs=0.06)
     told = SE2(odometry[len(lap) - 1]).inverse() @ SE2(odometry[-1])
@@ -187,7 +188,7 @@ def test_what_is_left_of_odometry_s_errors_is_measured_in_standard_deviations():
 
 def test_wheels_caught_lying_twice_are_not_believed_until_the_scans_confirm_them():
     log = recording(ROOM, around_the_room(4), odometry=around_the_room(4))
-    tracker = Tracker(make_clouds(log, 30.0), log, TrackingConfig(), 30.0)
+    tracker = Lines(Course(make_clouds(log, 30.0), log, TrackingConfig(), 30.0, Lines))
     sees, blind = np.diag([1e4, 1e4, 1e5]), np.diag([0.0, 1e4, 1e5])
     off, right, step = np.array([0.3, 0.0, 0.0]), np.zeros(3), np.array([0.1, 0.0, 0.0])
 

@@ -9,9 +9,10 @@ import pytest
 from datasets.se2 import SE2, wrap
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
+from pipeline.slam.course import Course
 from pipeline.slam.range_noise import RangeNoise, range_noise
 from pipeline.slam.track import TrackingConfig
-from pipeline.slam.tracking import Tracker
+from pipeline.slam.tracking import Lines
 from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_to, recording
 
 POSES = around_the_room(120)
@@ -99,11 +100,16 @@ def test_after_a_gap_odometry_that_comes_late_is_believed_when_it_fits():
     stamps = log.stamps_ns.copy()
     stamps[60:] += 3 * 10**9
     log = replace(log, stamps_ns=stamps, T_odom_base=SE2(odometry))
-    tracker = Tracker(make_clouds(log, 30.0), log, TrackingConfig(), 30.0)
-    tracker.start(0, odometry[0])
-    for scan in range(1, 80):
-        tracker.step(scan)
-    error = (SE2(poses[kept][79]).inverse() @ SE2(tracker.pose)).xyt
+    made = []
+
+    def make(course):
+        made.append(Lines(course))
+        return made[0]
+
+    course = Course(make_clouds(log, 30.0), log, TrackingConfig(), 30.0, make)
+    for _ in range(1, 80):
+        course.step()
+    error = (SE2(poses[kept][79]).inverse() @ SE2(course.pose)).xyt
     assert np.hypot(*error[:2]) < 0.1
     assert abs(error[2]) < 0.05
-    assert tracker.doubt is None
+    assert made[0].doubt is None

@@ -11,8 +11,9 @@ from benchmarks.slam_scores import score
 from datasets.se2 import SE2
 from pipeline.slam.calibration import Calibration
 from pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
-from pipeline.slam.open3d_icp import IcpCheck
-from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
+from pipeline.slam.open3d_icp import match_points
+from pipeline.slam.slam import SlamConfig, run_slam
+from pipeline.slam.steps import step_constraints
 from pipeline.slam.threads import WORTH_IT, in_parts
 from pipeline.slam.track import Track, TrackingConfig
 
@@ -35,17 +36,11 @@ def test_posts_are_mapped_by_points_where_no_line_can_be_fitted(hall):
     assert found.check.good
 
 
-def test_posts_without_kiss_icp_leave_the_odometry_alone(hall):
-    config = SlamConfig.model_validate({"tracking": {"kiss": {"enabled": False}}})
-    error = score(run_slam(hall.recording, config).trajectory.poses, hall.truth)
-    assert error.ate_aligned > 0.8 * score(hall.recording.T_odom_base, hall.truth).ate_aligned
-
-
 def test_points_give_the_pose_between_two_scans_of_posts(hall):
     clouds = make_clouds(hall.recording, 30.0)
     i, j = 20, 26
     true = (hall.truth.poses[i].inverse() @ hall.truth.poses[j]).xyt
-    match = IcpCheck().match(clouds.of(j), clouds.of(i), true + np.array([0.05, -0.04, 0.03]), 0.2)
+    match = match_points(clouds.of(j), clouds.of(i), true + np.array([0.05, -0.04, 0.03]), 0.2)
     error = (SE2(true).inverse() @ SE2(match.T_target_source)).xyt
     assert np.hypot(*error[:2]) < 0.02
     assert abs(error[2]) < 0.01

@@ -14,12 +14,13 @@ from datasets.types import Recording, Trajectory
 from pipeline.slam.chain import ANYWHERE, Chain, Gates, joined_parts, witnessed_chain
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
+from pipeline.slam.course import track_log
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
 from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
-from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
-from pipeline.slam.tracking import track_log
-from tests.slam_rooms import ROOM, around_the_room, recording
+from pipeline.slam.track import Track, TrackingConfig
+from pipeline.slam.tracking import Lines
+from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 
 
 def office() -> Log:
@@ -137,7 +138,7 @@ def scans_with_a_gap(odometry_agrees: bool) -> tuple[Recording, Track]:
         odometry = SE2(np.concatenate([odometry.xyt[:30], late.xyt]))
     log = Recording("gap", stamps, log.ranges, log.lidar, log.T_base_lidar, odometry)
     scans = range(1, 60)
-    return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans)
+    return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans, Lines)
 
 
 @pytest.mark.parametrize("agrees", [True, False])
@@ -157,7 +158,7 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     stamps = log.stamps_ns + np.where(np.arange(20) >= 10, wait_s * 10**9, 0)
     log = replace(log, stamps_ns=stamps)
     along = np.tile(np.diag([0.0, 1e4, 1e4]), (20, 1, 1))
-    track = dead_reckoning(log, make_clouds(log, 30.0), TrackingConfig())
+    track = dead_reckoning(log, make_clouds(log, 30.0))
     keys = np.arange(20)
     blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
     assert witnessed_chain(log, blind).broken.sum() == broken

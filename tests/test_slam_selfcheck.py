@@ -11,8 +11,8 @@ from datasets.types import Recording
 from pipeline.slam.clouds import Clouds, make_clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.selfcheck import SelfCheckConfig, check_map
-from pipeline.slam.track import OdometryNoise, Track, TrackingConfig, dead_reckoning
-from tests.slam_rooms import ROOM, around_the_room, recording
+from pipeline.slam.track import OdometryNoise, Track
+from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 
 NONE = np.zeros(0, dtype=np.int64)
 SURE = Certainty(0.1, 0.9)
@@ -24,7 +24,7 @@ def drive() -> tuple[Recording, Clouds, Track]:
     poses = around_the_room(60)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = dead_reckoning(log, clouds, TrackingConfig())
+    track = dead_reckoning(log, clouds)
     return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
@@ -69,7 +69,7 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
     poses = around_the_room(120, laps=2)
     log = recording(ROOM, poses, odometry=poses)
     clouds = make_clouds(log, 30.0)
-    track = replace(dead_reckoning(log, clouds, TrackingConfig()), overlap=np.ones(120))
+    track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
     drawn = track.T_track_base[track.keys].xyt.copy()
     drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
     found = check_map(

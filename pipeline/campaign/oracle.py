@@ -6,7 +6,7 @@ the command `blame` may import it; a test reads every import of the project to m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.recordings import load_recording
-from datasets.se2 import SE2
+from datasets.se2 import SE2, Array
 from datasets.types import Observation, Odometry, Recording, Twist
 from pipeline.navigation.episode import Episode, drive
 from pipeline.navigation.localiser import Localiser
@@ -25,12 +25,12 @@ from pipeline.navigation.recorder import Bag, NoBag
 from pipeline.navigation.sensing import Sensing
 from pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from pipeline.slam.closing import Closed, close_graph
-from pipeline.slam.clouds import Clouds
+from pipeline.slam.course import Maker
 from pipeline.slam.factors import Constraint
+from pipeline.slam.front_end import Placed
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.slam import SlamConfig, Steps
-from pipeline.slam.track import Track, TrackingConfig
-from pipeline.slam.tracking import track_log
+from pipeline.slam.tracking import Lines
 from reports.stages import Stage
 from sim.simulator import Simulator
 from sim.worlds import World
@@ -66,13 +66,18 @@ def true_steps(T_world_scans: SE2, parts: Collection[str]) -> Steps:
     )
 
 
-def _true_front_end(truth: SE2) -> Callable[..., Track]:
-    def front_end(
-        recording: Recording, clouds: Clouds, config: TrackingConfig, reach: float, scans: Iterable[int]
-    ) -> Track:
-        return replace(track_log(recording, clouds, config, reach, scans), T_track_base=truth)
+def _true_front_end(truth: SE2) -> Maker:
+    class TrueFrontEnd(Lines):
+        """Sees what the usual one sees, from where the scan truly is."""
 
-    return front_end
+        def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
+            """The true motion since the first scan, on from its pose in the track."""
+            course = self.course
+            usual = super().step(points, odometry_step, wait_s)
+            moved = truth[0].inverse() @ truth[course.scan]
+            return replace(usual, T_track_base=(SE2(course.poses[0]) @ moved).xyt, revised=())
+
+    return TrueFrontEnd
 
 
 def _true_loops(truth: SE2) -> Callable[..., Closed]:

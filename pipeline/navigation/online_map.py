@@ -16,11 +16,11 @@ from datasets.se2 import SE2, Array
 from datasets.types import Observation, Recording, Scan, Trajectory
 from pipeline.navigation.growing import GrowingClouds
 from pipeline.slam.clouds import KNOTS, sweep_motion
+from pipeline.slam.course import Course
 from pipeline.slam.loops import BATCH, LoopFinder
 from pipeline.slam.occupancy import make_grid
-from pipeline.slam.slam import SlamConfig, run_slam, step_constraints
-from pipeline.slam.track import Track
-from pipeline.slam.tracking import Tracker
+from pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
+from pipeline.slam.steps import step_constraints
 
 # A scan is kept when the robot has moved this far since the last one kept.
 KEEP_M, KEEP_RAD = 0.1, 0.15
@@ -32,13 +32,11 @@ RECENT = 32
 
 @dataclass
 class _Kept:
-    """What is remembered of the scans kept, in their order: `track` are poses (3,), `motion` (KNOTS, 3)."""
+    """What is remembered of the scans kept, in their order: `odometry` (3,), `motion` (KNOTS, 3)."""
 
     scans: list[Scan] = field(default_factory=list)
     odometry: list[Array] = field(default_factory=list)
     motion: list[Array] = field(default_factory=list)
-    track: list[Array] = field(default_factory=list)
-    information: list[Array] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -55,7 +53,7 @@ class OnlineMap:
         self._odometry: list[SE2] = []
         self._kept = _Kept()
         self._clouds = GrowingClouds()
-        self._tracker: Tracker | None = None
+        self._course: Course | None = None
         self._loops: LoopFinder | None = None
         self._searched = 0
         self._distrusted: set[int] = set()
@@ -85,9 +83,10 @@ class OnlineMap:
 
         Wheels that turn on the spot bend the sweeps, by which each scan's beams are put in order.
         """
-        here = self._kept.track[-1][:2]
+        assert self._course is not None
+        here = self._course.pose[:2]
         for k in range(len(self._kept) - 1, 0, -1):
-            if np.linalg.norm(self._kept.track[k][:2] - here) > HERE_M:
+            if np.linalg.norm(self._course.poses[k][:2] - here) > HERE_M:
                 break
             self._distrusted.add(k)
 
@@ -98,11 +97,12 @@ class OnlineMap:
 
     def update(self) -> OccupancyGrid:
         """Close loops and draw what the key scans and the last one saw; also corrects `T_map_odom`."""
-        assert self._tracker is not None
-        keys = np.array(self._tracker.keys)
-        T_map_keys = self._closed(keys)
+        course = self._course
+        assert course is not None
+        keys = np.array(course.keys)
+        T_map_keys = self._closed(course, keys)
         last = len(self._kept) - 1
-        T_last = T_map_keys[-1] @ (SE2(self._kept.track[keys[-1]]).inverse() @ SE2(self._kept.track[last]))
+        T_last = T_map_keys[-1] @ (SE2(course.poses[keys[-1]]).inverse() @ SE2(course.pose))
         self.T_map_odom = T_last @ SE2(self._kept.odometry[last]).inverse()
         poses = {int(key): pose for key, pose in zip(keys, T_map_keys.xyt, strict=True)} | {last: T_last.xyt}
         shown = [k for k in poses if k not in self._distrusted]
@@ -147,28 +147,23 @@ class OnlineMap:
     def _place(self, one: Recording, motion: SE2 | None) -> None:
         """The pose of the newest scan among the last key scans, by the front end."""
         self._clouds.append(one, self._usable, motion)
-        scan, odometry = len(self._kept) - 1, np.array(self._kept.odometry)
-        if self._tracker is None:
-            self._tracker = Tracker(self._clouds.view(), one, self._config.tracking, self._usable)
-            self._tracker.start(0, odometry[0])
-            information = np.zeros((3, 3))
-        else:
-            stamps = np.array([kept.stamp_ns for kept in self._kept.scans])
-            self._tracker.extend(self._clouds.view(), odometry, stamps)
-            information = self._tracker.step(scan)[0].information
-        before = SE2(self._kept.track[-1]) if self._kept.track else None
-        self._kept.track.append(self._tracker.pose)
-        self._kept.information.append(information)
-        if before is None:
+        odometry = np.array(self._kept.odometry)
+        if self._course is None:
+            make, clouds = FRONT_ENDS[self._config.front_end], self._clouds.view()
+            self._course = Course(clouds, one, self._config.tracking, self._usable, make)
             return
+        stamps = np.array([kept.stamp_ns for kept in self._kept.scans])
+        self._course.extend(self._clouds.view(), odometry, stamps)
+        before = SE2(self._course.pose)
+        self._course.step()
         # What the last update corrected holds on; the front end's own step comes on top.
         T_map_last = self.T_map_odom @ SE2(odometry[-2])
-        T_map_base = T_map_last @ (before.inverse() @ SE2(self._tracker.pose))
+        T_map_base = T_map_last @ (before.inverse() @ SE2(self._course.pose))
         self.T_map_odom = T_map_base @ SE2(odometry[-1]).inverse()
 
-    def _closed(self, keys: NDArray[np.int64]) -> SE2:
+    def _closed(self, course: Course, keys: NDArray[np.int64]) -> SE2:
         """Key poses with the loops closed that were found among them."""
-        track = self._track(keys)
+        track = course.track()
         steps = step_constraints(track, self._config.tracking)
         T_track_keys = track.T_track_base[keys]
         if not self._config.loops.enabled or len(keys) < 3:
@@ -184,20 +179,3 @@ class OnlineMap:
             self._loops.process(batch)
             self._searched = batch.stop
         return SE2(self._loops.poses)
-
-    def _track(self, keys: NDArray[np.int64]) -> Track:
-        tracker, kept = self._tracker, self._kept
-        assert tracker is not None
-        n = len(kept)
-        odometry = tracker.calibration.corrected(tracker.key_odometry())
-        return Track(
-            SE2(np.array(kept.track)),
-            keys,
-            np.ones(n),
-            np.zeros(n),
-            np.array(kept.information),
-            np.zeros(n, dtype=np.int8),
-            odometry,
-            tracker.calibration,
-            np.ones(n, dtype=bool),
-        )

@@ -311,7 +311,7 @@ def contradiction(apart: Array, information: Array, seen: Array) -> float:
     the points of the scan tell. In a direction that the scan hardly sees it contradicts nobody.
     """
     sure = seen / STEP_INFLATION
-    return float(apart @ (information @ np.linalg.solve(information + sure, sure @ apart)))
+    return float(apart @ (information @ _safe_solve(information + sure, sure @ apart)))
 
 
 @njit(cache=True)

@@ -61,7 +61,9 @@ def close_graph(
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, finder.record, [], chain.broken)
     gates = Gates(by_distance.gate_m, by_distance.drift_per_m, by_distance.max_gate_m)
-    found = recall(clouds, keys, SE2(finder.poses), steps, chain, finder.anchors, by_looks, gates)
+    found = recall(
+        clouds, keys, SE2(finder.poses), steps, chain, finder.anchors, by_looks, gates, finder.matcher
+    )
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
         finder = close(found.T_map_keys, found.part, found.loops)

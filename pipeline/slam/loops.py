@@ -1,8 +1,8 @@
 """Loop closure: where the robot came back to a place it knew.
 
 Candidates come from distance, the gate growing with the uncertainty gathered along the graph since;
-each is searched exhaustively (a few key scans together against the older place's field), aligned,
-and believed only after independent checks: overlap, fit, Open3D's ICP. Along a direction the scans
+each is searched exhaustively (a few key scans together against the older place's field), aligned by a
+`LoopMatch`, and believed only after checks: overlap, fit, a second opinion. Along a direction the scans
 are blind in, or along which the place repeats itself, a loop says nothing; the graph takes each with a
 heavy-tailed kernel.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -18,14 +19,19 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import Alignment, align, without_direction
+from pipeline.slam.align import without_direction
 from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import best_and_rival, best_pose, make_field, points_in_map
+from pipeline.slam.correlative import best_and_rival, best_pose, make_field
 from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.line_match import LineMatch
+from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
+from pipeline.slam.open3d_icp import Open3dMatch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.track import sees_everything
 from pipeline.slam.tracking import LEAST_OVERLAP
+
+MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
+"""What `loops.match` may be; see `pipeline.slam.loop_match`."""
 
 
 class LoopConfig(BaseModel):
@@ -33,6 +39,9 @@ class LoopConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
+    match: Literal["lines", "open3d"] = Field(
+        default="lines", description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP"
+    )
     every: int = Field(default=3, gt=0, description="key scans between queries")
     group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
     min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
@@ -51,9 +60,6 @@ class LoopConfig(BaseModel):
         default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
     )
     inflation: float = Field(default=50.0, gt=0.0)
-    open3d: bool = Field(
-        default=True, description="align loops without surfaces by Open3D's ICP, and ask it where in doubt"
-    )
     doubtful_gate_m: float = Field(
         default=2.0, ge=0.0, description="found in a wider gate than this, or with a rival: in doubt"
     )
@@ -127,7 +133,7 @@ class LoopFinder:
         self.record: list[Loop] = []
         length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
         self.path = np.concatenate([[0.0], np.cumsum(length)])
-        self.check = IcpCheck() if config.open3d else None
+        self.matcher = MATCHERS[config.match]()
 
     def extend(
         self,
@@ -216,36 +222,21 @@ class LoopFinder:
         """Search, align and judge key i (with its predecessors) against the place around key j."""
         config, poses = self.config, self.poses
         lo, hi = max(0, j - config.group), min(j + config.group + 1, i - 1)
-        place = np.arange(lo, hi)
-        to_j = (SE2(poses[j]).inverse() @ SE2(poses[place])).xyt
-        query = np.arange(max(0, i - config.group), i + 1)
-        to_i = (SE2(poses[i]).inverse() @ SE2(poses[query])).xyt
-        points = points_in_map(self.clouds.points, self.clouds.starts, self.keys[query], to_i)
+        place = self._stretch(j, np.arange(lo, hi))
+        query = self._stretch(i, np.arange(max(0, i - config.group), i + 1))
+        points = query.points(self.clouds)
         points = points[:: max(1, len(points) // 300)]
         guess = between(poses[j], poses[i])
-        coarse_field = make_field(self.clouds, self.keys[place], to_j, 0.2, 0.15)
+        coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.2, 0.15)
         coarse, best, rival, second = best_and_rival(
             coarse_field, points, guess, gate, turn_gate, 0.03, config.rival_m
         )
-        fine_field = make_field(self.clouds, self.keys[place], to_j, 0.05, 0.07)
+        fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, 0.2, 0.03, 0.01)
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
-        by_points = config.open3d and self.clouds.placed_by(int(self.keys[i])) == "points"
-        if by_points:
-            result = self._aligned_by_points(query, to_i, place, to_j, fine)
-        else:
-            result = align(
-                self.clouds,
-                int(self.keys[i]),
-                fine,
-                self.keys[place],
-                to_j,
-                gate=0.2,
-                sigma=0.05,
-                iterations=15,
-            )
+        result = self.matcher.match(self.clouds, query, place, fine, Limits(0.2, 0.05))
         loop = replace(
             loop,
             T_j_i=result.T_map_base.xyt,
@@ -266,20 +257,11 @@ class LoopFinder:
         if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
             return replace(loop, verdict="alignment left the peak")
         doubtful = gate > config.doubtful_gate_m or second > config.rival_share * best
-        if self.check is not None and doubtful and not by_points:
-            target = points_in_map(self.clouds.points, self.clouds.starts, self.keys[place], to_j)
-            source = self.clouds.of(int(self.keys[i]))
-            if not self.check.agrees(source, target, loop.T_j_i):
-                return replace(loop, verdict="open3d disagrees")
+        if doubtful and not self.matcher.confirms(self.clouds, query, place, loop.T_j_i):
+            return replace(loop, verdict="open3d disagrees")
         return loop
 
-    def _aligned_by_points(
-        self, query: NDArray[np.int64], to_i: Array, place: NDArray[np.int64], to_j: Array, start: Array
-    ) -> Alignment:
-        """The key scans of the query together on the points of the place: there are no surfaces."""
-        source = points_in_map(self.clouds.points, self.clouds.starts, self.keys[query], to_i)
-        target = points_in_map(self.clouds.points, self.clouds.starts, self.keys[place], to_j)
-        found = IcpCheck().match(source, target, start, 0.2)
-        return Alignment(
-            SE2(found.T_target_source), found.information, found.overlap, found.rmse, 1.0 - found.overlap
-        )
+    def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
+        """Some keys as seen from one."""
+        T = (SE2(self.poses[about]).inverse() @ SE2(self.poses[members])).xyt
+        return Stretch(int(self.keys[about]), self.keys[members], T)

@@ -1,4 +1,4 @@
-"""Open3D's ICP: aligns places without surfaces, and gives a second opinion on a doubtful loop."""
+"""Open3D's ICP: a loop matcher, the matcher of scans without surfaces, and a second opinion on ours."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.clouds import point_information
+from pipeline.slam.align import Alignment
+from pipeline.slam.clouds import Clouds, point_information
+from pipeline.slam.loop_match import Limits, Stretch
 from pipeline.slam.open3d_loader import open3d
 
 CORRESPONDENCE_M = 0.15
@@ -31,41 +33,60 @@ class PointMatch:
     information: Array
 
 
-class IcpCheck:
-    """Point-to-point ICP (Besl and McKay 1992) as Open3D has it, imported when first asked."""
+def match_points(
+    source: Array, target: Array, T_target_source: Array, gate: float, iterations: int = 20
+) -> PointMatch:
+    """Points (n, 2) matched with points (m, 2), started at `T_target_source` (3,); `gate` in metres.
+
+    Point-to-point ICP (Besl and McKay 1992) as Open3D has it, imported when first asked.
+    """
+    registration = open3d().pipelines.registration
+    start = np.eye(4)
+    start[:2, :2] = SE2(T_target_source).matrix()[:2, :2]
+    start[:2, 3] = T_target_source[:2]
+    result = registration.registration_icp(
+        _cloud(source),
+        _cloud(target),
+        gate,
+        start,
+        registration.TransformationEstimationPointToPoint(),
+        registration.ICPConvergenceCriteria(max_iteration=iterations),
+    )
+    pose = SE2.from_matrix(np.asarray(result.transformation)).xyt
+    matched = source[np.asarray(result.correspondence_set).reshape(-1, 2)[:, 0]]
+    if len(matched) < MIN_MATCHED:
+        return PointMatch(pose, 0.0, 0.0, np.zeros((3, 3)))
+    information = point_information(matched) / POINT_SIGMA_M**2
+    return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)
+
+
+def stays_put(source: Array, target: Array, T_target_source: Array) -> bool:
+    """Whether ICP, started at `T_target_source` (3,), stays next to it and keeps most points matched."""
+    found = match_points(source, target, T_target_source, CORRESPONDENCE_M)
+    shift = (SE2(T_target_source).inverse() @ SE2(found.T_target_source)).xyt
+    return bool(
+        found.overlap >= MIN_FITNESS
+        and np.hypot(shift[0], shift[1]) < MAX_SHIFT_M
+        and abs(shift[2]) < MAX_TURN_RAD
+    )
+
+
+class Open3dMatch:
+    """Loops by Open3D's ICP: all points of the stretch on all points of the place."""
 
     def match(
-        self, source: Array, target: Array, T_target_source: Array, gate: float, iterations: int = 20
-    ) -> PointMatch:
-        """Points (n, 2) matched with points (m, 2), started at `T_target_source` (3,); `gate` in metres."""
-        registration = open3d().pipelines.registration
-        start = np.eye(4)
-        start[:2, :2] = SE2(T_target_source).matrix()[:2, :2]
-        start[:2, 3] = T_target_source[:2]
-        result = registration.registration_icp(
-            _cloud(source),
-            _cloud(target),
-            gate,
-            start,
-            registration.TransformationEstimationPointToPoint(),
-            registration.ICPConvergenceCriteria(max_iteration=iterations),
-        )
-        pose = SE2.from_matrix(np.asarray(result.transformation)).xyt
-        matched = source[np.asarray(result.correspondence_set).reshape(-1, 2)[:, 0]]
-        if len(matched) < MIN_MATCHED:
-            return PointMatch(pose, 0.0, 0.0, np.zeros((3, 3)))
-        information = point_information(matched) / POINT_SIGMA_M**2
-        return PointMatch(pose, float(result.fitness), float(result.inlier_rmse), information)
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
+    ) -> Alignment:
+        """As in `LoopMatch`; there is no kernel."""
+        source, target = query.points(clouds), place.points(clouds)
+        found = match_points(source, target, start, limits.gate, limits.iterations)
+        pose = SE2(found.T_target_source)
+        return Alignment(pose, found.information, found.overlap, found.rmse, 1.0 - found.overlap)
 
-    def agrees(self, source: Array, target: Array, T_target_source: Array) -> bool:
-        """Whether ICP, started at `T_target_source` (3,), stays next to it and keeps most points matched."""
-        found = self.match(source, target, T_target_source, CORRESPONDENCE_M)
-        shift = (SE2(T_target_source).inverse() @ SE2(found.T_target_source)).xyt
-        return bool(
-            found.overlap >= MIN_FITNESS
-            and np.hypot(shift[0], shift[1]) < MAX_SHIFT_M
-            and abs(shift[2]) < MAX_TURN_RAD
-        )
+    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+        """As in `LoopMatch`; it would only ask itself again."""
+        del clouds, query, place, pose
+        return True
 
 
 def _cloud(points: Array) -> Any:

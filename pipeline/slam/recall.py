@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import align
 from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
-from pipeline.slam.correlative import points_in_map
 from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.selfcheck import denied_shares
 from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
@@ -86,13 +84,14 @@ def recall(
     anchors: list[tuple[int, int]],
     config: RecallConfig,
     gates: Gates,
+    matcher: LoopMatch,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
-    `anchors` are pairs of keys those loops hold together, `gates` is their reach.
+    `anchors` are pairs of keys those loops hold together, `gates` is their reach, `matcher` what aligns them.
     """
     poses = T_map_keys.xyt.copy()
-    found = _candidates(clouds, keys, poses, chain, anchors, config, gates)
+    found = _candidates(clouds, keys, poses, chain, anchors, config, gates, matcher)
     believed, record = _believed(clouds, keys, poses, found, chain, config)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:
@@ -128,11 +127,12 @@ def _candidates(
     anchors: list[tuple[int, int]],
     config: RecallConfig,
     gates: Gates,
+    matcher: LoopMatch,
 ) -> list[Recognised]:
     """Every submap that drift may have carried out of the gates' reach, laid on the places it resembles."""
     if not chain.may_drift(gates):
         return []
-    places, check, found = windows(len(keys), chain.broken), IcpCheck(), []
+    places, found = windows(len(keys), chain.broken), []
     middles = np.array(list(places), dtype=np.int64)
 
     @cache
@@ -155,7 +155,7 @@ def _candidates(
             for score, start in laid_on(query, others[k]):
                 near = np.hypot(*(start[:2] - guess[:2])) < reach
                 if near and score >= config.min_score:
-                    found.append(_settled(clouds, keys, query, others[k], start, score, config, check))
+                    found.append(_settled(clouds, keys, query, others[k], start, score, config, matcher))
     return found
 
 
@@ -167,18 +167,19 @@ def _settled(
     start: Array,
     score: float,
     config: RecallConfig,
-    check: IcpCheck,
+    matcher: LoopMatch,
 ) -> Recognised:
     """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
-    middle, place, at_place = int(keys[query.middle]), keys[other.keys[::2]], other.T_middle_keys[::2]
+    place, at_place = keys[other.keys[::2]], other.T_middle_keys[::2]
+    middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     pose = start
-    for gate, sigma in ((0.4, 0.15), (0.2, 0.05)):
-        result = align(clouds, middle, pose, place, at_place, gate=gate, sigma=sigma, iterations=15)
+    for limits in (Limits(0.4, 0.15), Limits(0.2, 0.05)):
+        result = matcher.match(clouds, middle, there, pose, limits)
         pose = result.T_map_base.xyt
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
     overlap = np.mean(
         [
-            align(clouds, int(keys[k]), T, place, at_place, gate=0.12, sigma=0.06, iterations=0).overlap
+            matcher.match(clouds, _alone(int(keys[k])), there, T, Limits(0.12, 0.06, 0)).overlap
             for k, T in zip(few, at, strict=True)
         ]
     )
@@ -201,10 +202,13 @@ def _settled(
         return place_found.judged("bad fit")
     if not sees_everything(information):
         return place_found.judged("blind in one direction")
-    target = points_in_map(clouds.points, clouds.starts, place, at_place)
-    if not check.agrees(clouds.of(middle), target, pose):
+    if not matcher.confirms(clouds, middle, there, pose):
         return place_found.judged("open3d disagrees")
     return place_found
+
+
+def _alone(scan: int) -> Stretch:
+    return Stretch(scan, np.array([scan]), np.zeros((1, 3)))
 
 
 def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:

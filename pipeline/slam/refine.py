@@ -27,7 +27,7 @@ from pipeline.slam.align import (
 )
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import IcpCheck
+from pipeline.slam.open3d_icp import match_points
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.threads import in_parts
 
@@ -47,7 +47,6 @@ class RefineConfig(BaseModel):
     soft: float = Field(
         default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
     )
-    open3d: bool = Field(default=True, description="match pairs without surfaces by Open3D's ICP")
     inflation: float = Field(default=4.0, gt=0.0, description="how much a pair's information is divided by")
 
 
@@ -113,9 +112,7 @@ def pair_constraints(
     config: RefineConfig,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
-    relative, information, overlap = match_pairs(
-        clouds, keys, T_map_keys, pairs, gate, sigma, by_points=config.open3d
-    )
+    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
     return [
         Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
         for k, (i, j) in enumerate(pairs)
@@ -130,8 +127,6 @@ def match_pairs(
     pairs: NDArray[np.int64],
     gate: float,
     sigma: float,
-    *,
-    by_points: bool = True,
 ) -> tuple[Array, Array, Array]:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
@@ -139,13 +134,13 @@ def match_pairs(
         len(pairs),
     )
     relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
-    bare = np.array([by_points and clouds.placed_by(int(key)) == "points" for key in keys])
+    bare = np.array([clouds.placed_by(int(key)) == "points" for key in keys])
     both = np.flatnonzero(bare[pairs[:, 0]] & bare[pairs[:, 1]])
     if len(both) > 0:
-        icp, start = IcpCheck(), (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
+        start = (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
         for k in both:
             i, j = pairs[k]
-            match = icp.match(clouds.of(keys[j]), clouds.of(keys[i]), start[k], gate)
+            match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], gate)
             relative[k], information[k] = match.T_target_source, match.information
             overlap[k] = match.overlap
     return relative, information, overlap

@@ -17,14 +17,15 @@ from datasets.returns import without_repeats
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
-from pipeline.slam.align import STEP_INFLATION
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
+from pipeline.slam.course import Maker, track_log
 from pipeline.slam.factors import Constraint
 from pipeline.slam.gyro import with_gyro
+from pipeline.slam.kiss import KissIcp
 from pipeline.slam.loops import Loop, LoopConfig
 from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
@@ -39,9 +40,11 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.track import Track, TrackingConfig, dead_reckoning
-from pipeline.slam.tracking import STEADY_SHARE, track_log
+from pipeline.slam.steps import step_constraints
+from pipeline.slam.track import Track, TrackingConfig
+from pipeline.slam.tracking import Lines
 from pipeline.slam.turns import compared_turns, in_step
+from pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
@@ -51,6 +54,8 @@ Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
     Field(description="which witnesses to use; odometry alone draws the map along the wheels"),
 ]
+FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
+"""What `front_end` may be; see `pipeline.slam.front_end`."""
 
 
 class SlamConfig(BaseModel):
@@ -58,6 +63,9 @@ class SlamConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
+    front_end: Literal["lines", "kiss_icp", "wheels"] = Field(
+        default="lines", description="what places each scan: our line tracker, KISS-ICP, or the odometry"
+    )
     usable_range_m: float = Field(
         default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
     )
@@ -126,9 +134,9 @@ def no_progress(items: Iterable[int], description: str, total: int) -> Iterable[
 
 @dataclass(frozen=True)
 class Steps:
-    """Front end and loop closure: the blame study puts the truth in their place."""
+    """What the blame study puts the truth in the place of; the front end, if it is not the settings'."""
 
-    front_end: Callable[..., Track] = track_log
+    front_end: Maker | None = None
     close_graph: Callable[..., Closed] = close_graph
 
 
@@ -227,10 +235,9 @@ def _session(recording: Recording, run: _Run) -> Session:
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:
-        if config.sensors == "odometry":
-            return dead_reckoning(recording, clouds, config.tracking)
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        return run.steps.front_end(recording, clouds, config.tracking, usable, scans)
+        make = run.steps.front_end or FRONT_ENDS[config.front_end]
+        return track_log(recording, clouds, config.tracking, usable, scans, make)
 
     content[0] = replace(recording, source="", notes=())
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
@@ -277,22 +284,37 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
-    """The recording and settings cut down to the witnesses asked for."""
+    """The recording and settings cut down to the witnesses asked for; InputError without those needed."""
     if not config.deskew:
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar":
-        return replace(recording, T_odom_base=None, odometry=None), config
-    if config.sensors == "odometry":
-        if recording.T_odom_base is None:
-            raise InputError(f"{recording.source}: no odometry to map with")
-        off = {
-            "loops": config.loops.model_copy(update={"enabled": False}),
-            "recall": config.recall.model_copy(update={"enabled": False}),
-            "refine": config.refine.model_copy(update={"rounds": 0}),
-            "posing": config.posing.model_copy(update={"enabled": False}),
-        }
-        return recording, config.model_copy(update=off)
-    return recording, config
+        recording = replace(recording, T_odom_base=None, odometry=None)
+    if recording.T_odom_base is None:
+        for setting in ("sensors=odometry", "front_end=wheels"):
+            name, value = setting.split("=")
+            if getattr(config, name) == value:
+                raise InputError(f"{recording.source}: no odometry to map with, which {setting} needs")
+    return recording, _by_odometry(config) if config.sensors == "odometry" else config
+
+
+def _by_odometry(config: SlamConfig) -> SlamConfig:
+    """The settings with the odometry as it is for front end, and nothing that would move a scan after."""
+    off = {
+        "front_end": "wheels",
+        "tracking": config.tracking.model_copy(update={"calibration": False}),
+        "loops": config.loops.model_copy(update={"enabled": False}),
+        "recall": config.recall.model_copy(update={"enabled": False}),
+        "refine": config.refine.model_copy(update={"rounds": 0}),
+        "posing": config.posing.model_copy(update={"enabled": False}),
+    }
+    return config.model_copy(update=off)
+
+
+def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
+    """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
+    config = _by_odometry(config) if config.sensors == "odometry" else config
+    matcher = config.loops.match if config.loops.enabled else None
+    return {"front_end": config.front_end, "loops.match": matcher}
 
 
 def _optimised(
@@ -316,26 +338,3 @@ def _optimised(
             lambda: refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine),
         )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged), key
-
-
-def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
-    """Between successive key scans: what the scans saw, and what the calibrated odometry says.
-
-    In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
-    odometry a weak belief in the front end's own motion takes its place.
-    """
-    T = track.T_track_base[track.keys]
-    matched = (T[:-1].inverse() @ T[1:]).xyt
-    constraints = []
-    for k, step in enumerate(matched):
-        seen = track.information[track.keys[k + 1]] / STEP_INFLATION
-        constraints.append(Constraint(k, k + 1, step, seen, "step"))
-        if track.odometry_steps is None:
-            # without it the front end took the motion for steady there; nothing at all would tear the graph
-            steady = STEADY_SHARE * config.odometry.information(step)
-            constraints.append(Constraint(k, k + 1, step, steady, "steady"))
-        else:
-            odometry = track.odometry_steps[k]
-            information = track.calibration.information(odometry)
-            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
-    return constraints

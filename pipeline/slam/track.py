@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
-from datasets.types import Recording
 from pipeline.slam.calibration import Calibration
-from pipeline.slam.clouds import MIN_LINES, Clouds
 from pipeline.slam.odometry import KissConfig
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
@@ -83,22 +81,6 @@ class Track:
     odometry_steps: Array | None
     calibration: Calibration
     usable: NDArray[np.bool_]
-
-
-def dead_reckoning(recording: Recording, clouds: Clouds, config: TrackingConfig) -> Track:
-    """The track odometry alone draws."""
-    assert recording.T_odom_base is not None
-    T = recording.T_odom_base
-    n, keys = len(T), [0]
-    for scan in range(1, n):
-        step = between(T.xyt[keys[-1]], T.xyt[scan])
-        if np.hypot(step[0], step[1]) > config.key_distance_m or abs(step[2]) > config.key_turn_rad:
-            keys.append(scan)
-    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
-    blind = np.zeros((n, 3, 3))
-    usable = clouds.lines_per_scan() >= MIN_LINES
-    source = np.zeros(n, dtype=np.int8)
-    return Track(T, np.array(keys), np.zeros(n), np.zeros(n), blind, source, steps, Calibration(), usable)
 
 
 def sees_everything(information: Array) -> bool:

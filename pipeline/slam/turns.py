@@ -16,9 +16,10 @@ from datasets.bags.scans import turned_over
 from datasets.se2 import Array, wrap
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.slam.clouds import LONGEST_STEP_S, make_clouds, sweep_motion
+from pipeline.slam.course import track_log
 from pipeline.slam.range_noise import RangeNoise, range_noise
 from pipeline.slam.track import TrackingConfig
-from pipeline.slam.tracking import track_log
+from pipeline.slam.tracking import Lines
 
 # Delays looked at [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0
@@ -153,7 +154,7 @@ def _turns(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: Rang
     motion = sweep_motion(late) if scans.lidar.time_increment != 0.0 else None
     alone = replace(part, odometry=None, imu=None)
     clouds = make_clouds(alone, USABLE_M, motion, noise)
-    track = track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)))
+    track = track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
     seconds = (part.stamps_ns - scans.stamps_ns[0]) * 1e-9
     waits = np.diff(seconds)
     known = np.convolve((waits > 0.0) & (waits < LONGEST_STEP_S) & track.usable[1:], np.ones(SPAN), "valid")

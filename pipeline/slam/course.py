@@ -1,0 +1,170 @@
+"""What all front ends share: odometry, key scans, calibration, and the track that is left.
+
+The scans of a log are placed one after another by a `FrontEnd`. Before the first scan that others can be
+matched with there is nothing to match, and odometry carries the robot; a scan becomes a key scan when the
+robot has moved on, it has something to match, and the front end is sure of it. From the key scans the
+odometry's systematic errors are learnt as the log goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import SE2, Array, between, compose
+from datasets.types import Recording
+from pipeline.slam.calibration import Calibration, calibrate
+from pipeline.slam.clouds import MIN_LINES, Clouds
+from pipeline.slam.correlative import Field, best_pose, make_field
+from pipeline.slam.front_end import FrontEnd, Placed
+from pipeline.slam.track import Track, TrackingConfig
+
+# Odometry is calibrated anew whenever the key scans have doubled since this many.
+FIRST_CALIBRATION = 25
+
+
+class Course:
+    """The log as far as it is tracked.
+
+    `scan` is the one placed last, or being placed; `pose` and `velocity` (3,) are the pose of the last scan
+    placed and its motion since the scan before, `keys` and `key_poses` the key scans and where they are.
+    `max_range` is how far the lidar is used [m].
+    """
+
+    def __init__(
+        self, clouds: Clouds, recording: Recording, config: TrackingConfig, max_range: float, make: Maker
+    ) -> None:
+        self.clouds, self.config, self.max_range = clouds, config, max_range
+        self.odometry = None if recording.T_odom_base is None else recording.T_odom_base.xyt
+        self.stamps = recording.stamps_ns
+        self.scan, self.velocity = 0, np.zeros(3)
+        self.pose = np.zeros(3) if self.odometry is None else self.odometry[0].copy()
+        self.keys: list[int] = []
+        self.key_poses: list[Array] = []
+        self.poses: list[Array] = []
+        self.calibration = Calibration()
+        self._placed: list[Placed] = []
+        self._usable: list[bool] = []
+        self._make = make
+        self._front_end: FrontEnd | None = None
+        self._next_calibration = FIRST_CALIBRATION
+        self._field: tuple[int, Field] | None = None
+        self._keep(Placed(self.pose, np.zeros((3, 3)), 1.0))
+        self._add_key()
+
+    def extend(self, clouds: Clouds, T_odom_base: Array, stamps_ns: NDArray[np.int64]) -> None:
+        """The log has gone on: all its scans, with odometry (n, 3) and stamps."""
+        self.clouds, self.odometry, self.stamps = clouds, T_odom_base, stamps_ns
+
+    def step(self) -> None:
+        """Place the next scan."""
+        before, self.scan = self.scan, self.scan + 1
+        step = None if self.odometry is None else self.odometry_since(before)
+        if self._front_end is None:
+            pose = self.pose if step is None else compose(self.pose, step)
+            placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
+        else:
+            wait_s = float(self.stamps[self.scan] - self.stamps[before]) / 1e9
+            placed = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
+            self.velocity = between(self.pose, placed.T_track_base)
+            moved = self._moved_enough(placed.T_track_base)
+        for scan, pose in placed.revised:
+            if scan not in self.keys:
+                self.poses[scan] = pose
+        self._keep(placed)
+        if moved and placed.sure and self._usable[-1]:
+            self._add_key()
+
+    def odometry_since(self, before: int, scan: int | None = None) -> Array:
+        """Motion (3,) from one scan to another (the present one) by the calibrated odometry there is."""
+        assert self.odometry is not None
+        now = self.scan if scan is None else scan
+        return self.calibration.corrected(between(self.odometry[before], self.odometry[now]))
+
+    def fit(self, points: Array, pose: Array) -> float:
+        """How well points (n, 2) at a pose (3,) lie on what the last key scans saw, 0..1."""
+        return best_pose(self.field, points, pose, 0.0, 0.0, 1.0)[1]
+
+    @property
+    def field(self) -> Field:
+        """The last key scans as a field to search in."""
+        if self._field is None or self._field[0] != len(self.keys):
+            config, n = self.config, self.config.field_keys
+            keys, poses = np.array(self.keys[-n:]), np.array(self.key_poses[-n:])
+            field = make_field(self.clouds, keys, poses, config.field_resolution_m, config.field_sigma_m)
+            self._field = len(self.keys), field
+        return self._field[1]
+
+    def track(self) -> Track:
+        """What is left of it all."""
+        placed, steps = self._placed, None
+        if self.odometry is not None:
+            steps = self.calibration.corrected(_steps(self.odometry[self.keys]))
+        return Track(
+            SE2(np.array(self.poses)),
+            np.array(self.keys),
+            np.array([one.overlap for one in placed]),
+            np.array([one.rmse for one in placed]),
+            np.array([one.information for one in placed]),
+            np.array([one.source for one in placed], dtype=np.int8),
+            steps,
+            self.calibration,
+            np.array(self._usable),
+        )
+
+    def calibrate(self) -> None:
+        """Learn the odometry's systematic errors as far as the key scans show them."""
+        if self.odometry is not None and self.config.calibration and len(self.keys) > 1:
+            T_odom_keys = SE2(self.odometry[self.keys])
+            keys, T_track_keys = np.array(self.keys), SE2(np.array(self.key_poses))
+            self.calibration = calibrate(self.clouds, keys, T_track_keys, T_odom_keys)
+
+    def _keep(self, placed: Placed) -> None:
+        self.pose = placed.T_track_base
+        self.poses.append(self.pose)
+        self._placed.append(placed)
+        some_lines = self.clouds.lines(self.scan) >= MIN_LINES
+        self._usable.append(some_lines or self.clouds.placed_by(self.scan) == "points")
+
+    def _moved_enough(self, pose: Array) -> bool:
+        delta, config = between(self.key_poses[-1], pose), self.config
+        return bool(
+            np.hypot(delta[0], delta[1]) > config.key_distance_m or abs(delta[2]) > config.key_turn_rad
+        )
+
+    def _add_key(self) -> None:
+        self.keys.append(self.scan)
+        self.key_poses.append(self.pose)
+        if self._front_end is None and self._usable[-1]:
+            self._front_end = self._make(self)
+        if len(self.keys) == self._next_calibration:
+            self.calibrate()
+            self._next_calibration *= 2
+
+
+Maker = Callable[[Course], FrontEnd]
+"""Makes a front end for a course whose last scan is the first that others can be matched with."""
+
+
+def track_log(
+    recording: Recording,
+    clouds: Clouds,
+    config: TrackingConfig,
+    max_range: float,
+    scans: Iterable[int],
+    make: Maker,
+) -> Track:
+    """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
+    course = Course(clouds, recording, config, max_range, make)
+    for _ in scans:
+        course.step()
+    course.calibrate()
+    return course.track()
+
+
+def _steps(poses: Array) -> Array:
+    """Motions (n - 1, 3) between successive poses (n, 3)."""
+    T = SE2(poses)
+    return (T[:-1].inverse() @ T[1:]).xyt

@@ -1,0 +1,51 @@
+"""What a front end is: it says where each scan of a log was taken, one after another.
+
+`course.Course` drives it and does what all front ends share: it undoes the odometry's systematic errors,
+carries the robot until the first scan that others can be matched with, chooses the key scans, and keeps
+the `Track` that loops and refinement start from. So a front end is one method, and fits on a page.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from datasets.se2 import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Where a scan was taken, and how sure that is.
+
+    `T_track_base` (3,) is the pose of the base at the scan's stamp: x, y [m], yaw [rad] in the frame of the
+    track, which is the odometry's at the first scan (identity without odometry). `information` (3, 3) is what
+    the scan itself saw of it, in the frame of the base at that pose [1/m^2, 1/(m rad), 1/rad^2], each point
+    counted by itself (`align.STEP_INFLATION` allows for their shared errors): zero along a direction that it
+    was blind in, and nothing of what the odometry said, which the graph adds. `overlap` is the share 0..1 of
+    the scan that lies on what was seen before, `rmse` how far off it lies [m]. `source` says which start won,
+    an index into `track.HYPOTHESES`. Where `sure` is False the scan does not become a key scan. `revised` are
+    the scans before it that are now known better, with their poses (3,); key scans keep theirs.
+    """
+
+    T_track_base: Array
+    information: Array
+    overlap: float
+    rmse: float = 0.0
+    source: int = 0
+    sure: bool = True
+    revised: tuple[tuple[int, Array], ...] = ()
+
+
+class FrontEnd(Protocol):
+    """Places scans. It is made for a `Course` on which the first scan stands, a key scan that has points."""
+
+    def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
+        """Where the next scan was taken.
+
+        `points` (n, 2) are its returns [m] in the frame of the base at its stamp, n may be 0. `odometry_step`
+        (3,) is the motion since the scan before as the calibrated odometry has it, seen from there, None
+        without odometry; `wait_s` is the time since then [s], below 0 where stamps go back. Which scan it is,
+        the pose and motion before, key scans and surfaces are on the course, for those who need them.
+        Where nothing can be said the pose expected is, with information of zero.
+        """
+        ...

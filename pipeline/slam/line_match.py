@@ -1,0 +1,33 @@
+"""Our own loop matcher: points on the lines of surfaces, with a second opinion by Open3D's ICP."""
+
+from __future__ import annotations
+
+from datasets.se2 import Array
+from pipeline.slam.align import Alignment, align
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.loop_match import Limits, Stretch
+from pipeline.slam.open3d_icp import Open3dMatch, stays_put
+
+
+class LineMatch:
+    """Point to line; scans without surfaces (posts, legs) are left to Open3D."""
+
+    def __init__(self) -> None:
+        self._points = Open3dMatch()
+
+    def match(
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
+    ) -> Alignment:
+        """As in `LoopMatch`; of the query the scan `about` alone, where it has surfaces."""
+        if clouds.placed_by(query.about) == "points":
+            return self._points.match(clouds, query, place, start, limits)
+        return align(
+            clouds, query.about, start, place.scans, place.T_about_scans,
+            gate=limits.gate, sigma=limits.sigma, iterations=limits.iterations,
+        )  # fmt: skip
+
+    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+        """As in `LoopMatch`: whether Open3D's ICP would leave the scan where it is."""
+        if clouds.placed_by(query.about) == "points":
+            return self._points.confirms(clouds, query, place, pose)
+        return stays_put(clouds.of(query.about), place.points(clouds), pose)

@@ -1,0 +1,59 @@
+"""What a loop matcher is: it lays a stretch of key scans on a place they may have come back to.
+
+Loops by distance and places recognised ask the same matcher. A search has led it near the answer, and the
+limits of those who ask (`min_overlap`, `max_rmse_m`) judge by what it says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.se2 import Array
+from pipeline.slam.align import Alignment
+from pipeline.slam.clouds import Clouds
+from pipeline.slam.correlative import points_in_map
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Scans (n,) of a log with their poses (n, 3) as seen from the base of one of them, `about`."""
+
+    about: int
+    scans: NDArray[np.int64]
+    T_about_scans: Array
+
+    def points(self, clouds: Clouds) -> Array:
+        """All their points (m, 2), seen from there."""
+        return points_in_map(clouds.points, clouds.starts, self.scans, self.T_about_scans)
+
+
+class Limits(NamedTuple):
+    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of a robust kernel, for
+    those who have one; after so many iterations it is over, and with none the fit at the start is told."""
+
+    gate: float
+    sigma: float
+    iterations: int = 15
+
+
+class LoopMatch(Protocol):
+    """Aligns two stretches of a log."""
+
+    def match(
+        self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
+    ) -> Alignment:
+        """The pose of `query` seen from `place`, searched from `start` (3,).
+
+        `T_map_base` of the answer is the base of `query.about` in the frame of `place.about`, `information`
+        (3, 3) is in the frame of the former, zero where nothing was seen; `overlap` is the share 0..1 of
+        the query's points with a partner, `rmse` their distance [m].
+        """
+        ...
+
+    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+        """A second opinion on a pose (3,) that is in doubt."""
+        ...

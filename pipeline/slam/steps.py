@@ -1,0 +1,31 @@
+"""What a track says of the way from each key scan to the next: the chain that the pose graph hangs on."""
+
+from __future__ import annotations
+
+from pipeline.slam.align import STEP_INFLATION
+from pipeline.slam.factors import Constraint
+from pipeline.slam.track import Track, TrackingConfig
+from pipeline.slam.tracking import STEADY_SHARE
+
+
+def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
+    """Between successive key scans: what the scans saw, and what the calibrated odometry says.
+
+    In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
+    odometry a weak belief in the front end's own motion takes its place.
+    """
+    T = track.T_track_base[track.keys]
+    matched = (T[:-1].inverse() @ T[1:]).xyt
+    constraints = []
+    for k, step in enumerate(matched):
+        seen = track.information[track.keys[k + 1]] / STEP_INFLATION
+        constraints.append(Constraint(k, k + 1, step, seen, "step"))
+        if track.odometry_steps is None:
+            # without it the front end took the motion for steady there; nothing at all would tear the graph
+            steady = STEADY_SHARE * config.odometry.information(step)
+            constraints.append(Constraint(k, k + 1, step, steady, "steady"))
+        else:
+            odometry = track.odometry_steps[k]
+            information = track.calibration.information(odometry)
+            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
+    return constraints
