@@ -18,6 +18,14 @@ from datasets.se2 import SE2, Array
 from pipeline.slam.clouds import Clouds
 
 MAX_HALF_WINDOW = 10
+# Points farther apart than the gate are no partners, and the kernel on distances to lines is so wide [m]:
+# where poses are rough, and where they are good.
+ROUGH_GATE_M, ROUGH_SIGMA_M = 0.3, 0.05
+FINE_GATE_M, FINE_SIGMA_M = 0.1, 0.03
+# Of a scan with more points than this every second, third, ... is aligned.
+MOST_POINTS = 400
+# Less of a scan than this on the surfaces of others tells nothing.
+LEAST_OVERLAP = 0.3
 MIN_NORMAL_DOT = 0.6
 # Of the information along a direction, this many times what errors of the normals fake on average is not
 # believed (see `observable`).

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
+from pipeline.slam.align import FINE_GATE_M, FINE_SIGMA_M, ROUGH_GATE_M
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.refine import match_pairs
 
@@ -21,8 +22,7 @@ from pipeline.slam.refine import match_pairs
 # noise of a match, near enough for the views to overlap.
 BASELINE_M, BASELINE_RAD = 1.5, 1.0
 MIN_OVERLAP = 0.5
-GATES_M = (0.2, 0.1, 0.1)
-SIGMA_M = 0.03
+GATES_M = (ROUGH_GATE_M, FINE_GATE_M, FINE_GATE_M)
 # Neighbouring beams err together: the information of a match is worth this much less. A point's own is a
 # ninth of what its noise says already, for the kernel is three standard deviations wide.
 INFLATION = 10.0
@@ -103,7 +103,7 @@ def _matched(
     for gate in GATES_M:
         poses = np.zeros((2 * len(pairs), 3))
         poses[1::2] = T_i_j
-        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, gate, SIGMA_M)
+        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, gate, FINE_SIGMA_M)
     return T_i_j, information, overlap
 
 

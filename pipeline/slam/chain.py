@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from datasets.se2 import Array
 from datasets.types import Recording
+from pipeline.slam.align import LEAST_OVERLAP
 from pipeline.slam.track import GAP_S, Track
 from pipeline.slam.witnesses import agree, blind, too_fast
 
@@ -24,7 +25,7 @@ from pipeline.slam.witnesses import agree, blind, too_fast
 GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
 # A match after a gap counts when this share of the scan fits and it is not blind.
-MIN_OVERLAP, LEAST_OVERLAP = 0.5, 0.3
+MIN_OVERLAP = 0.5
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
 SHORT_S = 5.0
 # Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.se2 import Array
-from pipeline.slam.align import Alignment
+from pipeline.slam.align import ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import points_in_map
 
@@ -38,6 +38,9 @@ class Limits(NamedTuple):
     gate: float
     sigma: float
     iterations: int = 15
+
+
+ROUGH = Limits(ROUGH_GATE_M, ROUGH_SIGMA_M)
 
 
 class LoopMatch(Protocol):

@@ -19,16 +19,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import without_direction
+from pipeline.slam.align import LEAST_OVERLAP, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field
 from pipeline.slam.factors import Constraint
 from pipeline.slam.line_match import LineMatch
-from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
+from pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
 from pipeline.slam.open3d_icp import Open3dMatch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.track import sees_everything
-from pipeline.slam.tracking import LEAST_OVERLAP
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
 """What `loops.match` may be; see `pipeline.slam.loop_match`."""
@@ -236,7 +235,7 @@ class LoopFinder:
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
-        result = self.matcher.match(self.clouds, query, place, fine, Limits(0.2, 0.05))
+        result = self.matcher.match(self.clouds, query, place, fine, ROUGH)
         loop = replace(
             loop,
             T_j_i=result.T_map_base.xyt,

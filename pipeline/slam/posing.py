@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import align_kernel
+from pipeline.slam.align import FINE_GATE_M, FINE_SIGMA_M, LEAST_OVERLAP, MOST_POINTS, align_kernel
 from pipeline.slam.cloud_parts import chosen, joined_clouds
 from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
 from pipeline.slam.threads import in_parts
@@ -26,12 +26,7 @@ class PosingConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     neighbours: int = Field(default=6, gt=0, description="key scans a scan is aligned with")
-    most_points: int = Field(default=400, gt=0, description="points of a scan that are aligned")
-    gate_m: float = Field(default=0.15, gt=0.0)
-    sigma_m: float = Field(default=0.03, gt=0.0)
     carried_m: float = Field(default=0.003, gt=0.0, description="standard deviation of the carried pose")
-    min_overlap: float = Field(default=0.3, gt=0.0, le=1.0)
-    max_shift_m: float = Field(default=0.1, gt=0.0, description="a larger correction is not believed")
 
 
 def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2:
@@ -86,7 +81,7 @@ def pose_all_scans(
         return in_parts(
             lambda part: _align_each(
                 both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt,
-                config.gate_m, config.sigma_m, config.most_points, information,
+                FINE_GATE_M, FINE_SIGMA_M, MOST_POINTS, information,
             ),
             len(some),
         )  # fmt: skip
@@ -98,7 +93,7 @@ def pose_all_scans(
         return carried, overlaps
     new, overlap = (np.concatenate([part[k] for part in found]) for k in (0, 1))
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
-    good = (overlap >= config.min_overlap) & (shift <= config.max_shift_m)
+    good = (overlap >= LEAST_OVERLAP) & (shift <= FINE_GATE_M)
     poses[scans[good]] = new[good]
     by_lines = track.source[scans] != HYPOTHESES.index("kiss-icp")
     overlaps[scans[by_lines]] = overlap[by_lines]

@@ -22,7 +22,7 @@ from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from pipeline.slam.factors import Constraint
-from pipeline.slam.loop_match import Limits, LoopMatch, Stretch
+from pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.selfcheck import denied_shares
 from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
@@ -173,7 +173,7 @@ def _settled(
     place, at_place = keys[other.keys[::2]], other.T_middle_keys[::2]
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     pose = start
-    for limits in (Limits(0.4, 0.15), Limits(0.2, 0.05)):
+    for limits in (Limits(0.4, 0.15), ROUGH):
         result = matcher.match(clouds, middle, there, pose, limits)
         pose = result.T_map_base.xyt
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt

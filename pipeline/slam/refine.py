@@ -18,8 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from pipeline.slam.align import (
+    FINE_GATE_M,
+    FINE_SIGMA_M,
     KERNEL_SIGMAS,
+    LEAST_OVERLAP,
     MIN_NORMAL_DOT,
+    ROUGH_GATE_M,
+    ROUGH_SIGMA_M,
     SURFACE_VAR,
     _safe_solve,
     find_partner,
@@ -39,11 +44,6 @@ class RefineConfig(BaseModel):
     rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0 switches it off")
     neighbours: int = Field(default=10, gt=0, description="partners of a key scan")
     radius_m: float = Field(default=4.0, gt=0.0, description="partners lie within this distance")
-    gate_m: float = Field(default=0.3, gt=0.0, description="point distance in the first round")
-    last_gate_m: float = Field(default=0.1, gt=0.0)
-    sigma_m: float = Field(default=0.06, gt=0.0, description="kernel on point-to-line distances, first round")
-    last_sigma_m: float = Field(default=0.03, gt=0.0)
-    min_overlap: float = Field(default=0.3, gt=0.0, le=1.0, description="of a pair, to count")
     soft: float = Field(
         default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
     )
@@ -64,8 +64,8 @@ def refine(
     poses, constraints = T_map_keys, list(steps)
     for round_ in range(config.rounds):
         f = round_ / max(config.rounds - 1, 1)
-        gate = config.gate_m * (config.last_gate_m / config.gate_m) ** f
-        sigma = config.sigma_m * (config.last_sigma_m / config.sigma_m) ** f
+        gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
+        sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
         pairs = overlapping_pairs(poses, config.radius_m, config.neighbours)
         constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma, config)]
         new = optimise(poses, constraints, iterations=5)
@@ -116,7 +116,7 @@ def pair_constraints(
     return [
         Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
         for k, (i, j) in enumerate(pairs)
-        if overlap[k] >= config.min_overlap
+        if overlap[k] >= LEAST_OVERLAP
     ]
 
 

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import align
+from pipeline.slam.align import FINE_GATE_M, ROUGH_GATE_M, ROUGH_SIGMA_M, align
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_pose, make_field, points_in_map
 
@@ -134,7 +134,8 @@ def _settle(
         order = np.argsort(np.linalg.norm(T_map_keys[:, :2] - at[:2], axis=1), kind="stable")[:NEAR_KEYS]
         result = align(
             clouds, int(query[k]), at, map_keys[order], T_map_keys[order],
-            gate=0.1 if overlaps else 0.3, sigma=0.06, iterations=0 if overlaps else 15,
+            gate=FINE_GATE_M if overlaps else ROUGH_GATE_M, sigma=ROUGH_SIGMA_M,
+            iterations=0 if overlaps else 15,
         )  # fmt: skip
         if not overlaps:
             pose = (result.T_map_base @ SE2(T_query[k]).inverse()).xyt

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
 from datasets.types import Recording
+from pipeline.slam.align import LEAST_OVERLAP
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
@@ -43,7 +44,6 @@ class SelfCheckConfig(BaseModel):
     min_contradicted: int = Field(
         default=5, gt=0, description="key scans that most of their revisits deny, to doubt a map"
     )
-    min_overlap: float = Field(default=0.3, gt=0.0, description="of a scan with its references, not lost")
     min_wall_share: float = Field(
         default=0.3, ge=0.0, description="of the beams that meet a wall's cells, returned by them"
     )
@@ -106,7 +106,7 @@ def check_map(
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
     bad = float(np.mean(share > config.max_bad_place)) if len(share) else 0.0
-    lost = np.flatnonzero(track.usable & (track.overlap < config.min_overlap))
+    lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     reasons = []
     alone = contradicted_keys(pairs, share, config.max_bad_place)
     if mean > config.max_denied or bad > config.max_bad_places or len(alone) >= config.min_contradicted:

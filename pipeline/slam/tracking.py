@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.se2 import SE2, Array, between, compose
-from pipeline.slam.align import Alignment, align
+from pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment, align
 from pipeline.slam.clouds import MIN_LINES
 from pipeline.slam.correlative import best_pose
 from pipeline.slam.course import Course
@@ -31,8 +31,6 @@ STEADY_SHARE = 0.05
 DOUBTED_SCANS = 12
 # A scan fits when its cost is no more than this above what is usual.
 FITS = 0.25
-# Less of a scan than this on the surfaces of others tells nothing.
-LEAST_OVERLAP = 0.3
 # What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
 SURPRISE = 0.03
 
@@ -114,11 +112,7 @@ class Lines:
         """The scan on the surfaces of the last key scans; where it fits none, the first start."""
         guess = starts[0][1]
         course, config = self.course, self.course.config
-        points = course.clouds.of(scan)[:: max(1, course.clouds.lines(scan) // 90)]
-        searched, _ = best_pose(
-            course.field, points, guess, config.search_m, config.search_rad, config.search_step_rad
-        )
-        best = self._best(scan, [*starts, (0, searched)], guess, information)
+        best = self._best(scan, starts, guess, information)
         if self.doubt is not None:
             step = course.odometry_since(self.doubt.scan)
             carried = compose(self.doubt.T_map_base, step)
@@ -157,12 +151,12 @@ class Lines:
                 start,
                 keys,
                 poses,
-                gate=config.gate_m,
-                sigma=config.sigma_m,
+                gate=ROUGH_GATE_M,
+                sigma=ROUGH_SIGMA_M,
                 prior=prior,
                 prior_information=information,
                 prior_soft=config.odometry.soft,
-                most_points=config.most_points,
+                most_points=MOST_POINTS,
             )
             e = between(prior, result.T_map_base.xyt)
             surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
