@@ -13,6 +13,7 @@ Suites:
   worlds     the drives of docs/results.md
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
+  numbers    the numbers that matter most, halved and doubled (benchmarks.slam_sensitivity)
   growth     CPU seconds and memory of the whole command, by size of the log
 
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
@@ -41,6 +42,7 @@ from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
 from benchmarks.slam_rows import Case, Row, Rows, code_of, shown, write
+from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
 from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
@@ -121,6 +123,9 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
             ablation_cases(data), (*EXACT, *ENDS), targets.ablation, ablation_table, code=SYNTHETIC
         ),
         "parts": Suite(parts_cases(data), (*EXACT, *ENDS), None, ablation_table, code=(*SYNTHETIC, "sim")),
+        "numbers": Suite(
+            sensitivity_cases(data), (*EXACT, *ENDS), None, sensitivity_table, code=(*SYNTHETIC, "sim")
+        ),
         "growth": Suite(
             growth_cases(data),
             ("case", *COSTS, "error"),

@@ -56,14 +56,19 @@ def made_log(name: str) -> Known:
 
 
 def ablated_row(data: Path | None, log: str, variant: str) -> Row:
-    """A log with one of ABLATIONS: relations of a public log, or the exact truth of a made one or a drive."""
+    """A log with one of ABLATIONS."""
+    return mapped_row(data, log, ABLATIONS[variant])
+
+
+def mapped_row(data: Path | None, log: str, settings: dict[str, Any]) -> Row:
+    """A log by its name: relations of a public one, or the exact truth of a made one or a drive."""
     if log in LOGS or log in PLACES:
         made = made_log(log) if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
-        result, row = mapped(made.recording, ABLATIONS[variant])
+        result, row = mapped(made.recording, settings)
         return row | errors(result.trajectory.poses, made.reference)
     assert data is not None
     folder = data / ("radish" if log in RADISH else "wild")
-    result, row = mapped(read(folder / f"{log}.clf.bz2"), ABLATIONS[variant])
+    result, row = mapped(read(folder / f"{log}.clf.bz2"), settings)
     return row | by_relations(result.trajectory, load_relations(folder / f"{log}.relations"))
 
 

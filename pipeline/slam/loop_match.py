@@ -1,7 +1,7 @@
 """What a loop matcher is: it lays a stretch of key scans on a place they may have come back to.
 
 Loops by distance and places recognised ask the same matcher. A search has led it near the answer, and the
-limits of those who ask (`min_overlap`, `max_rmse_m`) judge by what it says.
+limits of those who ask (`min_overlap`) judge by what it says.
 """
 
 from __future__ import annotations

@@ -52,7 +52,6 @@ class LoopConfig(BaseModel):
     max_turn_gate_rad: float = Field(default=0.8, gt=0.0)
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the correlative search")
-    max_rmse_m: float = Field(default=0.06, gt=0.0)
     rival_m: float = Field(default=0.6, gt=0.0, description="a second peak at least this far away")
     rival_share: float = Field(default=0.9, gt=0.0, description="of the best score: the place is ambiguous")
     soft: float = Field(
@@ -251,8 +250,6 @@ class LoopFinder:
             loop = replace(loop, information=without_direction(loop.information, along, 0.0))
         if result.overlap < LEAST_OVERLAP or result.agreement < config.min_overlap:
             return replace(loop, verdict="low overlap")
-        if result.rmse > config.max_rmse_m:
-            return replace(loop, verdict="bad fit")
         if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
             return replace(loop, verdict="alignment left the peak")
         doubtful = gate > config.doubtful_gate_m or second > config.rival_share * best

@@ -24,15 +24,14 @@ from pipeline.slam.consistency import Recognised, agreeing_sets, competing, cons
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
 from pipeline.slam.pose_graph import optimise
-from pipeline.slam.selfcheck import denied_shares
+from pipeline.slam.selfcheck import BAD_SHARE, MOST_PAIRS, NEAR_M, THROUGH_M, WALL_M, denied_shares
 from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
 from pipeline.slam.track import sees_everything
 
-WALL_M, THROUGH_M = 0.15, 0.4
 # The chain's drift is what is usual; a place further off than this many times it is not this place.
 DRIFT_FACTOR = 2.5
 # A stretch is laid on its place as far as this drift from a recognised key; keys this near are revisits.
-NEAR_DRIFT_M, NEAR_M, MOST_PAIRS, BAD_SHARE = 1.0, 1.5, 3000, 0.35
+NEAR_DRIFT_M = 1.0
 # Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
 # that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).
 RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
@@ -47,7 +46,6 @@ class RecallConfig(BaseModel):
     min_likeness: float = Field(default=0.6, gt=0.0, le=1.0, description="of the signatures")
     min_score: float = Field(default=0.4, gt=0.0, le=1.0, description="of the correlation by FFT")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
-    max_rmse_m: float = Field(default=0.06, gt=0.0)
     max_denied: float = Field(default=0.06, gt=0.0, description="points seen through, mean over a submap")
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
     rival_share: float = Field(
@@ -198,8 +196,6 @@ def _settled(
     )  # fmt: skip
     if place_found.denied > config.max_denied:
         return place_found.judged("sees through walls")
-    if place_found.rmse > config.max_rmse_m:
-        return place_found.judged("bad fit")
     if not sees_everything(information):
         return place_found.judged("blind in one direction")
     if not matcher.confirms(clouds, middle, there, pose):

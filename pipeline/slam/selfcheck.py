@@ -27,19 +27,19 @@ from pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
 from pipeline.slam.verdict import Verdict
 from pipeline.slam.witnesses import GROSS, agree, too_fast, unwitnessed
 
+# A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
+WALL_M, THROUGH_M = 0.15, 0.4
+# Key scans this near [m] are one place; so many pairs of them are looked at. This share of denied points marks
+# a place as bad.
+NEAR_M, MOST_PAIRS, BAD_SHARE = 1.5, 3000, 0.35
+
 
 class SelfCheckConfig(BaseModel):
     """When a map is called doubtful."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    near_m: float = Field(default=1.5, gt=0.0, description="key scans this near are one place")
     apart_keys: int = Field(default=30, gt=0, description="and this far apart in time are a revisit")
-    wall_m: float = Field(default=0.15, gt=0.0, description="a point this near a wall confirms it")
-    through_m: float = Field(default=0.4, gt=0.0, description="a wall seen through by this much is denied")
     max_denied: float = Field(default=0.08, gt=0.0, description="share of denied points, mean over revisits")
-    max_bad_place: float = Field(
-        default=0.35, gt=0.0, description="share of denied points that marks a place"
-    )
     max_bad_places: float = Field(default=0.05, gt=0.0, description="share of such places")
     min_contradicted: int = Field(
         default=5, gt=0, description="key scans that most of their revisits deny, to doubt a map"
@@ -96,20 +96,18 @@ def check_map(
     # Either visit may be the one that saw through the other's walls.
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
     found = in_parts(
-        lambda part: denied_shares(
-            clouds, track.keys, T_map_keys.xyt, both_ways[part], config.wall_m, config.through_m
-        ),
+        lambda part: denied_shares(clouds, track.keys, T_map_keys.xyt, both_ways[part], WALL_M, THROUGH_M),
         len(both_ways),
     )
     share = np.fmax(*np.concatenate(found).reshape(2, -1))
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
-    bad = float(np.mean(share > config.max_bad_place)) if len(share) else 0.0
+    bad = float(np.mean(share > BAD_SHARE)) if len(share) else 0.0
     lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     reasons = []
-    alone = contradicted_keys(pairs, share, config.max_bad_place)
-    if mean > config.max_denied or bad > config.max_bad_places or len(alone) >= config.min_contradicted:
+    alone = contradicted_keys(pairs, share, BAD_SHARE)
+    if mean > config.max_denied or bad > BAD_SHAREs or len(alone) >= config.min_contradicted:
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
@@ -138,10 +136,10 @@ def check_map(
 
 
 def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
-    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(config.near_m, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(NEAR_M, output_type="ndarray")
     pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return np.asarray(pairs[:: max(1, len(pairs) // 4000)], dtype=np.int64)
+    return np.asarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)], dtype=np.int64)
 
 
 def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
