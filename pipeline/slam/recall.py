@@ -30,7 +30,7 @@ from pipeline.slam.track import sees_everything
 
 # The chain's drift is what is usual; a place further off than this many times it is not this place.
 DRIFT_FACTOR = 2.5
-# A stretch is laid on its place as far as this drift from a recognised key; keys this near are revisits.
+# A stretch is laid on its place as far as this drift from a recognised key [m].
 NEAR_DRIFT_M = 1.0
 # Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
 # that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).

@@ -29,8 +29,8 @@ from pipeline.slam.witnesses import GROSS, agree, too_fast, unwitnessed
 
 # A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
 WALL_M, THROUGH_M = 0.15, 0.4
-# Key scans this near [m] are one place; so many pairs of them are looked at. This share of denied points marks
-# a place as bad.
+# Key scans this near [m] are one place; so many pairs of them are looked at. This share of denied points
+# marks a place as bad.
 NEAR_M, MOST_PAIRS, BAD_SHARE = 1.5, 3000, 0.35
 
 
@@ -107,7 +107,7 @@ def check_map(
     lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     reasons = []
     alone = contradicted_keys(pairs, share, BAD_SHARE)
-    if mean > config.max_denied or bad > BAD_SHAREs or len(alone) >= config.min_contradicted:
+    if mean > config.max_denied or bad > config.max_bad_places or len(alone) >= config.min_contradicted:
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
