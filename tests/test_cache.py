@@ -56,7 +56,7 @@ def everything(result):
     [
         ({}, []),
         ({"grid": {"resolution_m": 0.1}}, ["grid", "self-check"]),
-        ({"self_check": {"near_m": 1.0}}, ["self-check"]),
+        ({"self_check": {"apart_keys": 20}}, ["self-check"]),
         ({"posing": {"enabled": False}}, ["scan poses", "grid", "self-check"]),
         ({"refine": {"rounds": 1}}, STEPS[3:]),
         ({"loops": {"min_overlap": 0.8}}, STEPS[2:]),

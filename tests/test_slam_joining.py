@@ -124,10 +124,10 @@ def test_partners_are_the_nearest_by_way_and_turn_no_two_alike():
 
 def test_revisits_are_pairs_near_in_place_and_far_in_time():
     poses = SE2(random_poses(60, 7, spread=1.0))
-    config = SelfCheckConfig(near_m=0.8, apart_keys=20)
+    config = SelfCheckConfig(apart_keys=20)
     expected = [
         (i, j) for i, j in itertools.combinations(range(60), 2)
-        if j - i >= 20 and np.linalg.norm(poses.xy[i] - poses.xy[j]) <= 0.8
+        if j - i >= 20 and np.linalg.norm(poses.xy[i] - poses.xy[j]) <= 1.5
     ]  # fmt: skip
     assert [tuple(p) for p in _revisits(poses, config)] == expected
     assert len(expected) > 20

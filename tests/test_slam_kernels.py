@@ -13,6 +13,7 @@ from pipeline.slam.align import (
     MIN_NORMAL_DOT,
     PRIOR_SHARE,
     SAME_PARTNERS_M,
+    STEP_INFLATION,
     SURFACE_VAR,
     _safe_solve,
     _step,
@@ -192,7 +193,10 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
         # the error of the pose as the prior's pose sees it, in the frame of the base
         e = (SE2(np.array([0, 0, -pose[2]])) @ (pose[:2] - prior[:2])).tolist()
         e = np.array([*e, math.remainder(pose[2] - prior[2], 2 * math.pi)])
-        w = PRIOR_SHARE / (1.0 + (e @ information @ e / soft**2 if soft else 0.0))
+        # both variances together, by what the points of a scan share
+        d, sure = e - np.linalg.solve(h, g), seen / STEP_INFLATION
+        q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if soft else 0.0
+        w = PRIOR_SHARE / (1.0 + (q / soft**2 if soft else 0.0))
         expected = np.linalg.solve(seen + w * information, toward - w * information @ e)
         found = _step(h, faked, *g, pose, prior, information, soft)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)

@@ -17,11 +17,11 @@ from pipeline.localise import sweep_ends
 from pipeline.slam.align import align
 from pipeline.slam.calibration import calibrate
 from pipeline.slam.clouds import make_clouds
-from pipeline.slam.course import Course, track_log
+from pipeline.slam.course import track_log
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.track import OdometryNoise, TrackingConfig
-from pipeline.slam.tracking import DOUBTED_SCANS, Lines
+from pipeline.slam.tracking import Lines
 from tests.slam_rooms import LDS, ROOM, around_the_room, dead_reckoning, drifted, ranges_to, recording
 
 SWEEP_S = 0.2
@@ -130,7 +130,7 @@ def test_a_prior_that_the_scan_contradicts_gives_way():
     found = {
         soft: align(
             clouds, 2, truth, np.arange(2), poses[:2], gate=0.3, sigma=0.05, iterations=20,
-            prior=lying, prior_information=np.diag([1e8, 1e8, 1e8]), prior_soft=soft,
+            prior=lying, prior_information=np.diag([1e7, 1e7, 1e7]), prior_soft=soft,
         ).T_map_base.xyt
         for soft in (0.0, 2.0)
     }  # fmt: skip
@@ -184,26 +184,3 @@ def test_what_is_left_of_odometry_s_errors_is_measured_in_standard_deviations():
     # over a baseline of 1.5 m, and few pairs are pulled to 0.03 m and 0.015 rad by up to a third
     assert 0.8 * 0.06 * 1.5**0.5 < found.noise[0] < 1.15 * 0.06 * 1.5**0.5
     assert 0.75 * 0.04 * 1.5**0.5 < found.noise[2] < 1.15 * 0.04 * 1.5**0.5
-
-
-def test_wheels_caught_lying_twice_are_not_believed_until_the_scans_confirm_them():
-    log = recording(ROOM, around_the_room(4), odometry=around_the_room(4))
-    tracker = Lines(Course(make_clouds(log, 30.0), log, TrackingConfig(), 30.0, Lines))
-    sees, blind = np.diag([1e4, 1e4, 1e5]), np.diag([0.0, 1e4, 1e5])
-    off, right, step = np.array([0.3, 0.0, 0.0]), np.zeros(3), np.array([0.1, 0.0, 0.0])
-
-    def verdicts(*told):
-        tracker.caught, tracker.lying = False, 0
-        out = []
-        for error, information in told:
-            tracker._trust(error, step, information)
-            out.append(tracker.lying > 0)
-        return out
-
-    # a jump is over at once; wheels that slip go on, through a stretch where nobody sees what they do
-    assert verdicts((off, sees), (right, sees), (off, sees)) == [False, False, False]
-    assert verdicts((off, sees), (off, sees), (off, blind), (right, sees)) == [False, True, True, False]
-    # what a blind scan says against them is nothing, and their agreement with it nothing either
-    assert verdicts((off, blind), (off, blind)) == [False, False]
-    assert verdicts((off, sees), (off, sees), (right, blind)) == [False, True, True]
-    assert not verdicts(*[(off, sees)] * 2, *[(off, blind)] * DOUBTED_SCANS)[-1]

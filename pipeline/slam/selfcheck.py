@@ -23,10 +23,12 @@ from pipeline.slam.align import LEAST_OVERLAP
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.occupancy import Certainty
 from pipeline.slam.threads import in_parts
-from pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
+from pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from pipeline.slam.verdict import Verdict
-from pipeline.slam.witnesses import GROSS, agree, too_fast, unwitnessed
+from pipeline.slam.witnesses import agree, too_fast, unwitnessed
 
+# A way [m] that nobody saw, at a speed that is known from before, may be this long.
+UNSEEN_M = 1.5
 # A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
 WALL_M, THROUGH_M = 0.15, 0.4
 # Key scans this near [m] are one place; so many pairs of them are looked at. This share of denied points
@@ -164,7 +166,7 @@ def _unlikely_motion(recording: Recording, track: Track, T_map_base: SE2, noise:
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it
     stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
-    if len(stretch) and GROSS * stretch.max() > AGREE_M:
+    if len(stretch) and stretch.max() > UNSEEN_M:
         last = int(stretch.argmax())
         reasons.append(
             f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, and "

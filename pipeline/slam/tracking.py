@@ -23,7 +23,7 @@ from pipeline.slam.course import Course
 from pipeline.slam.front_end import Placed
 from pipeline.slam.kiss import KissIcp
 from pipeline.slam.track import GAP_S, confirms
-from pipeline.slam.witnesses import Wheels
+from pipeline.slam.witnesses import OdometryTrust
 
 # Without odometry the last motion is expected to go on, with this share of an odometry step's information.
 STEADY_SHARE = 0.05
@@ -50,7 +50,7 @@ class Lines:
     def __init__(self, course: Course) -> None:
         self.course = course
         self.doubt: Doubt | None = None
-        self.wheels = Wheels(course.config.odometry)
+        self.wheels = OdometryTrust(course.config.odometry)
         self._by_points = KissIcp(course)
         self._usual_cost = 0.3
 

@@ -65,7 +65,7 @@ def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] 
     return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), steps[:, 2]])
 
 
-class Wheels:
+class OdometryTrust:
     """Whether the odometry is believed where the scans are blind.
 
     Not once it was caught lying several times, until it says the same as the scans again, or, where these are
@@ -135,7 +135,7 @@ def unwitnessed(recording: Recording, track: Track, noise: OdometryNoise) -> Arr
     for order in (np.arange(n), np.arange(n)[::-1]):
         T = T_odom[order]
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
-        wheels = Wheels(noise)
+        wheels = OdometryTrust(noise)
         for scan, step in zip(order[1:].tolist(), steps, strict=True):
             wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
             if unseen[scan] and not wheels.believed:
