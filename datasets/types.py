@@ -195,7 +195,7 @@ class Recording:
     stamp, (n_scans,), or None when the log has none; `odometry` is its full-rate stream where there
     is one (None for CARMEN logs, whose odometry comes with each scan). `notes` holds one line for
     everything that was skipped or repaired while reading. `odometry_late_s` is a delay of the odometry
-    that was undone.
+    that was undone; `turned_over` says that the lidar was turned over on the odometry's word alone.
     """
 
     source: str
@@ -208,6 +208,7 @@ class Recording:
     imu: ImuLog | None = None
     notes: tuple[str, ...] = field(default=())
     odometry_late_s: float = 0.0
+    turned_over: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

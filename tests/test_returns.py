@@ -8,7 +8,7 @@ from foreign_bags import SCAN, laser_scan, write_foreign
 from test_carmen import flaser, write
 
 from datasets.recordings import load_recording
-from datasets.returns import no_return_value, without_repeats
+from datasets.returns import no_return_value
 from datasets.se2 import SE2
 from datasets.types import Observation as Seen
 from datasets.types import Odometry, Scan
@@ -17,6 +17,7 @@ from pipeline.navigation.sensing import Sensing
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.range_noise import range_noise
+from pipeline.slam.repeats import without_repeats
 from tests.slam_rooms import CORRIDOR, SICK, recording
 
 NEAR = replace(SICK, range_max=5.6)  # no float32 number: the messages' own is a little less
@@ -130,7 +131,7 @@ def test_sweeps_sent_again_while_the_robot_moves_are_not_used():
     log.ranges[8:13] = log.ranges[7]
     log.ranges[15, 3] = np.nan
     log.ranges[16] = log.ranges[15]
-    found = without_repeats(log)
+    found = without_repeats(log, 30.0)
     assert np.flatnonzero(np.isnan(found.ranges).all(axis=1)).tolist() == [8, 9, 10, 11, 12, 16]
     kept = [k for k in range(len(log)) if k not in (8, 9, 10, 11, 12, 16)]
     np.testing.assert_array_equal(found.ranges[kept], log.ranges[kept])
@@ -141,4 +142,9 @@ def test_sweeps_sent_again_while_the_robot_moves_are_not_used():
 def test_the_same_sweep_from_a_standing_robot_stays(odometry):
     log = replace(recording(CORRIDOR, np.tile(DRIVE[:1], (20, 1)), SICK), T_odom_base=odometry)
     log.ranges[5:] = log.ranges[4]
-    assert without_repeats(log) is log
+    assert without_repeats(log, 30.0) is log
+
+
+def test_a_lidar_without_noise_may_measure_the_same_again():
+    log = recording(CORRIDOR, np.tile(DRIVE[:1], (20, 1)), SICK, noise=0.0, odometry=DRIVE)
+    assert without_repeats(log, 30.0) is log

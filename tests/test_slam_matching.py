@@ -54,9 +54,8 @@ def test_scan_without_returns_has_no_points():
     log = recording(ROOM, np.array([HERE, HERE]))
     log.ranges[0] = np.nan
     clouds = make_clouds(log, 30.0)
-    assert clouds.lines(0) == 0
     assert len(clouds.of(0)) == 0
-    np.testing.assert_array_equal(clouds.lines_per_scan(), [0, clouds.lines(1)])
+    assert clouds.lines(0) == 0 < clouds.lines(1)
 
 
 def test_partner_is_the_nearest_point_of_the_scan(room):

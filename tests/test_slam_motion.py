@@ -16,7 +16,7 @@ from pipeline.localisation.beams import prepare
 from pipeline.localise import sweep_ends
 from pipeline.slam.align import align
 from pipeline.slam.calibration import calibrate
-from pipeline.slam.clouds import make_clouds
+from pipeline.slam.clouds import make_clouds, sweep_motion
 from pipeline.slam.course import track_log
 from pipeline.slam.occupancy import OccupancyConfig, make_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
@@ -184,3 +184,18 @@ def test_what_is_left_of_odometry_s_errors_is_measured_in_standard_deviations():
     # over a baseline of 1.5 m, and few pairs are pulled to 0.03 m and 0.015 rad by up to a third
     assert 0.8 * 0.06 * 1.5**0.5 < found.noise[0] < 1.15 * 0.06 * 1.5**0.5
     assert 0.75 * 0.04 * 1.5**0.5 < found.noise[2] < 1.15 * 0.04 * 1.5**0.5
+
+
+def test_a_sweep_is_not_undone_by_odometry_that_jumps():
+    """Odometry drives at 0.2 m/s and jumps by 2 m and a radian within sweep 7."""
+    poses = np.stack([0.04 * np.arange(20), np.zeros(20), np.zeros(20)], axis=1)
+    log = recording(ROOM, poses, LDS, odometry=poses)
+    fine = np.arange(0, 4000, 20)
+    stamps = log.stamps_ns[0] + fine * 10**6
+    jump = np.where(fine[:, None] >= 1500, np.array([2.0, 0.0, 1.0]), 0.0)
+    stream = SE2(np.stack([2e-4 * fine, 0.0 * fine, 0.0 * fine], axis=1) + jump)
+    lidar = replace(LDS, time_increment=0.2 / (LDS.n_beams - 1))
+    motion = sweep_motion(replace(log, lidar=lidar, odometry=Trajectory(stamps, stream)))
+    np.testing.assert_allclose(motion.xyt[:7, -1], np.tile([0.04, 0.0, 0.0], (7, 1)), atol=1e-9)
+    np.testing.assert_array_equal(motion.xyt[7], motion.xyt[6])
+    assert np.hypot(*motion.xyt[8, -1, :2]) == pytest.approx(0.04)

@@ -28,13 +28,13 @@ def drive() -> tuple[Recording, Clouds, Track]:
     return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
-def reasons(drive, breaks=NONE, certainty=SURE, T_odom_base=None, **changes):
+def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, **changes):
     log, clouds, track = drive
     log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
     track = replace(track, **changes)
     T = track.T_track_base
     return check_map(
-        log, clouds, track, T, T[track.keys], SelfCheckConfig(), OdometryNoise(), breaks, certainty
+        log, clouds, track, T, T[track.keys], SelfCheckConfig(), OdometryNoise(), breaks, borders, certainty
     ).reasons
 
 
@@ -81,6 +81,7 @@ def test_a_room_drawn_twice_contradicts_itself(shift, doubled):
         SelfCheckConfig(apart_keys=10),
         OdometryNoise(),
         NONE,
+        NONE,
         SURE,
     )
     assert found.revisits > 20
@@ -103,6 +104,7 @@ def test_a_robot_that_jumps_is_told_unless_its_odometry_does(drive, shift, jumps
     assert len(found) == jumps
     assert all(reason.endswith("(first: to scan 30)") for reason in found)
     assert reasons(drive, T_track_base=SE2(moved), T_odom_base=SE2(moved)) == ()
+    assert reasons(drive, T_track_base=SE2(moved), borders=np.array([30])) == ()
 
 
 def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
@@ -117,3 +119,9 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     assert "up to scan 39: the scans are blind there, and the odometry was wrong" in reason
     assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
     assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
+
+
+def test_a_map_that_may_be_mirrored_is_told(drive):
+    log, clouds, track = drive
+    (reason,) = reasons((replace(log, turned_over=True), clouds, track))
+    assert "turn opposite ways" in reason

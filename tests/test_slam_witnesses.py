@@ -35,7 +35,11 @@ def test_wheels_caught_lying_three_times_are_not_believed_until_they_tell_the_tr
 def test_wheels_are_no_liars_for_what_nobody_saw_nor_for_a_start_told_late():
     assert believed(*[(0.3, BLIND)] * 6) == [True] * 6
     assert believed(*[(0.13, SEES)] * 6) == [True] * 6
-    assert believed((0.1, SEES), *[(0.0, SEES)] * 6) == [True] * 7
+    assert believed((0.1, SEES), *[(0.0, SEES)] * 2, *[(0.1, SEES)] * 3) == [True] * 6
+
+
+def test_encoders_that_freeze_are_found_out():
+    assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
 
 
 def test_wheels_that_lie_are_followed_by_the_mean_of_what_was_seen():

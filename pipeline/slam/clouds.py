@@ -27,6 +27,10 @@ MIN_POINTS = 8
 # A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
 # so within one.
 KNOTS = 8
+# Nobody drives this many times as fast as nearly always before; so fast [m/s, rad/s] any robot may drive and
+# turn, however seldom it does.
+FASTER, NEARLY_ALWAYS = 1.3, 0.98
+ANY_ROBOT = (1.0, 4.0)
 # Between scans farther apart than this the robot may have done anything.
 LONGEST_STEP_S = 1.0
 # Returns further apart than this never lie on one surface [m].
@@ -79,11 +83,6 @@ class Clouds(NamedTuple):
         if lines >= max(MIN_LINES, LINE_SHARE * points):
             return "lines"
         return "points" if points >= MIN_POINTS else "nothing"
-
-    def lines_per_scan(self) -> NDArray[np.int64]:
-        """Points with a surface line in each scan, (n,)."""
-        total = np.concatenate([[0], np.cumsum(self.line_ok)])
-        return np.asarray(np.diff(total[self.starts]))
 
 
 PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var")
@@ -145,10 +144,21 @@ def make_clouds(
     return Clouds(points, normals, centers, line_ok, point_var, normal_var, starts, table, origin)
 
 
+def fastest(moved: Array, seconds: Array) -> Array:
+    """Speeds (2,) [m/s, rad/s] that a robot never exceeds; it moved so far (n, 2) in so many seconds (n,)."""
+    usual = np.quantile(moved / seconds[:, None], NEARLY_ALWAYS, axis=0)
+    return np.asarray(np.maximum(FASTER * usual, ANY_ROBOT))
+
+
+def way_and_turn(steps: Array) -> Array:
+    """Way [m] and turn [rad] of motions (n, 3), both without sign, (n, 2)."""
+    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])])
+
+
 def sweep_motion(recording: Recording) -> SE2 | None:
     """Base poses (n, KNOTS) during each sweep seen from its start, by odometry; None without a stream.
 
-    The last one is that at the end of the sweep.
+    The last one is that at the end of the sweep. Where the odometry jumps the sweep before stands in.
     """
     if recording.odometry is None or len(recording.odometry) < 2:
         return None
@@ -156,7 +166,10 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     after_ns = np.round(np.arange(1, KNOTS + 1) / KNOTS * sweep_ns).astype(np.int64)
     start = recording.odometry.at(recording.stamps_ns)
     during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
-    return start[:, None].inverse() @ SE2(during.xyt.reshape(-1, KNOTS, 3))
+    motion = start[:, None].inverse() @ SE2(during.xyt.reshape(-1, KNOTS, 3))
+    moved, sweep_s = way_and_turn(motion.xyt[:, -1]), np.full(len(motion), max(sweep_ns * 1e-9, 1e-9))
+    jumps = (moved > fastest(moved, sweep_s) * sweep_s[:, None]).any(axis=1)
+    return motion[np.maximum.accumulate(np.where(jumps, 0, np.arange(len(motion))))]
 
 
 def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:

@@ -62,6 +62,14 @@ def with_gyro(recording: Recording) -> Recording:
     return replace(recording, T_odom_base=T, odometry=stream)
 
 
+def turns_with(recording: Recording) -> bool:
+    """Whether a gyro, as the recording says it is mounted, turns with the odometry."""
+    if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
+        return False
+    trusted = _trusted(_Gyro(recording.imu), _steps(recording.T_odom_base), recording.stamps_ns)
+    return trusted is not None and trusted[0] > 0.0
+
+
 def _steps(T_odom_base: SE2) -> Array:
     return (T_odom_base[:-1].inverse() @ T_odom_base[1:]).xyt
 

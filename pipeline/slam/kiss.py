@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from datasets.se2 import Array, compose
+from pipeline.slam.align import MOST_POINTS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
 from pipeline.slam.clouds import point_information
 from pipeline.slam.course import Course
 from pipeline.slam.front_end import Placed
@@ -46,8 +47,18 @@ class KissIcp:
             self._kiss.update(points, starts[0], starts[0])
             return Placed(starts[0], np.zeros((3, 3)), fits[best])
         self._kiss.update(points, found[best], starts[0])
-        information = point_information(points) / (VOXELS * course.config.kiss.voxel_m) ** 2
-        return Placed(found[best], information, fits[best], source=SOURCE)
+        return Placed(found[best], self._seen(points, found[best]), fits[best], source=SOURCE)
+
+    def _seen(self, points: Array, pose: Array) -> Array:
+        """What a scan at a pose saw of it: on walls by their lines, for points know no blind direction."""
+        course, n = self._course, self._course.config.reference_keys
+        if course.clouds.placed_by(course.scan) == "points":
+            return point_information(points) / (VOXELS * course.config.kiss.voxel_m) ** 2
+        keys, poses = np.array(course.keys[-n:]), np.array(course.key_poses[-n:])
+        return align(
+            course.clouds, course.scan, pose, keys, poses,
+            gate=ROUGH_GATE_M, sigma=ROUGH_SIGMA_M, iterations=0, most_points=MOST_POINTS,
+        ).information  # fmt: skip
 
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""

@@ -15,7 +15,7 @@ from pipeline.slam.align import FINE_GATE_M, FINE_SIGMA_M, LEAST_OVERLAP, MOST_P
 from pipeline.slam.cloud_parts import chosen, joined_clouds
 from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
 from pipeline.slam.threads import in_parts
-from pipeline.slam.track import HYPOTHESES, Track
+from pipeline.slam.track import Track
 
 ITERATIONS = 5
 
@@ -74,10 +74,12 @@ def pose_all_scans(
     is_key[track.keys] = True
     scans = np.flatnonzero(~is_key & track.usable)
 
+    by_lines = np.zeros(len(poses), dtype=bool)
     keys, of_keys = np.arange(len(track.keys)), chosen(clouds(), track.keys)
 
     def aligned(some: NDArray[np.int64]) -> list[tuple[Array, Array]]:
         both, numbers = joined_clouds([of_keys, clouds_of(some)]), len(keys) + np.arange(len(some))
+        by_lines[some] = [both.placed_by(k) == "lines" for k in numbers.tolist()]
         return in_parts(
             lambda part: _align_each(
                 both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt,
@@ -95,8 +97,8 @@ def pose_all_scans(
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
     good = (overlap >= LEAST_OVERLAP) & (shift <= FINE_GATE_M)
     poses[scans[good]] = new[good]
-    by_lines = track.source[scans] != HYPOTHESES.index("kiss-icp")
-    overlaps[scans[by_lines]] = overlap[by_lines]
+    walls = by_lines[scans]
+    overlaps[scans[walls]] = overlap[walls]
     return SE2(poses), overlaps
 
 

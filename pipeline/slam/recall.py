@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
+from pipeline.slam.align import LEAST_OVERLAP, Alignment
 from pipeline.slam.chain import Chain, Gates, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
@@ -174,6 +175,8 @@ def _settled(
     for limits in (Limits(0.4, 0.15), ROUGH):
         result = matcher.match(clouds, middle, there, pose, limits)
         pose = result.T_map_base.xyt
+        if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
+            return _low_overlap(query, other, score, result)
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
     overlap = np.mean(
         [
@@ -182,10 +185,7 @@ def _settled(
         ]
     )
     if overlap < config.min_overlap:
-        return Recognised(
-            query.middle, other.middle, pose, score, float(overlap), 1.0, result.rmse,
-            result.information, "low overlap",
-        )  # fmt: skip
+        return _low_overlap(query, other, score, replace(result, overlap=float(overlap)))
     both = np.vstack([at, at_place[::2]])
     pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
     denied = _denied(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
@@ -201,6 +201,13 @@ def _settled(
     if not matcher.confirms(clouds, middle, there, pose):
         return place_found.judged("open3d disagrees")
     return place_found
+
+
+def _low_overlap(query: Submap, other: Submap, score: float, found: Alignment) -> Recognised:
+    return Recognised(
+        query.middle, other.middle, found.T_map_base.xyt, score, found.overlap, 1.0, found.rmse,
+        found.information, "low overlap",
+    )  # fmt: skip
 
 
 def _alone(scan: int) -> Stretch:

@@ -86,13 +86,14 @@ def check_map(
     config: SelfCheckConfig,
     noise: OdometryNoise,
     breaks: NDArray[np.int64],
+    borders: NDArray[np.int64],
     certainty: Certainty,
 ) -> SelfCheck:
     """Check a finished map: poses of all scans (n,) and of the key scans.
 
     The track's `overlap` is that of each scan with the map as it ended. `noise` is what the odometry's is
     taken for, `breaks` are the scans before which nothing confirms the motion, and that no recognised place
-    joins to the rest; `certainty` is the grid's.
+    joins to the rest, `borders` the first scans of later recordings; `certainty` is the grid's.
     """
     pairs = _revisits(T_map_keys, config)
     # Either visit may be the one that saw through the other's walls.
@@ -126,10 +127,15 @@ def check_map(
             f"{len(breaks)} breaks where scans are missing and nothing confirms the odometry "
             f"(first: before scan {breaks[0]}): what follows may lie anywhere"
         )
+    if recording.turned_over:
+        reasons.append(
+            "scans and odometry turn opposite ways, and no gyro tells which is right: "
+            "if it is the scans, this map is mirrored"
+        )
     blind = int(np.count_nonzero(~track.usable))
     if blind > 0.1 * len(track.usable):
         reasons.append(f"{blind} scans see no surface")
-    reasons += _unlikely_motion(recording, track, T_map_base, noise)
+    reasons += _unlikely_motion(recording, track, T_map_base, noise, borders)
     longest = _longest_blind(track)
     if longest is not None and track.odometry_steps is None:
         reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
@@ -153,16 +159,16 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * denials > visits)
 
 
-def _unlikely_motion(recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise) -> list[str]:
+def _unlikely_motion(
+    recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise, borders: NDArray[np.int64]
+) -> list[str]:
     """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
-    reasons, scans = [], np.arange(len(recording) - 1)
+    reasons, scans = [], np.setdiff1d(np.arange(len(recording) - 1), borders - 1)
     fast = too_fast(recording, track, T_map_base, scans, scans + 1)
     jumps = [k for k in scans[fast].tolist() if not agree(recording, track, k, k + 1, T_map_base)]
     if jumps:
-        reasons.append(
-            f"the robot jumps {len(jumps)} times farther than it can drive (first: to scan {jumps[0] + 1})"
-        )
-    way = unwitnessed(recording, track, noise)
+        reasons.append(f"{len(jumps)} jumps farther than the robot can drive (first: to scan {jumps[0] + 1})")
+    way = unwitnessed(recording, track, noise, borders)
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it
     stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))

@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
-from datasets.returns import without_repeats
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
@@ -31,6 +30,7 @@ from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.refine import RefineConfig, refine
+from pipeline.slam.repeats import without_repeats
 from pipeline.slam.selfcheck import SelfCheck, SelfCheckConfig, check_map
 from pipeline.slam.sessions import (
     Graph,
@@ -202,6 +202,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         lambda: make_checked_grid(recording, poses, config.grid, usable, session.motion),
     )
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
+    borders = [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1]
     placed = replace(track, overlap=overlap)
     check, _ = run.cache.step(
         "self-check",
@@ -215,6 +216,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
             config.self_check,
             config.tracking.odometry,
             breaks,
+            np.array(borders, dtype=np.int64),
             certainty,
         ),
     )
@@ -225,11 +227,12 @@ def _session(recording: Recording, run: _Run) -> Session:
     """Front end, loop closure and refinement of one recording."""
     if len(recording) == 0:
         raise InputError(f"{recording.source}: no scans to map with")
-    recording, config = _with_sensors(without_repeats(recording), run.config)
+    recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
+    recording = without_repeats(recording, usable)
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    told, _ = run.cache.step("turns", content, lambda: compared_turns(recording))
+    told, _ = run.cache.step("turns", content[:1], lambda: compared_turns(recording))
     recording = in_step(recording, *told)
     recording = with_gyro(recording) if config.gyro else recording
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
@@ -287,6 +290,10 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
     """The recording and settings cut down to the witnesses asked for; InputError without those needed."""
     if not config.deskew:
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
+    if config.sensors == "lidar" and config.front_end == "wheels":
+        raise InputError("front_end=wheels needs the odometry that sensors=lidar leaves out")
+    if config.sensors == "odometry" and config.front_end == "kiss_icp":
+        raise InputError("front_end=kiss_icp needs the scans that sensors=odometry leaves out")
     if config.sensors == "lidar":
         recording = replace(recording, T_odom_base=None, odometry=None)
     if recording.T_odom_base is None:

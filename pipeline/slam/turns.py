@@ -17,6 +17,7 @@ from datasets.se2 import Array, wrap
 from datasets.types import Recording, Recording3D, Trajectory
 from pipeline.slam.clouds import LONGEST_STEP_S, make_clouds, sweep_motion
 from pipeline.slam.course import track_log
+from pipeline.slam.gyro import turns_with
 from pipeline.slam.range_noise import RangeNoise, range_noise
 from pipeline.slam.track import TrackingConfig
 from pipeline.slam.tracking import Lines
@@ -44,8 +45,11 @@ def in_step(recording: Recording, late_s: float, over: bool) -> Recording:
     if over:
         said = "the scans turn the other way than the odometry: the laser is taken to hang the other way up"
         recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
-    if late_s == 0.0:
-        return recording
+    recording = _shifted(recording, late_s) if late_s != 0.0 else recording
+    return replace(recording, turned_over=over and not turns_with(recording))
+
+
+def _shifted(recording: Recording, late_s: float) -> Recording:
     stream, late_ns = _stream(recording), round(late_s * 1e9)
     shifted = Trajectory(stream.stamps_ns - late_ns, stream.poses)
     said = f"{abs(late_s):.2f} s {'behind' if late_s > 0.0 else 'ahead of'} the scans"

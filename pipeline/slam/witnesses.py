@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from datasets.se2 import SE2, Array, between, compose
 from datasets.types import Recording
 from pipeline.slam.align import contradiction
+from pipeline.slam.clouds import fastest, way_and_turn
 from pipeline.slam.track import AGREE_M, AGREE_RAD, OdometryNoise, Track, confirms
 
 # A scan is blind when it sees this share along one direction of what it sees along the other, or less.
 BLIND = 0.01
-# Nobody drives this many times as fast as nearly always before.
-FASTER, NEARLY_ALWAYS = 1.3, 0.98
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
@@ -51,8 +50,7 @@ def too_fast(
         return np.zeros(len(before), dtype=bool)
     # stamps jitter: no step counts as shorter than usual
     least_s = np.median(waits[seen])
-    speeds = steps[seen] / np.maximum(waits[seen], least_s)[:, None]
-    reach = FASTER * np.quantile(speeds, NEARLY_ALWAYS, axis=0)
+    reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
     wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
     moved = _moved(T_map_base, before, after - before)
     allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE_RAD]
@@ -61,8 +59,7 @@ def too_fast(
 
 def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
     """Way [m] and turn [rad] between poses and later ones, (k, 2)."""
-    steps = np.abs((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
-    return np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), steps[:, 2]])
+    return way_and_turn((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
 
 
 class OdometryTrust:
@@ -92,16 +89,15 @@ class OdometryTrust:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
-        rest tell nothing. They confirm nothing where the pose may have been taken from them (not
-        `independent`).
+        rest confirm nothing, nor do those that the pose may have been taken from (not `independent`).
         """
         self._odometry = compose(self._odometry, odometry_step)
         self._last.append((self._odometry, T_map_base))
-        if len(self._last) < 2 or not moves(odometry_step, self._noise):
+        if len(self._last) < 2:
             return
         told, error = self._apart(-2)
         surprising = error @ self._along(told) @ error > LIE_SIGMAS**2
-        if independent and not surprising:
+        if independent and not surprising and moves(odometry_step, self._noise):
             self._lies = 0
         told, error = self._apart(0)
         gross = abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0]))
@@ -124,9 +120,14 @@ class OdometryTrust:
         return told, between(told, between(pose, pose_now))
 
 
-def unwitnessed(recording: Recording, track: Track, noise: OdometryNoise) -> Array:
+def unwitnessed(
+    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
+) -> Array:
     """Metres that the odometry tells of each step (n,) where the scan is blind and the odometry was not to be
-    believed before or after; 0 elsewhere, and without odometry."""
+    believed before or after; 0 elsewhere, and without odometry.
+
+    `borders` are the first scans of later logs.
+    """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
     way = np.zeros(n)
     if T_odom is None:
@@ -136,7 +137,10 @@ def unwitnessed(recording: Recording, track: Track, noise: OdometryNoise) -> Arr
         T = T_odom[order]
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
         wheels = OdometryTrust(noise)
-        for scan, step in zip(order[1:].tolist(), steps, strict=True):
+        new = np.isin(order[1:], borders if order[0] == 0 else borders - 1)
+        for scan, step, forget in zip(order[1:].tolist(), steps, new, strict=True):
+            if forget:
+                wheels.forget()
             wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
             if unseen[scan] and not wheels.believed:
                 way[scan] = np.hypot(step[0], step[1])
