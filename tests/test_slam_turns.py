@@ -11,7 +11,7 @@ from benchmarks.slam_logs import office_plan
 from datasets.bags.scans import turned_over
 from datasets.bags.writer import BagWriter
 from datasets.se2 import SE2
-from datasets.types import Odometry, Trajectory, Twist
+from datasets.types import ImuLog, Odometry, Trajectory, Twist
 from pipeline.cli import main
 from pipeline.slam.slam import SlamConfig, run_slam
 from pipeline.slam.turns import compared_turns, in_step
@@ -126,3 +126,15 @@ def test_map_and_localise_say_it(turning, tmp_path, capsys):
     assert main([*args, "--out", str(tmp_path / "loc")]) == 0
     assert "the odometry runs 0.30 s behind the scans" in capsys.readouterr().err
     assert json.loads((tmp_path / "loc" / "metrics.json").read_text())["odometry_late_s"] == 0.3
+
+
+@pytest.mark.parametrize(("sign", "sure"), [(1.0, True), (-1.0, False), (None, False)])
+def test_a_gyro_tells_whether_scans_or_odometry_are_mirrored(turning, sign, sure):
+    recording = turning.recording
+    if sign is not None:
+        stream = recording.odometry
+        rate = sign * np.gradient(np.unwrap(stream.poses.yaw), stream.stamps_ns * 1e-9)
+        turned = np.stack([0.0 * rate, 0.0 * rate, rate], axis=1)
+        recording = replace(recording, imu=ImuLog(stream.stamps_ns, turned, 0.0 * turned))
+    assert in_step(recording, 0.0, True).turned_over is not sure
+    assert not in_step(recording, 0.0, False).turned_over

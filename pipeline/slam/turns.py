@@ -46,7 +46,7 @@ def in_step(recording: Recording, late_s: float, over: bool) -> Recording:
         said = "the scans turn the other way than the odometry: the laser is taken to hang the other way up"
         recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
     recording = _shifted(recording, late_s) if late_s != 0.0 else recording
-    return replace(recording, turned_over=over and not turns_with(recording))
+    return replace(recording, turned_over=not turns_with(recording)) if over else recording
 
 
 def _shifted(recording: Recording, late_s: float) -> Recording:
