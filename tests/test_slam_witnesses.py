@@ -42,14 +42,6 @@ def test_encoders_that_freeze_are_found_out():
     assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
 
 
-def test_wheels_that_lie_are_followed_by_the_mean_of_what_was_seen():
-    wheels, pose = OdometryTrust(OdometryNoise()), np.zeros(3)
-    for way in (0.7, 0.2, 0.3, 0.1, 0.2, 0.3):
-        pose = compose(pose, np.array([way, 0.0, 0.05]))
-        wheels.judge(np.array([0.5, 0.0, 0.0]), pose, SEES)
-    np.testing.assert_allclose(wheels.steady_step(), [0.22, 0.0, 0.05], atol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_contradiction_is_in_standard_deviations_of_both(seed):
     rng = np.random.default_rng(seed)

@@ -75,14 +75,14 @@ class Lines:
 
     def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
         """From the odometry, if there is any and it is believed, and from a steady motion."""
-        course, believed = self.course, self.wheels.believed
-        steadily = course.velocity if believed else self.wheels.steady_step()
-        steady = compose(course.pose, steadily)
-        information = course.config.odometry.information(steadily if odometry_step is None else odometry_step)
+        course = self.course
+        steady = compose(course.pose, course.velocity)
+        expected = course.velocity if odometry_step is None else odometry_step
+        information = course.config.odometry.information(expected)
         if odometry_step is None:
             return self._by_lines(scan, [(0, steady)], STEADY_SHARE * information)
         starts = [(0, compose(course.pose, odometry_step)), (1, steady)]
-        if not believed:
+        if not self.wheels.believed:
             return self._by_lines(scan, starts[::-1], STEADY_SHARE * information)
         return self._by_lines(scan, starts, information)
 

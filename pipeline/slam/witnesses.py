@@ -104,11 +104,6 @@ class OdometryTrust:
         if surprising and gross and contradiction(error, self._along(told), seen) > LIE_SIGMAS**2:
             self._lies += 1
 
-    def steady_step(self) -> Array:
-        """The mean of the last steps as the scans saw them, (3,)."""
-        T = SE2(np.array([pose for _, pose in self._last]))
-        return np.asarray((T[:-1].inverse() @ T[1:]).xyt.mean(axis=0))
-
     def _along(self, told: Array) -> Array:
         """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
         return np.diag([1.0, 0.0, 0.0]) * self._noise.information(told)
