@@ -52,7 +52,7 @@ SYNTHETIC = (*DISTURBED, *(f"benchmarks/slam_{name}.py" for name in ("logs", "dr
 LIMIT_MINUTES = 30.0
 BASICS = ("case", "scans", "m", "deg", "worst_m")
 ENDS = ("verdict", "reasons", "loops", "cpu_s", "error")
-EXACT = (*BASICS, "anchored_m", "anchored_worst_m")
+EXACT = (*BASICS, "scaled_m", "anchored_m", "anchored_worst_m")
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,8 @@ def warm_up() -> None:
 def errors(poses: SE2, reference: SE2) -> Row:
     """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
 
-    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `anchored_*` with the first pose as the only
+    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
+    cannot tell that of its lidar; `anchored_*` with the first pose as the only
     anchor; `near_deg` that of poses near each other; `folded` as in `Score`.
     """
     sure = np.isfinite(reference.xyt).all(axis=1)
@@ -93,6 +94,8 @@ def errors(poses: SE2, reference: SE2) -> Row:
         "m": found.ate_aligned,
         "deg": found.yaw_deg,
         "worst_m": found.ate_max,
+        "scaled_m": found.ate_scaled,
+        "scale": found.scale,
         "anchored_m": found.ate,
         "anchored_worst_m": found.ate_worst,
         "near_deg": found.relation_deg,

@@ -36,7 +36,7 @@ from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_
 from benchmarks.slam_drives import Log
 from benchmarks.slam_logs import arena, office, rooms
 from benchmarks.slam_rows import Case, Row
-from datasets.se2 import SE2
+from datasets.se2 import SE2, wrap
 from datasets.seeds import stream
 
 BAD_M, TIMES = 0.2, 5.0
@@ -107,6 +107,41 @@ def mirrored_odometry(log: Known) -> Known:
     return with_odometry(log, log.odometry[0] @ mirrored(log.odometry[0].inverse() @ log.odometry))
 
 
+def blocked(log: Known, rng: np.random.Generator) -> Known:
+    """Half of the view is blocked by something 0.3 m away that rides along."""
+    r = log.recording
+    hidden = wrap(r.lidar.angles - rng.uniform(-np.pi, np.pi)) > 0.0
+    return with_ranges(log, np.where(hidden, np.float32(0.3), r.ranges))
+
+
+def jitter(log: Known, rng: np.random.Generator) -> Known:
+    """Stamps of scans that are off by up to half the time between two."""
+    r = log.recording
+    away = rng.uniform(-0.5, 0.5, len(r)) * float(np.median(np.diff(r.stamps_ns)))
+    away[[0, -1]] = 0.0
+    stamps = np.maximum.accumulate(r.stamps_ns + away.astype(np.int64))
+    return replace(log, recording=replace(r, stamps_ns=stamps + np.arange(len(r))))
+
+
+def ghosts(log: Known, rng: np.random.Generator) -> Known:
+    """People about: a fifth of all scans have a quarter of their beams end somewhere short."""
+    ranges = log.recording.ranges.copy()
+    for scan in np.flatnonzero(rng.random(len(ranges)) < 0.2):
+        first, width = rng.integers(ranges.shape[1]), ranges.shape[1] // 4
+        beams = np.arange(first, first + width) % ranges.shape[1]
+        ranges[scan, beams] = np.fmin(ranges[scan, beams], rng.uniform(0.4, 2.0))
+    return with_ranges(log, ranges)
+
+
+def floor(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that tips forward when it brakes: a tenth of the scans see the floor 1.5 m ahead."""
+    r = log.recording
+    ahead = np.cos(r.lidar.angles)
+    strip = np.where(ahead > 0.5, 1.5 / np.maximum(ahead, 0.5), np.inf)
+    tipped = rng.random(len(r)) < 0.1
+    return with_ranges(log, np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
+
+
 KINDS: dict[str, tuple[str, Mode]] = {
     "gap3": ("build", MODES["gap3"]),
     "half": ("build", MODES["half"]),
@@ -121,15 +156,24 @@ KINDS: dict[str, tuple[str, Mode]] = {
     "gap20": ("score", MODES["gap20"]),
     "third": ("score", MODES["third"]),
     "noisy": ("score", MODES["noisy"]),
-    "jump": ("score", MODES["jump"]),
+    "jump": ("build", MODES["jump"]),
     "fov120": ("score", MODES["fov120"]),
     "noise3": ("score", MODES["noise3"]),
-    "repeated": ("score", repeated),
+    "repeated": ("build", repeated),
     "counted back": ("score", counted_back),
     "carried": ("score", carried),
     "yaw bias": ("score", yaw_bias),
-    "mirrored odometry": ("score", lambda log, rng: mirrored_odometry(log)),
+    "mirrored odometry": ("build", lambda log, rng: mirrored_odometry(log)),
     "long ranges": ("score", lambda log, rng: with_ranges(log, 1.05 * log.recording.ranges)),
+    "blocked": ("score", blocked),
+    "jitter": ("score", jitter),
+    "ghosts": ("score", ghosts),
+    "floor": ("score", floor),
+    "other odometry": ("score", lambda log, rng: with_odometry(log, log.odometry[::-1])),
+    "steps of 5 cm": (
+        "score",
+        lambda log, rng: with_ranges(log, np.round(20.0 * log.recording.ranges) / 20.0),
+    ),
 }
 """Half and function of each kind; `plain` is undisturbed, and of the half of its case's number."""
 

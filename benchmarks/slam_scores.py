@@ -31,6 +31,8 @@ class Score:
     ate_worst: float
     ate_aligned: float
     ate_max: float
+    ate_scaled: float
+    scale: float
     yaw_deg: float
     relation_m: float
     relation_deg: float
@@ -49,6 +51,7 @@ def score(estimate: SE2, truth: Trajectory) -> Score:
     fitted = fit_rigid(estimate.xy, true.xy)
     aligned = np.linalg.norm(fitted @ estimate.xy - true.xy, axis=1)
     near, back = _pairs(true, PAIRS)
+    scale, scaled = _scaled((fitted @ estimate.xy), true.xy)
     turned = wrap((fitted @ estimate).yaw - true.yaw)
     anchored = np.linalg.norm(moved.xy - true.xy, axis=1)
     e_near, e_back = _relation_error(estimate, true, near), _relation_error(estimate, true, back)
@@ -58,6 +61,8 @@ def score(estimate: SE2, truth: Trajectory) -> Score:
         ate_worst=float(anchored.max()),
         ate_aligned=_rms(aligned),
         ate_max=float(aligned.max()),
+        ate_scaled=_rms(scaled),
+        scale=scale,
         yaw_deg=float(np.degrees(_rms(turned))),
         relation_m=float(both[:, 0].mean()),
         relation_deg=float(np.degrees(both[:, 1].mean())),
@@ -68,6 +73,13 @@ def score(estimate: SE2, truth: Trajectory) -> Score:
 
 def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(error**2)))
+
+
+def _scaled(fitted: Array, true: Array) -> tuple[float, Array]:
+    """The scale that brings rigidly fitted positions (n, 2) nearest to the true ones, and the errors left."""
+    a, b = fitted - fitted.mean(axis=0), true - true.mean(axis=0)
+    scale = float(np.sum(a * b) / max(np.sum(a * a), 1e-12))
+    return scale, np.linalg.norm(scale * a - b, axis=1)
 
 
 def _pairs(true: SE2, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

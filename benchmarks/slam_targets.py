@@ -119,7 +119,11 @@ def fast50(rows: Sequence[Row]) -> list[Row]:
     found = []
     for sensors in dict.fromkeys(row["sensors"] for row in rows):
         part = [row for row in rows if row["sensors"] == sensors]
-        for what, key in (("rigid fit", "m"), ("first pose", "anchored_m")):
+        for what, key in (
+            ("rigid fit", "m"),
+            ("scale fitted, too", "scaled_m"),
+            ("first pose", "anchored_m"),
+        ):
             count = sum(row.get(key, np.inf) < 0.02 for row in part)
             text = f"{count} of {len(part)}"
             found.append(target(f"{sensors}: RMSE under 2 cm, {what}", "all", text, count == len(part)))
