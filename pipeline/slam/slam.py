@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
+from datasets.own_body import without_own_body
 from datasets.se2 import SE2
 from datasets.types import LidarSpec, Recording, Trajectory
 from pipeline.cache import StageCache
@@ -229,7 +230,7 @@ def _session(recording: Recording, run: _Run) -> Session:
         raise InputError(f"{recording.source}: no scans to map with")
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
-    recording = without_repeats(recording, usable)
+    recording = without_repeats(without_own_body(recording), usable)
     # Where a recording was read from, and what was repaired in reading it, shapes nothing.
     content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
     told, _ = run.cache.step("turns", content[:1], lambda: compared_turns(recording))
