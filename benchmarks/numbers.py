@@ -26,7 +26,7 @@ def counted(source: str) -> tuple[list[str], list[str]]:
                 for item in node.body
                 if isinstance(item, ast.AnnAssign)
                 and item.value is not None
-                and _numbers(_default(item.value))
+                and _chosen(_default(item.value))
             ]
         elif isinstance(node, ast.Assign):
             for target in node.targets:
@@ -41,6 +41,11 @@ def _default(value: ast.expr) -> ast.expr:
     if isinstance(value, ast.Call) and ast.unparse(value.func) == "Field":
         return next((word.value for word in value.keywords if word.arg == "default"), ast.Constant(None))
     return value
+
+
+def _chosen(default: ast.expr) -> bool:
+    """Whether a default is a number or switch, or a constant by name."""
+    return bool(_numbers(default)) or (isinstance(default, ast.Name) and default.id.isupper())
 
 
 def _numbers(value: ast.expr) -> int:

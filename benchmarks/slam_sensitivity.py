@@ -27,13 +27,10 @@ NUMBERS = {
     "kernel, rough poses": "align.ROUGH_SIGMA_M",
     "kernel, good poses": "align.FINE_SIGMA_M",
     "weight of a surprise": "tracking.SURPRISE",
-    "odometry's noise": (
-        "tracking.odometry: floor_m floor_rad per_distance per_turn_m turn_per_distance turn_per_turn"
-    ),
+    "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
     "reach of loops": "loops: gate_m turn_gate_rad",
     "trust in loops": "loops: inflation",
-    "trust in pairs": "refine: inflation",
 }
 """Constants of modules of pipeline.slam, and settings by their section: those named are changed together."""
 LOGS = ("mit-csail", "turtlebot3_house", "rooms-1", "fr079", "aces", "intel")

@@ -56,11 +56,10 @@ def everything(result):
     [
         ({}, []),
         ({"grid": {"resolution_m": 0.1}}, ["grid", "self-check"]),
-        ({"self_check": {"apart_keys": 20}}, ["self-check"]),
         ({"posing": {"enabled": False}}, ["scan poses", "grid", "self-check"]),
         ({"refine": {"rounds": 1}}, STEPS[3:]),
         ({"loops": {"min_overlap": 0.8}}, STEPS[2:]),
-        ({"tracking": {"reference_keys": 6}}, STEPS[1:]),
+        ({"tracking": {"key_distance_m": 0.4}}, STEPS[1:]),
         ({"usable_range_m": 6.0}, STEPS[1:]),
     ],
 )

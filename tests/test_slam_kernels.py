@@ -12,7 +12,7 @@ from pipeline.slam.align import (
     KERNEL_SIGMAS,
     MIN_NORMAL_DOT,
     PRIOR_SHARE,
-    SAME_PARTNERS_M,
+    SAME_PARTNERS,
     STEP_INFLATION,
     SURFACE_VAR,
     _safe_solve,
@@ -111,7 +111,7 @@ def plain_align(clouds, scan, stride, pose, keys, key_poses, gate, sigma, iterat
             unknown += unseen
             cost += q / (1.0 + q) if errors else float(not unseen)
         if iteration < iterations:
-            pose = moved_by(pose, _step(normals.h, normals.faked, *normals.g, pose, *prior))
+            pose = moved_by(pose, _step(normals.h, normals.faked, normals.g, pose, *prior))
     rms = math.sqrt(normals.squares / normals.weights) if normals.weights else 0.0
     return pose, observable(normals.h, normals.faked), matched, len(rows), unknown, rms, cost
 
@@ -151,7 +151,7 @@ def test_steps_follow_one_another_until_they_are_tiny(clouds):
         np.testing.assert_allclose(found[0], expected[0], atol=tolerance)
     settled = align_kernel(*args[:8], 30, *prior)
     again = align_kernel(*args[:3], settled[0], *args[4:8], 1, *prior)
-    np.testing.assert_allclose(again[0], settled[0], atol=SAME_PARTNERS_M / 10)
+    np.testing.assert_allclose(again[0], settled[0], atol=SAME_PARTNERS / 10)
     turned = align_kernel(*args[:3], settled[0] + [0, 0, 2 * math.pi], *args[4:8], 3, *prior)
     assert abs(turned[0][2]) < math.pi
 
@@ -198,9 +198,9 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
         q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if soft else 0.0
         w = PRIOR_SHARE / (1.0 + (q / soft**2 if soft else 0.0))
         expected = np.linalg.solve(seen + w * information, toward - w * information @ e)
-        found = _step(h, faked, *g, pose, prior, information, soft)
+        found = _step(h, faked, g, pose, prior, information, soft)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
-    alone = _step(h, faked, *g, pose, prior, np.zeros((3, 3)), 1.5)
+    alone = _step(h, faked, g, pose, prior, np.zeros((3, 3)), 1.5)
     np.testing.assert_allclose(seen @ alone, toward, rtol=1e-3, atol=1e-3)
 
 

@@ -139,16 +139,9 @@ def test_a_prior_that_the_scan_contradicts_gives_way():
 
 
 def test_odometry_s_noise_grows_with_the_way_and_with_the_turn():
-    noise = OdometryNoise(
-        floor_m=0.01,
-        floor_rad=0.02,
-        per_distance=0.1,
-        per_turn_m=0.2,
-        turn_per_distance=0.3,
-        turn_per_turn=0.4,
-    )
+    noise = OdometryNoise(floor=0.01, share=0.1)
     step = np.array([0.3, -0.4, -2.0])
-    s_xy, s_yaw = 0.01 + 0.1 * 0.5 + 0.2 * 2.0, 0.02 + 0.3 * 0.5 + 0.4 * 2.0
+    s_xy, s_yaw = 0.01 + 0.1 * 0.5, 0.01 + 0.1 * (0.5 + 2.0)
     np.testing.assert_allclose(noise.information(step), np.diag([s_xy**-2, s_xy**-2, s_yaw**-2]))
 
 

@@ -83,7 +83,7 @@ FRONT_END = [
     "sensors=lidar",
     "deskew=false",
     "gyro=false",
-    "tracking.odometry.soft=2.5",
+    "tracking.odometry.share=0.06",
 ]
 LATER = ["loops.enabled=false", "grid.resolution_m=0.1", "refine.rounds=0"]
 

@@ -205,7 +205,7 @@ def test_a_grid_is_made_of_all_that_the_beams_met():
     ):  # fmt: skip
         free = np.argwhere(make_grid(silent, SE2.identity(1), config, 4.0).cells == FREE)
         assert (np.ptp(free, axis=0) * 0.05).tolist() == pytest.approx([2 * reach, 2 * reach], abs=0.11)
-    none = make_grid(silent, SE2.identity(1), OccupancyConfig(clear_without_return=False), 4.0)
+    none = make_grid(silent, SE2.identity(1), OccupancyConfig(no_return_m=0.0), 4.0)
     assert (none.cells == UNKNOWN).all()
 
 

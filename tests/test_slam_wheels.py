@@ -20,7 +20,7 @@ def random_poses(n, seed, spread=2.0):
 def test_baselines_pairs_and_chains_are_sums_along_the_way():
     rng = np.random.default_rng(6)
     steps = np.column_stack([rng.normal(0.3, 0.1, 40), rng.normal(0.0, 0.05, 40), rng.normal(0.0, 0.3, 40)])
-    parts = np.hypot(steps[:, 0], steps[:, 1]) / 1.5 + np.abs(steps[:, 2]) / 1.0
+    parts = np.hypot(steps[:, 0], steps[:, 1]) / 1.5 + np.abs(steps[:, 2])
     np.testing.assert_allclose(calib._baselines(steps), parts)
     expected = []
     for i in range(41):

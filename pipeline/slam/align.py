@@ -24,6 +24,8 @@ ROUGH_GATE_M, ROUGH_SIGMA_M = 0.3, 0.05
 FINE_GATE_M, FINE_SIGMA_M = 0.1, 0.03
 # Of a scan with more points than this every second, third, ... is aligned.
 MOST_POINTS = 400
+# A scan is aligned with so many key scans.
+NEIGHBOURS = 8
 # Less of a scan than this on the surfaces of others tells nothing.
 LEAST_OVERLAP = 0.3
 MIN_NORMAL_DOT = 0.6
@@ -35,12 +37,14 @@ FAKED = 1.5
 SURFACE_VAR = 0.05**2
 # The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
 KERNEL_SIGMAS = 3.0
-# Partners are looked up anew only after the scan moved this far (its turn felt at that reach): a point
-# slides along its partner's line meanwhile, which the distance to the line does not notice.
-SAME_PARTNERS_M, TURN_REACH_M = 0.005, 2.0
+# Partners are looked up anew only after the scan moved this far [m], [rad]: a point slides along its
+# partner's line meanwhile, which the distance to the line does not notice.
+SAME_PARTNERS = 0.005
 # Weight of the prior beside what the scan itself sees; where it sees nothing any weight decides. A full
 # weight leaks the odometry's systematic turn into every step (Intel: 20 degrees a lap).
 PRIOR_SHARE = 0.01
+# Width of the Cauchy kernel that odometry is judged by, in standard deviations.
+CAUCHY = 2.0
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
 
@@ -161,11 +165,11 @@ def align_kernel(
     pose = start_pose.copy()
     lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
     n_keys = len(keys)
-    hessian = np.zeros((3, 3))
+    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
     matched, usable, rms, cost = 0, 0, 0.0, 0.0
     relative = np.zeros((n_keys, 4))
     partners = np.empty(((hi - lo - 1) // stride + 1, n_keys), dtype=np.int32)
-    moved = 2.0 * SAME_PARTNERS_M
+    moved = 2.0 * SAME_PARTNERS
     faked = 0.0
     for iteration in range(iterations + 1):
         for k in range(n_keys):
@@ -176,10 +180,10 @@ def align_kernel(
             relative[k, 2], relative[k, 3] = math.cos(dyaw), math.sin(dyaw)
         hessian[:] = 0.0
         faked = 0.0
-        g0, g1, g2 = 0.0, 0.0, 0.0
+        gradient[:] = 0.0
         matched, usable = 0, 0
         squares, weights, cost = 0.0, 0.0, 0.0
-        search = moved > SAME_PARTNERS_M
+        search = moved > SAME_PARTNERS
         if search:
             moved = 0.0
         for i in range(lo, hi, stride):
@@ -216,16 +220,7 @@ def align_kernel(
                 w = 1.0 / (1.0 + e * e * inv_s2)
                 w = w * w * inv_s2 / n_keys
                 faked += w * (clouds.normal_var[row] + SURFACE_VAR)
-                j2 = by * px - bx * py
-                hessian[0, 0] += w * bx * bx
-                hessian[0, 1] += w * bx * by
-                hessian[0, 2] += w * bx * j2
-                hessian[1, 1] += w * by * by
-                hessian[1, 2] += w * by * j2
-                hessian[2, 2] += w * j2 * j2
-                g0 += w * bx * e
-                g1 += w * by * e
-                g2 += w * j2 * e
+                add_equation(hessian, gradient, w, bx, by, by * px - bx * py, e)
                 squares += w * e * e
                 weights += w
             if hit:
@@ -238,12 +233,12 @@ def align_kernel(
         rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
         if iteration == iterations:
             break
-        step = _step(hessian, faked, g0, g1, g2, pose, prior, prior_information, prior_soft)
+        step = _step(hessian, faked, gradient, pose, prior, prior_information, prior_soft)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
-        moved += abs(step[0]) + abs(step[1]) + TURN_REACH_M * abs(step[2])
+        moved += abs(step[0]) + abs(step[1]) + abs(step[2])
         if abs(step[0]) + abs(step[1]) < 2e-4 and abs(step[2]) < 1e-4:
             break
     unknown = 0
@@ -258,6 +253,20 @@ def align_kernel(
             unknown += unseen
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
     return pose, observable(hessian, faked), matched, usable, unknown, rms, cost - unknown
+
+
+@njit(cache=True)
+def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, e: float) -> None:
+    """Add an equation j x = -e of some weight to the upper half of the normal equations h x = -g."""
+    h[0, 0] += w * j0 * j0
+    h[0, 1] += w * j0 * j1
+    h[0, 2] += w * j0 * j2
+    h[1, 1] += w * j1 * j1
+    h[1, 2] += w * j1 * j2
+    h[2, 2] += w * j2 * j2
+    g[0] += w * j0 * e
+    g[1] += w * j1 * e
+    g[2] += w * j2 * e
 
 
 @njit(cache=True)
@@ -284,9 +293,7 @@ def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
 def _step(
     hessian: Array,
     faked: float,
-    g0: float,
-    g1: float,
-    g2: float,
+    gradient: Array,
     pose: Array,
     prior: Array,
     prior_information: Array,
@@ -294,7 +301,8 @@ def _step(
 ) -> Array:
     """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
     a = observable(hessian, faked)
-    b = -(a @ _safe_solve(hessian, np.array([g0, g1, g2])))
+    answer = _safe_solve(hessian, gradient)
+    b = -(a @ answer)
     if prior_information[0, 0] > 0.0:
         # error of the pose seen from the prior, turned into the base frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -302,8 +310,7 @@ def _step(
         e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior[2])])
         w = 1.0
         if prior_soft > 0.0:
-            d = e - _safe_solve(hessian, np.array([g0, g1, g2]))
-            w = 1.0 / (1.0 + contradiction(d, prior_information, a) / (prior_soft * prior_soft))
+            w = 1.0 / (1.0 + contradiction(e - answer, prior_information, a) / (prior_soft * prior_soft))
         # what the scan sees it decides; odometry fills in the directions it is blind in
         w *= PRIOR_SHARE
         a = a + w * prior_information

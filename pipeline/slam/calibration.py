@@ -14,24 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import FINE_GATE_M, FINE_SIGMA_M, ROUGH_GATE_M
+from pipeline.slam.align import (
+    CAUCHY,
+    FINE_GATE_M,
+    FINE_SIGMA_M,
+    LEAST_OVERLAP,
+    ROUGH_GATE_M,
+    STEP_INFLATION,
+)
 from pipeline.slam.clouds import Clouds
+from pipeline.slam.range_noise import PER_MEDIAN
 from pipeline.slam.refine import match_pairs
 
-# Key scans are compared over this much driving or turning: far enough for shares to stand out of the
-# noise of a match, near enough for the views to overlap.
-BASELINE_M, BASELINE_RAD = 1.5, 1.0
-MIN_OVERLAP = 0.5
+# Key scans are compared over a baseline, so much driving [m] or a radian of turning: far enough for shares to
+# stand out of the noise of a match, near enough for the views to overlap.
+BASELINE_M = 1.5
 GATES_M = (ROUGH_GATE_M, FINE_GATE_M, FINE_GATE_M)
-# Neighbouring beams err together: the information of a match is worth this much less. A point's own is a
-# ninth of what its noise says already, for the kernel is three standard deviations wide.
-INFLATION = 10.0
-# What odometry may be wrong by before anything is known: shares of distance and turn, radian per metre.
-PRIOR = np.array([0.05, 0.05, 0.02])
-# Standard deviations over one baseline before anything is known: x, y [m] and yaw [rad].
+# What odometry may be wrong by before anything is known: share of distance and of turn, radian per metre.
+ODOMETRY_SHARE = 0.05
+# Standard deviations over one baseline before anything is known, x, y [m] and yaw [rad], and the least they
+# are taken for; what so many pairs of key scans tell weighs as much as the former.
 USUAL_NOISE = np.array([0.03, 0.03, 0.015])
-LEAST_NOISE = np.array([0.003, 0.003, 0.002])
-CAUCHY = 2.0
+LEAST_NOISE = 0.1 * USUAL_NOISE
 ENOUGH = 30.0
 
 
@@ -74,14 +78,14 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     if len(pairs) == 0:
         return Calibration()
     matched, information, overlap = _matched(clouds, keys, T_map_keys, pairs)
-    good = overlap >= MIN_OVERLAP
+    good = overlap >= LEAST_OVERLAP
     if not good.any():
         return Calibration()
-    return _fit(steps, pairs[good], matched[good], information[good] / INFLATION)
+    return _fit(steps, pairs[good], matched[good], information[good] / STEP_INFLATION)
 
 
 def _baselines(steps: Array) -> Array:
-    return np.hypot(steps[..., 0], steps[..., 1]) / BASELINE_M + np.abs(steps[..., 2]) / BASELINE_RAD
+    return np.hypot(steps[..., 0], steps[..., 1]) / BASELINE_M + np.abs(steps[..., 2])
 
 
 def _baseline_pairs(steps: Array) -> NDArray[np.int64]:
@@ -118,7 +122,9 @@ def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Ar
         for _ in range(8):
             left = error - np.einsum("nij,j->ni", jacobian, shares)
             trust = 1.0 / (1.0 + np.einsum("ni,nij,nj->n", left, weight, left) / CAUCHY**2)
-            a = np.einsum("n,nia,nij,njb->ab", trust, jacobian, weight, jacobian) + np.diag(PRIOR**-2)
+            a = np.einsum(
+                "n,nia,nij,njb->ab", trust, jacobian, weight, jacobian
+            ) + ODOMETRY_SHARE**-2 * np.eye(3)
             b = np.einsum("n,nia,nij,nj->a", trust, jacobian, weight, error)
             shares = np.linalg.solve(a, b)
         noise = _noise(left, information)
@@ -139,7 +145,7 @@ def _noise(left: Array, information: Array) -> Array:
     for k in range(3):
         n = np.count_nonzero(sees[:, k])
         if n > 0:
-            measured = 1.4826 * np.median(np.abs(left[sees[:, k], k]))
+            measured = PER_MEDIAN * np.median(np.abs(left[sees[:, k], k]))
             share = n / (n + ENOUGH)
             out[k] = max(share * measured + (1.0 - share) * USUAL_NOISE[k], LEAST_NOISE[k])
     return out

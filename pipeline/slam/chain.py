@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from datasets.se2 import Array
 from datasets.types import Recording
 from pipeline.slam.align import LEAST_OVERLAP
-from pipeline.slam.track import GAP_S, Track
+from pipeline.slam.clouds import GAP_S
+from pipeline.slam.track import Track
 from pipeline.slam.witnesses import agree, blind, too_fast
 
 # A gap is also this many usual periods long.

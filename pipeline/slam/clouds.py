@@ -19,11 +19,9 @@ from datasets.types import Recording
 from pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
 from pipeline.slam.threads import in_parts
 
-# Fewer points with a surface line than this place nothing by their lines; so does a scan most of whose
-# points have none: posts, table legs, thin trunks.
+# Fewer points, or fewer with a surface line, than this place nothing; nor do the lines of a scan most of
+# whose points have none: posts, table legs, thin trunks.
 MIN_LINES, LINE_SHARE = 8, 0.3
-# Fewer points than this place nothing at all.
-MIN_POINTS = 8
 # A sweep's motion is kept at so many instants after its start, evenly spaced: a robot that stops turning does
 # so within one.
 KNOTS = 8
@@ -31,19 +29,15 @@ KNOTS = 8
 # turn, however seldom it does.
 FASTER, NEARLY_ALWAYS = 1.3, 0.98
 ANY_ROBOT = (1.0, 4.0)
-# Between scans farther apart than this the robot may have done anything.
-LONGEST_STEP_S = 1.0
-# Returns further apart than this never lie on one surface [m].
-MAX_GAP_M = 0.6
-# A wall hit at a grazing angle has widely spaced returns: up to this many beam spacings of a
-# perpendicular hit (and at least MIN_GAP_M) the returns still count as one surface.
-GRAZING, MIN_GAP_M = 6.0, 0.06
-# A line reaches as far as this from its point, or as far as this many beam spacings; and further, while
-# its direction is less sure than this.
-MIN_REACH_M, REACH_BEAMS, MAX_REACH_M = 0.12, 4.0, 0.6
-SURE_RAD = 0.04
+# Scans further apart than this [s] have seen nothing of what lies between.
+GAP_S = 2.0
+# Up to so far from each other, or so many beam spacings of a perpendicular hit, returns may lie on one
+# surface; a line reaches as far from its point, and on to MAX_REACH_M while its direction is less sure.
+MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
 # A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
 Z_SURFACE = 3.09
+# Returns beyond are not used [m]: the farther, the fewer beams a wall has.
+USABLE_M = 30.0
 # Scans whose points are made together: what that takes besides is several times their size.
 SCANS_AT_ONCE = 2000
 # The direction of a line less sure than this says nothing.
@@ -82,7 +76,7 @@ class Clouds(NamedTuple):
         points, lines = int(self.starts[scan + 1] - self.starts[scan]), self.lines(scan)
         if lines >= max(MIN_LINES, LINE_SHARE * points):
             return "lines"
-        return "points" if points >= MIN_POINTS else "nothing"
+        return "points" if points >= MIN_LINES else "nothing"
 
 
 PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var")
@@ -181,7 +175,7 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
     seconds = np.diff(recording.stamps_ns) * 1e-9
     steps = (T_track_base[:-1].inverse() @ T_track_base[1:]).xyt
-    known = (seconds > 0.0) & (seconds < LONGEST_STEP_S)
+    known = (seconds > 0.0) & (seconds < GAP_S)
     speed = np.where(known[:, None], steps / np.where(known, seconds, 1.0)[:, None], 0.0)
     around = np.concatenate([speed[:1], speed, speed[-1:]])
     whole = 0.5 * (around[:-1] + around[1:]) * sweep_s
@@ -225,9 +219,8 @@ def _fit_lines(
             distance = math.hypot(ray_x, ray_y)
             ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
             spacing = distance * increment
-            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_GAP_M)
-            farthest = max(MAX_REACH_M, reach)
-            gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_GAP_M)
+            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
+            farthest, gap = max(MAX_REACH_M, reach), min(reach, MAX_REACH_M)
             sums[:] = 0.0
             count = 1
             ends = [i, i]

@@ -21,6 +21,8 @@ from pipeline.slam.correlative import Field, best_pose, make_field
 from pipeline.slam.front_end import FrontEnd, Placed
 from pipeline.slam.track import Track, TrackingConfig
 
+# Key scans in the coarse search's field, and the size of its cells, which is that of its blur [m].
+FIELD_KEYS, FIELD_M = 30, 0.1
 # Odometry is calibrated anew whenever the key scans have doubled since this many.
 FIRST_CALIBRATION = 25
 
@@ -91,9 +93,8 @@ class Course:
     def field(self) -> Field:
         """The last key scans as a field to search in."""
         if self._field is None or self._field[0] != len(self.keys):
-            config, n = self.config, self.config.field_keys
-            keys, poses = np.array(self.keys[-n:]), np.array(self.key_poses[-n:])
-            field = make_field(self.clouds, keys, poses, config.field_resolution_m, config.field_sigma_m)
+            keys, poses = np.array(self.keys[-FIELD_KEYS:]), np.array(self.key_poses[-FIELD_KEYS:])
+            field = make_field(self.clouds, keys, poses, FIELD_M, FIELD_M)
             self._field = len(self.keys), field
         return self._field[1]
 

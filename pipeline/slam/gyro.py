@@ -14,20 +14,21 @@ from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array, wrap
 from datasets.types import ImuLog, Recording, Trajectory
+from pipeline.slam.align import CAUCHY
+from pipeline.slam.calibration import ODOMETRY_SHARE
+from pipeline.slam.range_noise import PER_MEDIAN
 
-# A gyro slower than this, or with longer holes, is not followed through them.
+# A gyro slower than this, or with longer holes, is not followed through them [s].
 HOLE_S = 0.1
-# Of the gyro's turns, taken over about a second each, at least this share must agree with the odometry,
-# within floor [rad] and share.
-WINDOW_S = 1.0
-MIN_AGREEING, AGREE_RAD, AGREE_SHARE = 0.6, 0.03, 0.15
-TURNING_RAD, FEWEST = 0.1, 8
-# What may part gyro and odometry, as standard deviations: bias [rad/s], turn (share), turn per metre.
-PRIOR = np.array([0.01, 0.05, 0.01])
-NOISE_RAD, CAUCHY = 0.01, 2.0
-# A turn slips when it is this many standard deviations (by the median) off the gyro's, at least this much
-# [rad], and by this share of the turn more: wheels scrub in every turn.
-SLIP_SIGMAS, SLIP_RAD, SLIP_SHARE = 6.0, 0.01, 0.05
+# Gyro and odometry are compared over about a second each, where the gyro turns by so much [rad]; fewer of
+# these than so many tell nothing, and half of them must agree within this share.
+WINDOW_S, TURNING_RAD, FEWEST, AGREE_SHARE = 1.0, 0.1, 8, 0.3
+# A gyro's bias [rad/s] and the noise of a turn between it and the wheels [rad], as standard deviations.
+# Wheels differ from it by ODOMETRY_SHARE besides, of the turn and per metre.
+BIAS, NOISE_RAD = 0.01, 0.01
+USUAL = np.array([BIAS, ODOMETRY_SHARE, ODOMETRY_SHARE])
+# A turn slips when it is so many standard deviations (by the median) off the gyro's, and by its share more.
+SLIP_SIGMAS = 6.0
 # Of a scan period the stamps of gyro and wheels may be apart.
 LATE_SHARE = 0.25
 
@@ -44,11 +45,11 @@ def with_gyro(recording: Recording) -> Recording:
         return recording
     expected, known = _expected(gyro, steps, stamps, *trusted)
     left = np.abs(wrap(steps[:, 2] - expected))
-    least = max(SLIP_SIGMAS * 1.4826 * float(np.median(left[known])), SLIP_RAD)
+    least = max(SLIP_SIGMAS * PER_MEDIAN * float(np.median(left[known])), NOISE_RAD)
     # stamps of gyro and wheels are never quite the same: where turning starts or ends they differ
     change = np.abs(np.diff(expected, prepend=expected[:1], append=expected[-1:]))
     late = LATE_SHARE * np.maximum(change[:-1], change[1:])
-    slips = known & (left > least + SLIP_SHARE * np.abs(expected) + late)
+    slips = known & (left > least + ODOMETRY_SHARE * np.abs(expected) + late)
     if not slips.any():
         return recording
     T = _turned(recording.T_odom_base, steps, np.where(slips, expected, steps[:, 2]))
@@ -84,7 +85,7 @@ def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[f
     for sign in (1.0, -1.0):
         found = _apart(sign * turns[known], steps[known], waits[known])
         expected, _ = _expected(gyro, steps, stamps_ns, sign, found)
-        likely = bool(np.all(np.abs(found) < 3.0 * PRIOR))
+        likely = bool(np.all(np.abs(found) < 3.0 * USUAL))
         if likely and _agrees(expected[known], steps[known, 2], waits[known]):
             return sign, found
     return None
@@ -138,7 +139,7 @@ def _apart(turns: Array, steps: Array, waits: Array) -> Array:
     for _ in range(10):
         left = error - rows @ found
         weight = 1.0 / (NOISE_RAD**2 * (1.0 + (left / (CAUCHY * NOISE_RAD)) ** 2))
-        normal = rows.T @ (weight[:, None] * rows) + np.diag(PRIOR**-2)
+        normal = rows.T @ (weight[:, None] * rows) + np.diag(USUAL**-2)
         found = np.asarray(np.linalg.solve(normal, rows.T @ (weight * error)), dtype=np.float64)
     return found
 
@@ -153,8 +154,8 @@ def _agrees(turns: Array, odometry: Array, waits: Array) -> bool:
     turning = np.abs(mine) > TURNING_RAD
     if np.count_nonzero(turning) < FEWEST:
         return False
-    apart = np.abs(mine[turning] - theirs[turning])
-    return bool(np.mean(apart < AGREE_RAD + AGREE_SHARE * np.abs(mine[turning])) >= MIN_AGREEING)
+    apart = np.abs(mine[turning] - theirs[turning]) / np.abs(mine[turning])
+    return bool(np.median(apart) < AGREE_SHARE)
 
 
 def _turned(T_odom_base: SE2, steps: Array, turns: Array) -> SE2:

@@ -1,23 +1,28 @@
 """KISS-ICP as front end: every scan on the voxel map of those before, by points alone.
 
-It is started from the odometry, and from a steady motion, which alone is left without odometry. In the
-line tracker it places the scans that have no surfaces: posts, table legs, thin trunks.
+Vizzo et al. (2023), "KISS-ICP: In Defense of Point-to-Point ICP". Its pipeline has no odometry input, so its
+parts are used - voxel map, adaptive threshold, registration - started from the odometry and from a steady
+motion, which alone is left without odometry. One thread, for the same bits every time. All points of a scan
+are registered: thinned as KISS-ICP thins a hundred thousand points, the few of a planar lidar say half as
+much (CSAIL: a step is off by 3.3 cm, with all of them by 1.5 cm). In the line tracker it places the scans
+that have no surfaces: posts, table legs, thin trunks.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from datasets.se2 import Array, compose
-from pipeline.slam.align import MOST_POINTS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
+from datasets.se2 import SE2, Array, compose
+from pipeline.slam.align import MOST_POINTS, NEIGHBOURS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
 from pipeline.slam.clouds import point_information
-from pipeline.slam.course import Course
+from pipeline.slam.course import FIELD_KEYS, Course
 from pipeline.slam.front_end import Placed
-from pipeline.slam.odometry import LidarOdometry
 from pipeline.slam.track import HYPOTHESES
 
-# A fit must be that much better to prefer a steady motion to the odometry's.
-SURELY_BETTER = 0.05
+# Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
+VOXEL_M = 0.2
+# Share of a scan that must fit for its answer to be believed; so much better must that of a steady motion be.
+MIN_FIT, SURELY_BETTER = 0.4, 0.05
 # Standard deviation of a point on the voxel map, in voxels: it is matched with whatever point was kept there.
 VOXELS = 0.6
 SOURCE = HYPOTHESES.index("kiss-icp")
@@ -43,7 +48,7 @@ class KissIcp:
         found = [self._kiss.register(points, start) for start in starts]
         fits = [course.fit(points, pose) for pose in found]
         best = int(fits[-1] > fits[0] + SURELY_BETTER)
-        if fits[best] < course.config.kiss.min_score:
+        if fits[best] < MIN_FIT:
             self._kiss.update(points, starts[0], starts[0])
             return Placed(starts[0], np.zeros((3, 3)), fits[best])
         self._kiss.update(points, found[best], starts[0])
@@ -51,10 +56,10 @@ class KissIcp:
 
     def _seen(self, points: Array, pose: Array) -> Array:
         """What a scan at a pose saw of it: on walls by their lines, for points know no blind direction."""
-        course, n = self._course, self._course.config.reference_keys
+        course = self._course
         if course.clouds.placed_by(course.scan) == "points":
-            return point_information(points) / (VOXELS * course.config.kiss.voxel_m) ** 2
-        keys, poses = np.array(course.keys[-n:]), np.array(course.key_poses[-n:])
+            return point_information(points) / (VOXELS * VOXEL_M) ** 2
+        keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
         return align(
             course.clouds, course.scan, pose, keys, poses,
             gate=ROUGH_GATE_M, sigma=ROUGH_SIGMA_M, iterations=0, most_points=MOST_POINTS,
@@ -63,7 +68,59 @@ class KissIcp:
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""
         course = self._course
-        kiss, n = LidarOdometry(course.config.kiss, course.max_range), course.config.field_keys
-        for key, pose in zip(course.keys[-n:], course.key_poses[-n:], strict=True):
+        kiss = LidarOdometry(course.max_range)
+        for key, pose in zip(course.keys[-FIELD_KEYS:], course.key_poses[-FIELD_KEYS:], strict=True):
             kiss.update(course.clouds.of(key), pose, pose)
         return kiss
+
+
+class LidarOdometry:
+    """KISS-ICP's registration and local map, in the caller's frame; returns up to `max_range` [m]."""
+
+    def __init__(self, max_range: float) -> None:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.mapping import VoxelHashMap
+        from kiss_icp.registration import Registration
+        from kiss_icp.threshold import get_threshold_estimator
+        from kiss_icp.voxelization import voxel_down_sample
+
+        kiss = KISSConfig()
+        kiss.data.max_range = max_range
+        kiss.adaptive_threshold.initial_threshold *= VOXEL_M
+        kiss.adaptive_threshold.min_motion_th *= VOXEL_M
+        own = kiss.registration
+        self._thinned = voxel_down_sample
+        self._map = VoxelHashMap(VOXEL_M, max_range, kiss.mapping.max_points_per_voxel)
+        self._threshold = get_threshold_estimator(kiss)
+        self._registration = Registration(
+            own.max_num_iterations, own.convergence_criterion, max_num_threads=1
+        )
+
+    def register(self, points: Array, T_map_guess: Array) -> Array:
+        """Pose (3,) of a scan's points (n, 2) against the local map, started at a guess (3,)."""
+        if self._map.empty() or len(points) < 3:
+            return T_map_guess
+        sigma = self._threshold.get_threshold()
+        guess = _matrix(T_map_guess)
+        pose = self._registration.align_points_to_map(_flat(points), self._map, guess, 3.0 * sigma, sigma)
+        if not np.all(np.isfinite(pose)):
+            return T_map_guess
+        plane = [0, 1, 3]
+        return SE2.from_matrix(np.vstack([pose[:2, plane], [0.0, 0.0, 1.0]])).xyt
+
+    def update(self, points: Array, T_map_base: Array, T_map_guess: Array) -> None:
+        """Add the scan to the map at its final pose; the guess it started from tunes the threshold."""
+        self._threshold.update_model_deviation(np.linalg.inv(_matrix(T_map_guess)) @ _matrix(T_map_base))
+        self._map.update(self._thinned(_flat(points), 0.5 * VOXEL_M), _matrix(T_map_base))
+
+
+def _flat(points: Array) -> Array:
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def _matrix(xyt: Array) -> Array:
+    out = np.eye(4)
+    c, s = np.cos(xyt[2]), np.sin(xyt[2])
+    out[0, 0], out[0, 1], out[1, 0], out[1, 1] = c, -s, s, c
+    out[:2, 3] = xyt[:2]
+    return out

@@ -29,8 +29,6 @@ MAX_COUNTED = 400_000_000
 MIN_MET = 3
 # Returns of a far wall scatter over so many cells behind it (LDS-01 at 3.5 m: 4 cm and more in twenty).
 BEHIND_CELLS = 3
-# The last cells of a beam may end up unknown: its return may have overshot.
-SURE_CELLS = 10
 
 
 class OccupancyConfig(BaseModel):
@@ -49,9 +47,8 @@ class OccupancyConfig(BaseModel):
         default=0.25, ge=0.0, le=1.0, description="of the hits of the wall behind it: less fell short"
     )
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
-    clear_without_return: bool = True
     no_return_m: float = Field(
-        default=8.0, gt=0.0, description="a beam without return clears at most this far"
+        default=8.0, ge=0.0, description="a beam without return clears at most this far; 0: nothing"
     )
 
 
@@ -84,10 +81,8 @@ def make_checked_grid(
 ) -> tuple[OccupancyGrid, Certainty]:
     """As `make_grid`, with what the counts behind it say of its quality."""
     lidar, resolution = recording.lidar, config.resolution_m
-    usable, no_return = min(lidar.range_max, usable_range), 0.0
-    ranges = np.asarray(recording.ranges)
-    if config.clear_without_return:
-        no_return = min(lidar.range_max, usable_range, config.no_return_m)
+    usable = min(lidar.range_max, usable_range)
+    ranges, no_return = np.asarray(recording.ranges), min(usable, config.no_return_m)
     length, returned = beam_lengths(ranges, lidar, usable, no_return, recording.stride)
     T_map_lidar = T_map_base @ recording.T_base_lidar
     seen = length.max(axis=1)[:, None]
@@ -228,10 +223,11 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
 def _known(
     T_map_lidar: SE2, lidar: LidarSpec, length: NDArray[np.float32], resolution: float
 ) -> tuple[int, int]:
-    """Rows and columns that the map has at least: beams of such lengths (n, beams) passed all but the end."""
+    """Rows and columns that the map has at least: beams of such lengths (n, beams) passed all but the
+    end, whose return may have overshot."""
     low, high = T_map_lidar.xy.min(axis=0), T_map_lidar.xy.max(axis=0)
     for angle, reach in zip(lidar.angles.tolist(), length.T, strict=True):
-        yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - SURE_CELLS * resolution, 0.0)
+        yaw, passed = T_map_lidar.yaw + angle, np.maximum(reach - (BEHIND_CELLS + 1) * resolution, 0.0)
         ends = T_map_lidar.xy + passed[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         low, high = np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))
     cols, rows = np.floor((high - low) / resolution).astype(int).tolist()

@@ -41,8 +41,7 @@ class _GlobalControl(ctypes.Structure):
     _fields_ = (("value", ctypes.c_size_t), ("reserved", ctypes.c_ssize_t), ("parameter", ctypes.c_int))
 
 
-_MAX_ALLOWED_PARALLELISM = 0
-_ONE_THREAD = _GlobalControl(1, 0, _MAX_ALLOWED_PARALLELISM)
+_ONE_THREAD = _GlobalControl(value=1)  # of parameter 0, max_allowed_parallelism
 
 
 def _keep_to_one_thread(module: ModuleType) -> None:

@@ -11,22 +11,29 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
-from pipeline.slam.align import FINE_GATE_M, FINE_SIGMA_M, LEAST_OVERLAP, MOST_POINTS, align_kernel
+from pipeline.slam.align import (
+    FINE_GATE_M,
+    FINE_SIGMA_M,
+    LEAST_OVERLAP,
+    MOST_POINTS,
+    NEIGHBOURS,
+    align_kernel,
+)
 from pipeline.slam.cloud_parts import chosen, joined_clouds
 from pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
 from pipeline.slam.threads import in_parts
 from pipeline.slam.track import Track
 
 ITERATIONS = 5
+# Standard deviation of a pose carried by the key scans [m]; of its yaw half as much [rad].
+CARRIED_M = 0.003
 
 
 class PosingConfig(BaseModel):
     """Alignment of the scans between key scans."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    enabled: bool = True
-    neighbours: int = Field(default=6, gt=0, description="key scans a scan is aligned with")
-    carried_m: float = Field(default=0.003, gt=0.0, description="standard deviation of the carried pose")
+    enabled: bool = Field(default=True, description="align each with the key scans near it")
 
 
 def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2:
@@ -66,10 +73,10 @@ def pose_all_scans(
     if not config.enabled or len(track.keys) < 2:
         return carried, track.overlap
     poses, overlaps = carried.xyt.copy(), track.overlap.copy()
-    count = min(config.neighbours, len(track.keys))
+    count = min(NEIGHBOURS, len(track.keys))
     _, nearest = scipy.spatial.cKDTree(T_map_keys.xy).query(carried.xy, k=count)
     near = np.atleast_2d(nearest).reshape(len(poses), count)
-    information = np.diag([config.carried_m**-2, config.carried_m**-2, (0.5 * config.carried_m) ** -2])
+    information = np.diag(np.array([CARRIED_M, CARRIED_M, 0.5 * CARRIED_M]) ** -2.0)
     is_key = np.zeros(len(poses), dtype=bool)
     is_key[track.keys] = True
     scans = np.flatnonzero(~is_key & track.usable)

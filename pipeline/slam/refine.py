@@ -23,10 +23,13 @@ from pipeline.slam.align import (
     KERNEL_SIGMAS,
     LEAST_OVERLAP,
     MIN_NORMAL_DOT,
+    NEIGHBOURS,
     ROUGH_GATE_M,
     ROUGH_SIGMA_M,
+    STEP_INFLATION,
     SURFACE_VAR,
     _safe_solve,
+    add_equation,
     find_partner,
     observable,
 )
@@ -36,18 +39,18 @@ from pipeline.slam.open3d_icp import match_points
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.threads import in_parts
 
+# Key scans farther apart than this see too little of the same to be partners [m].
+RADIUS_M = 4.0
+
 
 class RefineConfig(BaseModel):
     """The joint refinement."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0 switches it off")
-    neighbours: int = Field(default=10, gt=0, description="partners of a key scan")
-    radius_m: float = Field(default=4.0, gt=0.0, description="partners lie within this distance")
     soft: float = Field(
         default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
     )
-    inflation: float = Field(default=4.0, gt=0.0, description="how much a pair's information is divided by")
 
 
 def refine(
@@ -66,7 +69,7 @@ def refine(
         f = round_ / max(config.rounds - 1, 1)
         gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
         sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
-        pairs = overlapping_pairs(poses, config.radius_m, config.neighbours)
+        pairs = overlapping_pairs(poses, RADIUS_M, NEIGHBOURS)
         constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma, config)]
         new = optimise(poses, constraints, iterations=5)
         moved = np.abs((poses.inverse() @ new).xyt).max()
@@ -114,7 +117,7 @@ def pair_constraints(
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
     return [
-        Constraint(int(i), int(j), relative[k], information[k] / config.inflation, "pair", config.soft)
+        Constraint(int(i), int(j), relative[k], information[k] / STEP_INFLATION, "pair", config.soft)
         for k, (i, j) in enumerate(pairs)
         if overlap[k] >= LEAST_OVERLAP
     ]
@@ -226,17 +229,8 @@ def _half(
         w = w * w * inv_s2
         faked += w * (clouds.normal_var[row] + SURFACE_VAR)
         if inverted:
-            j0, j1, j2 = -nx, -ny, -(x * ny - y * nx)
+            add_equation(h, g, w, -nx, -ny, -(x * ny - y * nx), e)
         else:
-            j0, j1, j2 = bx, by, by * px - bx * py
-        h[0, 0] += w * j0 * j0
-        h[0, 1] += w * j0 * j1
-        h[0, 2] += w * j0 * j2
-        h[1, 1] += w * j1 * j1
-        h[1, 2] += w * j1 * j2
-        h[2, 2] += w * j2 * j2
-        g[0] += w * j0 * e
-        g[1] += w * j1 * e
-        g[2] += w * j2 * e
+            add_equation(h, g, w, bx, by, by * px - bx * py, e)
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
     return used, hit, faked

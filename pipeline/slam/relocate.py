@@ -14,17 +14,20 @@ import scipy
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import FINE_GATE_M, ROUGH_GATE_M, ROUGH_SIGMA_M, align
+from pipeline.slam.align import FINE_GATE_M, NEIGHBOURS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_pose, make_field, points_in_map
+from pipeline.slam.course import FIELD_KEYS, FIELD_M
+from pipeline.slam.track import AGREE, AGREE_M
 
-RESOLUTION_M, SIGMA_M = 0.2, 0.2
-HEADINGS = 120
-PEAKS, PEAK_APART_M = 6, 0.8
+# Cells of the coarse field, and its blur [m]; headings tried all round.
+RESOLUTION_M, HEADINGS = 0.2, 120
+# So many of the best poses are looked at, this far apart or turned [m], [rad].
+PEAKS, PEAK_APART = 6, 0.3
+# Share of the scans that a place must explain, and by how much more than any other.
 MIN_OVERLAP, RIVAL_OVERLAP = 0.8, 0.08
-NEAR_KEYS = 12
+# Fewer points than this find no place.
 LEAST_POINTS = 30
-AGREE_M, AGREE_RAD = 0.4, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ def find_place(
     found: list[tuple[float, Array]] = []
     for start in _peaks(clouds, map_keys, T_map_keys, points):
         pose, overlap = _settle(clouds, map_keys, T_map_keys, query, T_query, start, points)
-        if all(np.hypot(*between(other, pose)[:2]) > 0.5 for _, other in found):
+        if all(np.hypot(*between(other, pose)[:2]) > AGREE_M for _, other in found):
             found.append((overlap, pose))
     if not found:
         return None
@@ -77,14 +80,14 @@ def agreed_place(places: list[Place]) -> Array | None:
     for k, a in enumerate(certain):
         for b in certain[k + 1 :]:
             apart = between(a.T_map_query, b.T_map_query)
-            if np.hypot(apart[0], apart[1]) < AGREE_M and abs(apart[2]) < AGREE_RAD:
+            if np.hypot(apart[0], apart[1]) < AGREE_M and abs(apart[2]) < AGREE:
                 return a.T_map_query
     return None
 
 
 def _peaks(clouds: Clouds, map_keys: NDArray[np.int64], T_map_keys: Array, points: Array) -> list[Array]:
     """The best distinct poses over the whole map and all headings, by correlation on a coarse field."""
-    field = make_field(clouds, map_keys, T_map_keys, RESOLUTION_M, SIGMA_M)
+    field = make_field(clouds, map_keys, T_map_keys, RESOLUTION_M, RESOLUTION_M)
     reach = int(np.ceil(np.linalg.norm(points, axis=1).max() / RESOLUTION_M)) + 1
     rows, cols = field.values.shape
     shape = (scipy.fft.next_fast_len(rows + 2 * reach, True), scipy.fft.next_fast_len(cols + 2 * reach, True))
@@ -106,7 +109,7 @@ def _peaks(clouds: Clouds, map_keys: NDArray[np.int64], T_map_keys: Array, point
     chosen: list[Array] = []
     for _, pose in candidates:
         apart = [between(other, pose) for other in chosen]
-        if all(np.hypot(d[0], d[1]) > PEAK_APART_M or abs(d[2]) > 0.3 for d in apart):
+        if all(np.hypot(d[0], d[1]) > PEAK_APART or abs(d[2]) > PEAK_APART for d in apart):
             chosen.append(pose)
             if len(chosen) == PEAKS:
                 break
@@ -124,14 +127,14 @@ def _settle(
 ) -> tuple[Array, float]:
     """A coarse pose of the query's frame made fine, and the mean overlap of its scans there."""
     sample = points[:: max(1, len(points) // 300)]
-    near = np.argsort(np.linalg.norm(T_map_keys[:, :2] - start[:2], axis=1), kind="stable")[: 4 * NEAR_KEYS]
-    field = make_field(clouds, map_keys[near], T_map_keys[near], 0.1, 0.1)
+    near = np.argsort(np.linalg.norm(T_map_keys[:, :2] - start[:2], axis=1), kind="stable")[:FIELD_KEYS]
+    field = make_field(clouds, map_keys[near], T_map_keys[near], FIELD_M, FIELD_M)
     pose, _ = best_pose(field, sample, start, 0.4, 0.06, 0.02)
     middle = len(query) // 2
     overlaps: list[float] = []
     for k in (middle, *range(len(query))):
         at = (SE2(pose) @ SE2(T_query[k])).xyt
-        order = np.argsort(np.linalg.norm(T_map_keys[:, :2] - at[:2], axis=1), kind="stable")[:NEAR_KEYS]
+        order = np.argsort(np.linalg.norm(T_map_keys[:, :2] - at[:2], axis=1), kind="stable")[:NEIGHBOURS]
         result = align(
             clouds, int(query[k]), at, map_keys[order], T_map_keys[order],
             gate=FINE_GATE_M if overlaps else ROUGH_GATE_M, sigma=ROUGH_SIGMA_M,

@@ -10,7 +10,7 @@ from datasets.types import Recording
 from pipeline.slam.range_noise import LEAST_M, range_noise
 
 # A robot that has moved so far by its odometry cannot have measured the very same ranges again [m], [rad].
-MOVED_M, MOVED_RAD = 0.05, 0.05
+MOVED = 0.05
 
 
 def without_repeats(recording: Recording, usable_range: float) -> Recording:
@@ -26,7 +26,7 @@ def without_repeats(recording: Recording, usable_range: float) -> Recording:
         return recording
     first = np.maximum.accumulate(np.where(same, 0, np.arange(len(bits))))
     moved = np.abs((odometry[first].inverse() @ odometry).xyt)
-    held = same & ((moved[:, :2].max(axis=1) > MOVED_M) | (moved[:, 2] > MOVED_RAD))
+    held = same & (moved.max(axis=1) > MOVED)
     if not held.any():
         return recording
     said = f"{held.sum()} scans repeat an earlier one to the last bit while the odometry moves on: not used"

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.kernels import njit
 from datasets.se2 import SE2, Array
@@ -31,25 +30,12 @@ from pipeline.slam.witnesses import agree, too_fast, unwitnessed
 UNSEEN_M = 1.5
 # A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
 WALL_M, THROUGH_M = 0.15, 0.4
-# Key scans this near [m] are one place; so many pairs of them are looked at. This share of denied points
-# marks a place as bad.
-NEAR_M, MOST_PAIRS, BAD_SHARE = 1.5, 3000, 0.35
-
-
-class SelfCheckConfig(BaseModel):
-    """When a map is called doubtful."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    apart_keys: int = Field(default=30, gt=0, description="and this far apart in time are a revisit")
-    max_denied: float = Field(default=0.08, gt=0.0, description="share of denied points, mean over revisits")
-    max_bad_places: float = Field(default=0.05, gt=0.0, description="share of such places")
-    min_contradicted: int = Field(
-        default=5, gt=0, description="key scans that most of their revisits deny, to doubt a map"
-    )
-    min_wall_share: float = Field(
-        default=0.3, ge=0.0, description="of the beams that meet a wall's cells, returned by them"
-    )
-    max_lost: float = Field(default=0.02, gt=0.0, description="share of lost scans")
+# Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
+# denied points marks a place as bad.
+NEAR_M, APART_KEYS, MOST_PAIRS, BAD_SHARE = 1.5, 30, 3000, 0.35
+# No larger share of the places, or of the scans, than this may be wrong; nor may more key scans than this,
+# however long the log, be denied by most of their revisits.
+MOST_WRONG, MOST_DENIED = 0.05, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +69,6 @@ def check_map(
     track: Track,
     T_map_base: SE2,
     T_map_keys: SE2,
-    config: SelfCheckConfig,
     noise: OdometryNoise,
     breaks: NDArray[np.int64],
     borders: NDArray[np.int64],
@@ -95,7 +80,7 @@ def check_map(
     taken for, `breaks` are the scans before which nothing confirms the motion, and that no recognised place
     joins to the rest, `borders` the first scans of later recordings; `certainty` is the grid's.
     """
-    pairs = _revisits(T_map_keys, config)
+    pairs = _revisits(T_map_keys)
     # Either visit may be the one that saw through the other's walls.
     both_ways = np.concatenate([pairs, pairs[:, ::-1]])
     found = in_parts(
@@ -110,17 +95,13 @@ def check_map(
     lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     reasons = []
     alone = contradicted_keys(pairs, share, BAD_SHARE)
-    if mean > config.max_denied or bad > config.max_bad_places or len(alone) >= config.min_contradicted:
+    if bad > MOST_WRONG or len(alone) > MOST_DENIED:
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
             f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): folded or doubled"
         )
-    if certainty.wall_share < config.min_wall_share:
-        reasons.append(
-            f"beams pass through the walls: they return {certainty.wall_share:.0%} of those that meet them"
-        )
-    if len(lost) > config.max_lost * max(len(track.usable), 1):
+    if len(lost) > MOST_WRONG * len(track.usable):
         reasons.append(f"{len(lost)} scans do not fit the map (first: scan {lost[0]})")
     if len(breaks):
         reasons.append(
@@ -132,20 +113,17 @@ def check_map(
             "scans and odometry turn opposite ways, and no gyro tells which is right: "
             "if it is the scans, this map is mirrored"
         )
-    blind = int(np.count_nonzero(~track.usable))
-    if blind > 0.1 * len(track.usable):
-        reasons.append(f"{blind} scans see no surface")
+    empty = np.count_nonzero(~track.usable)
+    if empty > MOST_WRONG * len(track.usable):
+        reasons.append(f"{empty} scans see no surface")
     reasons += _unlikely_motion(recording, track, T_map_base, noise, borders)
-    longest = _longest_blind(track)
-    if longest is not None and track.odometry_steps is None:
-        reasons.append(f"scans {longest[0]}..{longest[1]} see one direction only and no odometry helps")
     denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
     return SelfCheck(len(share), mean, bad, len(lost), denied, certainty, tuple(reasons))
 
 
-def _revisits(T_map_keys: SE2, config: SelfCheckConfig) -> NDArray[np.int64]:
+def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:
     pairs = scipy.spatial.cKDTree(T_map_keys.xy).query_pairs(NEAR_M, output_type="ndarray")
-    pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= config.apart_keys]
+    pairs = pairs[np.abs(pairs[:, 1] - pairs[:, 0]) >= APART_KEYS]
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     return np.asarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)], dtype=np.int64)
 
@@ -174,23 +152,16 @@ def _unlikely_motion(
     stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
     if len(stretch) and stretch.max() > UNSEEN_M:
         last = int(stretch.argmax())
+        odometry = (
+            "no odometry helps"
+            if track.odometry_steps is None
+            else "the odometry was wrong just before or after"
+        )
         reasons.append(
-            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, and "
-            "the odometry was wrong just before or after"
+            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, "
+            f"and {odometry}"
         )
     return reasons
-
-
-def _longest_blind(track: Track) -> tuple[int, int] | None:
-    """Longest run of scans (at least 25) that are blind in one direction, (first, last)."""
-    least = np.linalg.eigvalsh(track.information[:, :2, :2])
-    blind = track.usable & (least[:, 0] < 0.002 * np.maximum(least[:, 1], 1e-9))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], blind.astype(int), [0]])))
-    runs = edges.reshape(-1, 2)
-    if len(runs) == 0:
-        return None
-    first, end = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
-    return (int(first), int(end) - 1) if end - first >= 25 else None
 
 
 @njit(cache=True, nogil=True)

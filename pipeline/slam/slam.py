@@ -20,7 +20,7 @@ from pipeline.cache import StageCache
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
-from pipeline.slam.clouds import Clouds, make_clouds, sweep_motion, sweep_motion_by_track
+from pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.course import Maker, track_log
 from pipeline.slam.factors import Constraint
@@ -32,7 +32,7 @@ from pipeline.slam.posing import PosingConfig, pose_all_scans
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.refine import RefineConfig, refine
 from pipeline.slam.repeats import without_repeats
-from pipeline.slam.selfcheck import SelfCheck, SelfCheckConfig, check_map
+from pipeline.slam.selfcheck import SelfCheck, check_map
 from pipeline.slam.sessions import (
     Graph,
     Session,
@@ -48,7 +48,7 @@ from pipeline.slam.turns import compared_turns, in_step
 from pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
-LATER = {"loops", "recall", "refine", "posing", "self_check", "grid"}
+LATER = {"loops", "recall", "refine", "posing", "grid"}
 
 
 Sensors = Annotated[
@@ -68,7 +68,7 @@ class SlamConfig(BaseModel):
         default="lines", description="what places each scan: our line tracker, KISS-ICP, or the odometry"
     )
     usable_range_m: float = Field(
-        default=30.0, gt=0.0, description="returns beyond are not matched nor mapped"
+        default=USABLE_M, gt=0.0, description="returns beyond are not matched nor mapped"
     )
     deskew: bool = Field(
         default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
@@ -79,7 +79,6 @@ class SlamConfig(BaseModel):
     recall: RecallConfig = RecallConfig()
     refine: RefineConfig = RefineConfig()
     posing: PosingConfig = PosingConfig()
-    self_check: SelfCheckConfig = SelfCheckConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
     def usable(self, lidar: LidarSpec) -> float:
@@ -207,14 +206,13 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     placed = replace(track, overlap=overlap)
     check, _ = run.cache.step(
         "self-check",
-        [key, config.self_check],
+        [key],
         lambda: check_map(
             recording,
             clouds(),
             placed,
             poses,
             graph.T_map_keys,
-            config.self_check,
             config.tracking.odometry,
             breaks,
             np.array(borders, dtype=np.int64),

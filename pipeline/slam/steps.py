@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.slam.align import STEP_INFLATION
+from pipeline.slam.align import CAUCHY, STEP_INFLATION
 from pipeline.slam.factors import Constraint
 from pipeline.slam.track import Track, TrackingConfig
 from pipeline.slam.tracking import STEADY_SHARE
@@ -27,5 +27,5 @@ def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:
         else:
             odometry = track.odometry_steps[k]
             information = track.calibration.information(odometry)
-            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", config.odometry.soft))
+            constraints.append(Constraint(k, k + 1, odometry, information, "odometry", CAUCHY))
     return constraints

@@ -36,7 +36,7 @@ from pipeline.slam.slam import LATER, SlamConfig
 from pipeline.slam.track import Track
 
 FILE = "graph.npz"
-FORMAT = 4
+FORMAT = 5
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.

@@ -9,34 +9,25 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.calibration import Calibration
-from pipeline.slam.odometry import KissConfig
+from pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
-# Scans further apart than this [s] have seen nothing of what lies between.
-GAP_S = 2.0
-# How well scans and odometry must agree on a motion: floors [m], [rad], and shares of the motion.
-AGREE_M, AGREE_RAD, AGREE_SHARE = 0.3, 0.15, 0.15
+# How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
+AGREE_M, AGREE = 0.3, 0.15
 
 
 class OdometryNoise(BaseModel):
-    """Standard deviations of an odometry step: a floor, and shares of distance and turn."""
+    """Standard deviations of an odometry step, along, across [m] and in turn [rad]."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    floor_m: float = Field(default=0.005, gt=0.0)
-    floor_rad: float = Field(default=0.003, gt=0.0)
-    per_distance: float = Field(default=0.05, ge=0.0, description="metre per metre")
-    per_turn_m: float = Field(default=0.02, ge=0.0, description="metre per radian")
-    turn_per_distance: float = Field(default=0.04, ge=0.0, description="radian per metre")
-    turn_per_turn: float = Field(default=0.05, ge=0.0, description="radian per radian")
-    soft: float = Field(default=2.0, gt=0.0, description="Cauchy width of the prior, in standard deviations")
+    floor: float = Field(default=0.005, gt=0.0, description="of a robot at rest [m], [rad]")
+    share: float = Field(default=ODOMETRY_SHARE, ge=0.0, description="of the way, and of the turn")
 
     def information(self, delta: Array) -> Array:
         """Information (3, 3) of one step (3,), in the frame of its end."""
         distance, turn = float(np.hypot(delta[0], delta[1])), abs(float(delta[2]))
-        s_xy = self.floor_m + self.per_distance * distance + self.per_turn_m * turn
-        s_yaw = self.floor_rad + self.turn_per_distance * distance + self.turn_per_turn * turn
-        return np.diag([s_xy**-2, s_xy**-2, s_yaw**-2])
+        sigma = self.floor + self.share * np.array([distance, distance, distance + turn])
+        return np.diag(sigma**-2.0)
 
 
 class TrackingConfig(BaseModel):
@@ -45,15 +36,8 @@ class TrackingConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     key_distance_m: float = Field(default=0.3, gt=0.0)
     key_turn_rad: float = Field(default=0.4, gt=0.0)
-    reference_keys: int = Field(default=8, gt=0, description="key scans in the local map")
-    field_keys: int = Field(default=30, gt=0, description="key scans in the coarse search's field")
-    field_resolution_m: float = Field(default=0.1, gt=0.0)
-    field_sigma_m: float = Field(default=0.12, gt=0.0)
-    recovery_m: float = Field(default=1.0, gt=0.0)
-    recovery_rad: float = Field(default=0.8, gt=0.0)
     calibration: bool = Field(default=True, description="learn the odometry's systematic errors")
     odometry: OdometryNoise = OdometryNoise()
-    kiss: KissConfig = KissConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +72,5 @@ def confirms(odometry: Array, motion: Array) -> bool:
     apart = between(odometry, motion)
     distance, turn = float(np.hypot(odometry[0], odometry[1])), abs(float(odometry[2]))
     return bool(
-        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE_SHARE * distance
-        and abs(apart[2]) < AGREE_RAD + AGREE_SHARE * turn
+        np.hypot(apart[0], apart[1]) < AGREE_M + AGREE * distance and abs(apart[2]) < AGREE + AGREE * turn
     )

@@ -16,13 +16,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from datasets.se2 import SE2, Array, between, compose
-from pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment, align
-from pipeline.slam.clouds import MIN_LINES
+from pipeline.slam.align import (
+    CAUCHY,
+    LEAST_OVERLAP,
+    MOST_POINTS,
+    NEIGHBOURS,
+    ROUGH_GATE_M,
+    ROUGH_SIGMA_M,
+    Alignment,
+    align,
+)
+from pipeline.slam.clouds import GAP_S, MIN_LINES
 from pipeline.slam.correlative import best_pose
 from pipeline.slam.course import Course
 from pipeline.slam.front_end import Placed
 from pipeline.slam.kiss import KissIcp
-from pipeline.slam.track import GAP_S, confirms
+from pipeline.slam.track import confirms
 from pipeline.slam.witnesses import OdometryTrust
 
 # Without odometry the last motion is expected to go on, with this share of an odometry step's information.
@@ -31,6 +40,8 @@ STEADY_SHARE = 0.05
 DOUBTED_SCANS = 12
 # A scan fits when its cost is no more than this above what is usual.
 FITS = 0.25
+# Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
+LOST, LOST_STEP_RAD = 1.0, 0.035
 # What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
 SURPRISE = 0.03
 
@@ -133,13 +144,12 @@ class Lines:
         self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
     ) -> tuple[Alignment, int, float] | None:
         """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
-        course, config, best = self.course, self.course.config, None
+        course, best = self.course, None
         usable = course.clouds.lines(scan)
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
-        n = config.reference_keys
-        keys, poses = np.array(course.keys[-n:]), np.array(course.key_poses[-n:])
+        keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
         for source, start in starts:
             # starts this near each other end at the same pose
             if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
@@ -155,11 +165,11 @@ class Lines:
                 sigma=ROUGH_SIGMA_M,
                 prior=prior,
                 prior_information=information,
-                prior_soft=config.odometry.soft,
+                prior_soft=CAUCHY,
                 most_points=MOST_POINTS,
             )
             e = between(prior, result.T_map_base.xyt)
-            surprise = np.log1p(e @ information @ e / config.odometry.soft**2)
+            surprise = np.log1p(e @ information @ e / CAUCHY**2)
             # what the key scans could not see is neither hit nor miss
             fit = result.known * result.cost + (1.0 - result.known) * self._usual_cost
             cost = fit + SURPRISE * float(surprise)
@@ -169,10 +179,8 @@ class Lines:
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window about each centre: the track may be lost."""
-        course, config = self.course, self.course.config
-        points = course.clouds.of(scan)[::4]
+        points = self.course.clouds.of(scan)[::4]
         found = [
-            best_pose(course.field, points, center, config.recovery_m, config.recovery_rad, 0.035)
-            for center in centers[:2]
+            best_pose(self.course.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
         ]
         return max(found, key=lambda pair: pair[1])[0]

@@ -15,22 +15,21 @@ from numpy.typing import NDArray
 from datasets.bags.scans import turned_over
 from datasets.se2 import Array, wrap
 from datasets.types import Recording, Recording3D, Trajectory
-from pipeline.slam.clouds import LONGEST_STEP_S, make_clouds, sweep_motion
+from pipeline.slam.align import CAUCHY
+from pipeline.slam.clouds import GAP_S, USABLE_M, make_clouds, sweep_motion
 from pipeline.slam.course import track_log
 from pipeline.slam.gyro import turns_with
-from pipeline.slam.range_noise import RangeNoise, range_noise
+from pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
 from pipeline.slam.track import TrackingConfig
 from pipeline.slam.tracking import Lines
 
 # Delays looked at [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0
-# A smaller one moves the robot by less than what matching makes good. Of odometry that comes less often, the
-# interval; CARMEN pairs each scan with odometry up to 0.15 s off (FR079, CSAIL), which harms no map.
-LEAST_S, LEAST_OF_PAIRS_S = 0.05, 0.2
+# A smaller one moves the robot by less than what matching makes good; of odometry that comes less often, its
+# interval, PERIOD_S at most: CARMEN pairs scans with odometry up to 0.15 s off, and no map suffers.
+LEAST_S = 0.05
 # Stretches that are looked at and scans of each, this far apart at least [s].
 STRETCHES, SCANS, PERIOD_S = 32, 8, 0.2
-# Returns beyond this range [m] are not looked at.
-USABLE_M = 30.0
 # Turns are compared over so many scans: odometry that comes with the scans alone is smooth in between.
 SPAN = 3
 # So much likelier (logarithm) must all stretches together make a delay, or a lidar upside down, and this
@@ -95,7 +94,7 @@ def compared_turns(recording: Recording) -> tuple[float, bool]:
         if settled:
             break
     interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
-    least_s = min(max(LEAST_S, interval), LEAST_OF_PAIRS_S)
+    least_s = min(max(LEAST_S, interval), PERIOD_S)
     return late_s if abs(late_s) >= least_s else 0.0, over
 
 
@@ -122,8 +121,8 @@ def _delay(scans: Recording, late_s: float) -> tuple[float, bool]:
     told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
     of_stretch = np.cumsum([0, *[len(one) for one in spans]])[:-1]
     off = np.stack([turned - told, turned + told])
-    sigma = max(1.4826 * float(np.median(np.abs(off), axis=2).min()), 1e-3)
-    with_it, against = np.log1p((off / (2.0 * sigma)) ** 2)
+    sigma = max(PER_MEDIAN * float(np.median(np.abs(off), axis=2).min()), 1e-3)
+    with_it, against = np.log1p((off / (CAUCHY * sigma)) ** 2)
     best, none = int(with_it.sum(axis=1).argmin()), len(DELAYS_S) // 2
     mirrored = against[int(against.sum(axis=1).argmin())]
     if _surely(np.add.reduceat(with_it[best] - mirrored, of_stretch)):
@@ -141,7 +140,7 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     """Rows of the scans of each stretch in which the turning changes most."""
     assert scans.T_odom_base is not None
     waits = np.diff(scans.stamps_ns) * 1e-9
-    known = (waits > 0.0) & (waits < LONGEST_STEP_S)
+    known = (waits > 0.0) & (waits < GAP_S)
     rate = np.where(known, wrap(np.diff(scans.T_odom_base.yaw)) / np.where(known, waits, 1.0), 0.0)
     starts = np.arange(0, len(scans) - SCANS, SCANS)
     if not len(starts):
@@ -161,6 +160,6 @@ def _turns(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: Rang
     track = track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
     seconds = (part.stamps_ns - scans.stamps_ns[0]) * 1e-9
     waits = np.diff(seconds)
-    known = np.convolve((waits > 0.0) & (waits < LONGEST_STEP_S) & track.usable[1:], np.ones(SPAN), "valid")
+    known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
     return np.column_stack([seconds[:-SPAN], seconds[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]

@@ -11,7 +11,7 @@ from datasets.se2 import SE2, Array, between, compose
 from datasets.types import Recording
 from pipeline.slam.align import contradiction
 from pipeline.slam.clouds import fastest, way_and_turn
-from pipeline.slam.track import AGREE_M, AGREE_RAD, OdometryNoise, Track, confirms
+from pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, confirms
 
 # A scan is blind when it sees this share along one direction of what it sees along the other, or less.
 BLIND = 0.01
@@ -53,7 +53,7 @@ def too_fast(
     reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
     wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
     moved = _moved(T_map_base, before, after - before)
-    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE_RAD]
+    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE]
     return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
 
 
@@ -118,16 +118,16 @@ class OdometryTrust:
 def unwitnessed(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> Array:
-    """Metres that the odometry tells of each step (n,) where the scan is blind and the odometry was not to be
-    believed before or after; 0 elsewhere, and without odometry.
+    """Metres of each step (n,) where the scan is blind and the odometry, which tells them, was not to be
+    believed before or after, or there is none; 0 elsewhere.
 
     `borders` are the first scans of later logs.
     """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
-    way = np.zeros(n)
+    unseen, way = blind(track), np.zeros(n)
     if T_odom is None:
+        way[1:] = _moved(track.T_track_base, np.arange(n - 1), 1)[:, 0] * unseen[1:]
         return way
-    unseen = blind(track)
     for order in (np.arange(n), np.arange(n)[::-1]):
         T = T_odom[order]
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
@@ -144,5 +144,4 @@ def unwitnessed(
 
 def moves(odometry_step: Array, noise: OdometryNoise) -> bool:
     """Whether an odometry step (3,) stands out of its noise."""
-    way, turn = float(np.hypot(odometry_step[0], odometry_step[1])), abs(float(odometry_step[2]))
-    return way > 2.0 * noise.floor_m or turn > 2.0 * noise.floor_rad
+    return bool((way_and_turn(odometry_step[None]) > 2.0 * noise.floor).any())
