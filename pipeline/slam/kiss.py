@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from datasets.se2 import SE2, Array, compose
-from pipeline.slam.align import MOST_POINTS, NEIGHBOURS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
+from pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from pipeline.slam.clouds import point_information
 from pipeline.slam.course import FIELD_KEYS, Course
 from pipeline.slam.front_end import Placed
@@ -60,10 +60,8 @@ class KissIcp:
         if course.clouds.placed_by(course.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2
         keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
-        return align(
-            course.clouds, course.scan, pose, keys, poses,
-            gate=ROUGH_GATE_M, sigma=ROUGH_SIGMA_M, iterations=0, most_points=MOST_POINTS,
-        ).information  # fmt: skip
+        found = align(course.clouds, course.scan, pose, keys, poses, iterations=0, most_points=MOST_POINTS)
+        return found.information
 
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""

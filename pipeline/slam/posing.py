@@ -89,8 +89,7 @@ def pose_all_scans(
         by_lines[some] = [both.placed_by(k) == "lines" for k in numbers.tolist()]
         return in_parts(
             lambda part: _align_each(
-                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt,
-                FINE_GATE_M, FINE_SIGMA_M, MOST_POINTS, information,
+                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt, information
             ),
             len(some),
         )  # fmt: skip
@@ -117,19 +116,16 @@ def _align_each(
     keys: NDArray,
     near: NDArray,
     key_poses: Array,
-    gate: float,
-    sigma: float,
-    most_points: int,
     information: Array,
 ) -> tuple[Array, Array]:
     """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,)."""
     out, overlap = poses.copy(), np.zeros(len(scans))
     for k in range(len(scans)):
         scan = scans[k]
-        stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // most_points
+        stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // MOST_POINTS
         pose, _, matched, usable, _, _, _ = align_kernel(
-            clouds, scan, stride, poses[k],
-            keys[near[k]], key_poses[near[k]], gate, sigma, ITERATIONS, poses[k], information, 0.0,
+            clouds, scan, stride, poses[k], keys[near[k]], key_poses[near[k]],
+            FINE_GATE_M, FINE_SIGMA_M, ITERATIONS, poses[k], information, 0.0,
         )  # fmt: skip
         out[k] = pose
         if usable > 0:

@@ -14,14 +14,15 @@ import scipy
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import FINE_GATE_M, NEIGHBOURS, ROUGH_GATE_M, ROUGH_SIGMA_M, align
+from pipeline.slam.align import FINE_GATE_M, NEIGHBOURS, ROUGH_GATE_M, align
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_pose, make_field, points_in_map
 from pipeline.slam.course import FIELD_KEYS, FIELD_M
+from pipeline.slam.submaps import HEADINGS
 from pipeline.slam.track import AGREE, AGREE_M
 
-# Cells of the coarse field, and its blur [m]; headings tried all round.
-RESOLUTION_M, HEADINGS = 0.2, 120
+# Cells of the coarse field, and its blur [m].
+RESOLUTION_M = 0.2
 # So many of the best poses are looked at, this far apart or turned [m], [rad].
 PEAKS, PEAK_APART = 6, 0.3
 # Share of the scans that a place must explain, and by how much more than any other.
@@ -137,8 +138,7 @@ def _settle(
         order = np.argsort(np.linalg.norm(T_map_keys[:, :2] - at[:2], axis=1), kind="stable")[:NEIGHBOURS]
         result = align(
             clouds, int(query[k]), at, map_keys[order], T_map_keys[order],
-            gate=FINE_GATE_M if overlaps else ROUGH_GATE_M, sigma=ROUGH_SIGMA_M,
-            iterations=0 if overlaps else 15,
+            gate=FINE_GATE_M if overlaps else ROUGH_GATE_M, iterations=0 if overlaps else 15,
         )  # fmt: skip
         if not overlaps:
             pose = (result.T_map_base @ SE2(T_query[k]).inverse()).xyt

@@ -21,8 +21,6 @@ from pipeline.slam.align import (
     LEAST_OVERLAP,
     MOST_POINTS,
     NEIGHBOURS,
-    ROUGH_GATE_M,
-    ROUGH_SIGMA_M,
     Alignment,
     align,
 )
@@ -161,8 +159,6 @@ class Lines:
                 start,
                 keys,
                 poses,
-                gate=ROUGH_GATE_M,
-                sigma=ROUGH_SIGMA_M,
                 prior=prior,
                 prior_information=information,
                 prior_soft=CAUCHY,
