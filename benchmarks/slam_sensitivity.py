@@ -31,7 +31,8 @@ NUMBERS = {
         "tracking.odometry: floor_m floor_rad per_distance per_turn_m turn_per_distance turn_per_turn"
     ),
     "way between key scans": "tracking: key_distance_m key_turn_rad",
-    "reach of loops": "loops: gate_m turn_gate_rad",
+    "drift of the steps": "drift.HONEST",
+    "reach of loops": "loops: reach_m",
     "trust in loops": "loops: inflation",
     "trust in pairs": "refine: inflation",
 }

@@ -36,7 +36,7 @@ from pipeline.slam.slam import LATER, SlamConfig
 from pipeline.slam.track import Track
 
 FILE = "graph.npz"
-FORMAT = 4
+FORMAT = 5
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.
@@ -60,8 +60,6 @@ LAYOUT = {
     "chain_broken": ("b", "m"),
     "chain_contradicted": ("b", "m"),
     "chain_alone": ("b", "m"),
-    "chain_drift_m": ("n", "m"),
-    "chain_length_m": ("n", "m"),
     "chain_gaps": ("i", "g2"),
     "constraint_i": ("i", "c"),
     "constraint_j": ("i", "c"),
