@@ -11,12 +11,14 @@ from benchmarks.slam_logs import office_plan, twins
 from benchmarks.slam_scores import score
 from datasets.se2 import SE2, between
 from datasets.types import Recording, Trajectory
+from pipeline.slam import recall
 from pipeline.slam.chain import Chain, joined_parts, witnessed_chain
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from pipeline.slam.course import track_log
 from pipeline.slam.drift import drift_of
 from pipeline.slam.factors import Constraint
+from pipeline.slam.line_match import LineMatch
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
 from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
@@ -186,6 +188,21 @@ def test_places_that_agree_outvote_the_aliases():
     assert {found[k].i for k in sets[0]} == {22, 26, 30}
     assert competing(sets[0], sets[1], comparable, agree)
     assert RecallConfig().min_support == 3
+
+
+def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
+    """After a break nothing is known of, five rounds of a room cost what one does."""
+    looked_at: list[int] = []
+    monkeypatch.setattr(recall, "make_submap", lambda *of: looked_at.append(of[3]))
+    for laps in (1, 5):
+        poses = around_the_room(60 * laps, laps=laps)
+        moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
+        steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
+        drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
+        clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
+        recall._candidates(clouds, keys, drift, [], RecallConfig(), 4.0, LineMatch())
+    assert looked_at.count(looked_at[0]) == 2
+    assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
 
 def test_recall_costs_nothing_where_the_chain_holds():

@@ -33,6 +33,8 @@ from pipeline.slam.track import sees_everything
 # Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
 # that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).
 RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
+# Submaps looked at from one place are one while their headings differ by less than this cosine says.
+SAME_WAY = 0.7
 
 
 class RecallConfig(BaseModel):
@@ -121,23 +123,31 @@ def _candidates(
     reach_m: float,
     matcher: LoopMatch,
 ) -> list[Recognised]:
-    """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles."""
+    """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
+
+    A place that the loops have held together since is asked and looked for once, however often it was passed.
+    """
     poses, found = drift.T_map_keys, []
     places = windows(len(keys), drift.broken)
-    middles = np.array(list(places), dtype=np.int64)
 
     @cache
     def submap(middle: int) -> Submap | None:
         return make_submap(clouds, keys, poses, middle, places[middle])
 
-    for n, i in enumerate(middles.tolist()):
-        off, _ = reach(read_at(drift.from_key(i, known)[middles[:n]], poses[i]))
-        apart = np.linalg.norm(poses[middles[:n], :2] - poses[i, :2], axis=1)
-        far = middles[:n][(off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)]
+    first_visits: list[int] = []
+    for i in places:
+        older = np.array(first_visits, dtype=np.int64)
+        off, _ = reach(read_at(drift.from_key(i, known)[older], poses[i]))
+        apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
+        same_way = np.cos(poses[older, 2] - poses[i, 2]) > SAME_WAY
+        if ((apart + off < NEAR_M) & same_way).any():
+            continue
+        first_visits.append(i)
+        far = older[(off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)]
         query = submap(i) if len(far) else None
         if query is None:
             continue
-        allowed = dict(zip(middles[:n].tolist(), off.tolist(), strict=True))
+        allowed = dict(zip(first_visits, off.tolist(), strict=False))
         others = [other for j in far.tolist() if (other := submap(j)) is not None]
         like = likeness(query, others)
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
