@@ -29,7 +29,8 @@ NUMBERS = {
     "weight of a surprise": "tracking.SURPRISE",
     "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
-    "reach of loops": "loops: gate_m turn_gate_rad",
+    "drift of the steps": "drift.HONEST",
+    "reach of loops": "loops: reach_m",
     "trust in loops": "loops: inflation",
 }
 """Constants of modules of pipeline.slam, and settings by their section: those named are changed together."""

@@ -11,10 +11,14 @@ from benchmarks.slam_logs import office_plan, twins
 from benchmarks.slam_scores import score
 from datasets.se2 import SE2, between
 from datasets.types import Recording, Trajectory
-from pipeline.slam.chain import ANYWHERE, Chain, Gates, joined_parts, witnessed_chain
+from pipeline.slam import recall
+from pipeline.slam.chain import Chain, joined_parts, witnessed_chain
 from pipeline.slam.clouds import make_clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from pipeline.slam.course import track_log
+from pipeline.slam.drift import drift_of
+from pipeline.slam.factors import Constraint
+from pipeline.slam.line_match import LineMatch
 from pipeline.slam.recall import RecallConfig
 from pipeline.slam.slam import SlamConfig, run_slam
 from pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
@@ -80,36 +84,14 @@ def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_ba
     assert any("breaks" in reason for reason in result.check.reasons)
 
 
-def chain_of(drift: list[float], broken: tuple[int, ...] = (), against: tuple[int, ...] = ()) -> Chain:
-    n = len(drift)
+def chain_of(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> Chain:
     steps = np.arange(n)
     gone = np.isin(steps, broken)
-    return Chain(
-        gone,
-        np.isin(steps, against),
-        gone & False,
-        np.where(gone, ANYWHERE, drift),
-        np.ones(n),
-        np.zeros((0, 2), int),
-    )
-
-
-def test_drift_is_gathered_along_the_shortest_way():
-    chain = chain_of([0.02] * 50)
-    last = np.array([50])
-    drift, length = (row[0] for row in chain.drift_from(last, []))
-    assert drift[0] == pytest.approx(1.0, abs=1e-3)
-    assert length[0] == pytest.approx(50.0, abs=1e-3)
-    assert chain.drift_from(last, [(0, 49)])[0][0, 0] < 0.03
-    gates = Gates(1.0, 0.02, 8.0)
-    assert not gates.beyond(drift, length).any()
-    assert not chain.may_drift(gates)
-    assert chain_of([0.4] * 50).may_drift(gates)
-    assert gates.beyond(*chain_of([0.02] * 50, (20,)).drift_from(last, [])).sum() == 21
+    return Chain(gone, np.isin(steps, against), gone & False, np.zeros((0, 2), int))
 
 
 def test_breaks_part_the_log_until_a_place_joins_it():
-    chain = chain_of([0.1] * 6, (1, 3, 4), (1, 4))
+    chain = chain_of(6, (1, 3, 4), (1, 4))
     part, released = joined_parts(chain, [])
     # 0 1 | 2 3 : 4 | 5 6, the middle break being one that nothing contradicts
     assert [len(set(part[list(keys)])) for keys in ((0, 1), (2, 3, 4), (5, 6), (1, 2), (4, 5))] == [
@@ -183,25 +165,44 @@ def test_submaps_lie_on_each_other_where_they_belong():
 
 
 def place(i: int, j: int, T_j_i: tuple[float, float, float], overlap: float = 0.9) -> Recognised:
-    return Recognised(i, j, np.array(T_j_i), 0.8, overlap, 0.0, 0.01, np.eye(3))
+    return Recognised(i, j, np.array(T_j_i), 0.8, overlap, 0.0, 0.01, STEP)
+
+
+STEP = np.diag([0.02**-2, 0.02**-2, 0.005**-2])
 
 
 def test_places_that_agree_outvote_the_aliases():
     n = 40
     poses = np.column_stack([np.arange(n) * 1.0, np.zeros(n), np.zeros(n)])
-    chain = chain_of([0.02] * (n - 1), (19,))
+    broken = np.arange(n - 1) == 19
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), STEP, "step") for k in range(n - 1)]
     # the second half truly runs beside the first, 3 m shifted; aliases say 7 m, and one says a turn
     true = [place(i, i - 20, (3.0, 0.0, 0.0)) for i in (22, 26, 30)]
     alias = [place(i, i - 20, (7.0, 0.0, 0.0)) for i in (24, 28)]
     turned = [place(34, 14, (3.0, 0.0, 3.0))]
     found = [*alias, *true, *turned]
-    comparable, agree = consistency(found, poses, chain)
+    comparable, agree = consistency(found, drift_of(poses, steps, broken), 4.0, 50.0)
     assert comparable.sum() == 30
     sets = agreeing_sets(found, agree & comparable)
     assert [len(members) for members in sets] == [3, 2, 1]
     assert {found[k].i for k in sets[0]} == {22, 26, 30}
     assert competing(sets[0], sets[1], comparable, agree)
     assert RecallConfig().min_support == 3
+
+
+def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
+    """After a break nothing is known of, five rounds of a room cost what one does."""
+    looked_at: list[int] = []
+    monkeypatch.setattr(recall, "make_submap", lambda *of: looked_at.append(of[3]))
+    for laps in (1, 5):
+        poses = around_the_room(60 * laps, laps=laps)
+        moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
+        steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
+        drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
+        clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
+        recall._candidates(clouds, keys, drift, [], RecallConfig(), 4.0, LineMatch())
+    assert looked_at.count(looked_at[0]) == 2
+    assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
 
 def test_recall_costs_nothing_where_the_chain_holds():

@@ -12,10 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
 from datasets.types import Recording
 from pipeline.slam.align import LEAST_OVERLAP
 from pipeline.slam.clouds import GAP_S
@@ -29,41 +27,18 @@ STAMPS_NEAR = 12
 MIN_OVERLAP = 0.5
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
 SHORT_S = 5.0
-# Drift a metre of driving may hide: where scans see, where odometry alone does, where nothing does.
-SEEN_DRIFT, BLIND_DRIFT, UNWITNESSED_DRIFT = 0.02, 0.1, 0.4
-ANYWHERE = 1e6
-
-
-@dataclass(frozen=True)
-class Gates:
-    """Reach of the loops by distance: at least [m], growing by `per_m` a metre of path, at most [m]."""
-
-    least_m: float
-    per_m: float
-    most_m: float
-
-    def beyond(self, drift: Array, length: Array) -> NDArray[np.bool_]:
-        """Which places may lie out of reach, after a drift [m] on a path of some length [m]."""
-        return np.asarray(drift > np.minimum(self.least_m + self.per_m * length, self.most_m))
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
-    whether its witnesses contradict each other, whether odometry alone spoke, the drift it may hide [m],
-    and its length [m]. `gaps` (n, 2) are the last scan before and the first after each break."""
+    whether its witnesses contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last scan
+    before and the first after each break."""
 
     broken: NDArray[np.bool_]
     contradicted: NDArray[np.bool_]
     alone: NDArray[np.bool_]
-    drift_m: Array
-    length_m: Array
     gaps: NDArray[np.int64]
-
-    def drift_between(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
-        """Drift gathered along the log between keys i and j [m]."""
-        total = np.concatenate([[0.0], np.cumsum(self.drift_m)])
-        return np.abs(total[i] - total[j])
 
     def segments(self) -> NDArray[np.int64]:
         """Number of the unbroken part each key lies in, (keys,)."""
@@ -72,32 +47,7 @@ class Chain:
     def bridged(self, unbridged: NDArray[np.bool_]) -> Chain:
         """The chain with its breaks mended, all but the given ones (keys - 1,)."""
         broken = self.broken & unbridged
-        seen = np.where(self.broken & ~broken, SEEN_DRIFT * self.length_m, self.drift_m)
-        against, alone = self.contradicted & broken, self.alone & broken
-        return Chain(broken, against, alone, seen, self.length_m, self.gaps)
-
-    def may_drift(self, gates: Gates) -> bool:
-        """Whether any drift of the whole log can be larger than the gates' reach."""
-        hidden = float((self.drift_m - gates.per_m * self.length_m).sum())
-        return (
-            hidden > gates.least_m or gates.per_m * float(self.length_m.sum()) > gates.most_m - gates.least_m
-        )
-
-    def drift_from(self, queries: NDArray[np.int64], anchors: list[tuple[int, int]]) -> tuple[Array, Array]:
-        """Drift and length of the shortest way through the graph from each of the keys `queries` (q,) to
-        every key, (q, keys) [m].
-
-        `anchors` are pairs of keys that a loop holds together.
-        """
-        n = len(self.drift_m) + 1
-        rows = [*range(n - 1), *[a for a, _ in anchors]]
-        cols = [*range(1, n), *[b for _, b in anchors]]
-        found = []
-        for weights in (self.drift_m, self.length_m):
-            values = [*(weights + 1e-6).tolist(), *[1e-3] * len(anchors)]
-            graph = scipy.sparse.coo_matrix((values, (rows, cols)), shape=(n, n)).tocsr()
-            found.append(np.asarray(scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=queries)))
-        return found[0], found[1]
+        return Chain(broken, self.contradicted & broken, self.alone & broken, self.gaps)
 
 
 def joined_chain(a: Chain, b: Chain, scans: int) -> Chain:
@@ -108,8 +58,6 @@ def joined_chain(a: Chain, b: Chain, scans: int) -> Chain:
         np.concatenate([a.broken, no, b.broken]),
         np.concatenate([a.contradicted, no, b.contradicted]),
         np.concatenate([a.alone, no, b.alone]),
-        np.concatenate([a.drift_m, [0.0], b.drift_m]),
-        np.concatenate([a.length_m, [0.0], b.length_m]),
         np.concatenate([a.gaps, b.gaps + scans]),
     )
 
@@ -138,17 +86,13 @@ def joined_parts(
 def witnessed_chain(recording: Recording, track: Track) -> Chain:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
-    steps = (T[keys[:-1]].inverse() @ T[keys[1:]]).xyt
-    length = np.hypot(steps[:, 0], steps[:, 1])
     unseen = blind(track)
-    unwitnessed = UNWITNESSED_DRIFT if recording.T_odom_base is None else BLIND_DRIFT
-    drift = length * np.where(unseen[keys[1:]], unwitnessed, SEEN_DRIFT)
-    broken, contradicted, alone = np.zeros((3, len(steps)), dtype=bool)
+    broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     waited = _gaps(recording, track)
     for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
         step = int(np.searchsorted(keys, after)) - 1
-        if not 0 <= step < len(steps):
+        if not 0 <= step < len(keys) - 1:
             continue
         agreed = agree(recording, track, before, after, T) and not fast
         wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
@@ -158,9 +102,8 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
             contradicted[step] |= not agreed
             alone[step] |= track.overlap[after] < LEAST_OVERLAP
             gaps.append((before, after))
-    drift = np.where(broken, ANYWHERE, drift)
     between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
-    return Chain(broken, contradicted, alone, drift, length, between)
+    return Chain(broken, contradicted, alone, between)
 
 
 def _gaps(recording: Recording, track: Track) -> NDArray[np.int64]:

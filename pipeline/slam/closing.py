@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.se2 import SE2
-from pipeline.slam.chain import Chain, Gates
+from pipeline.slam.chain import Chain
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised
 from pipeline.slam.factors import Constraint
@@ -60,10 +60,8 @@ def close_graph(
     finder = close(T_map_keys, chain.segments(), [])
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, finder.record, [], chain.broken)
-    gates = Gates(by_distance.gate_m, by_distance.drift_per_m, by_distance.max_gate_m)
-    found = recall(
-        clouds, keys, SE2(finder.poses), steps, chain, finder.anchors, by_looks, gates, finder.matcher
-    )
+    start, reach_m = SE2(finder.poses), by_distance.reach_m
+    found = recall(clouds, keys, start, steps, chain, finder.loops, by_looks, reach_m, finder.matcher)
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
         finder = close(found.T_map_keys, found.part, found.loops)

@@ -13,14 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array, between, compose
-from pipeline.slam.chain import Chain
-
-# How well a cycle must close: floors, and what a metre of drift adds.
-CLOSE_M, CLOSE_RAD = 0.4, 0.1
-DRIFT_SHARE, TURN_PER_DRIFT = 0.5, 0.04
-# Beyond this drift two places say nothing about each other [m].
-COMPARABLE_M = 8.0
+from datasets.se2 import SE2, Array
+from pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,23 +40,47 @@ class Recognised:
         return replace(self, verdict=verdict)
 
 
-def consistency(found: Sequence[Recognised], T_map_keys: Array, chain: Chain) -> tuple[NDArray, NDArray]:
-    """Matrices (n, n) over pairs: whether they can be compared at all, and whether they agree."""
-    n = len(found)
+def consistency(
+    found: Sequence[Recognised], drift: Drift, reach_m: float, inflation: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Matrices (n, n) over pairs: whether they can be compared at all, and whether they agree.
+
+    Both places move the newer part of the log onto the older one, nearly alike when both are true: as well as
+    the ways between them and the places themselves (their information divided by `inflation`) are known.
+    Beyond `reach_m` two places say nothing about each other.
+    """
+    n, T = len(found), drift.T_map_keys
     comparable, agree = np.zeros((n, n), dtype=bool), np.eye(n, dtype=bool)
+    if n == 0:
+        return comparable, agree
+    i, j = np.array([place.i for place in found]), np.array([place.j for place in found])
+    moves = SE2(T[j]) @ SE2(np.array([place.T_j_i for place in found])) @ SE2(T[i]).inverse()
+    at_place = (moves @ SE2(T[i])).xyt
+    own = covariances(at_place, np.arange(n), [place.information / inflation for place in found])
+    turned = _about(moves)
     for a in range(n):
-        for b in range(a + 1, n):
-            one, two = found[a], found[b]
-            drift = float(chain.drift_between(np.array([one.i, one.j]), np.array([two.i, two.j])).sum())
-            if drift > COMPARABLE_M:
+        others = np.arange(a + 1, n)
+        if len(others) == 0:
+            continue
+        at = np.full(len(others), a)
+        ways = drift.along(j[at], j[others]) + turned[a] @ drift.along(i[at], i[others]) @ turned[a].T
+        total = ways + own[a] + own[others]
+        for k, b in enumerate(others.tolist()):
+            covariance = read_at(total[k], at_place[b])
+            if not reach(covariance)[0] < reach_m:
                 continue
             comparable[a, b] = comparable[b, a] = True
-            through_one = compose(one.T_j_i, between(T_map_keys[one.i], T_map_keys[two.i]))
-            through_two = compose(between(T_map_keys[one.j], T_map_keys[two.j]), two.T_j_i)
-            apart = between(through_one, through_two)
-            close = np.hypot(apart[0], apart[1]) < CLOSE_M + DRIFT_SHARE * drift
-            agree[a, b] = agree[b, a] = bool(close and abs(apart[2]) < CLOSE_RAD + TURN_PER_DRIFT * drift)
+            by_a = moves[a] @ SE2(T[i[b]])
+            apart = np.append(by_a.xy - at_place[b, :2], (moves[b].inverse() @ moves[a]).yaw)
+            agree[a, b] = agree[b, a] = apart @ np.linalg.solve(covariance, apart) < SIGMAS**2
     return comparable, agree
+
+
+def _about(moves: SE2) -> Array:
+    """Matrices (n, 3, 3) that carry motions of the plane about the origin along with rigid moves (n,)."""
+    out = moves.matrix()
+    out[:, 0, 2], out[:, 1, 2] = moves.y, -moves.x
+    return out
 
 
 def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list[list[int]]:

@@ -1,10 +1,9 @@
 """Loop closure: where the robot came back to a place it knew.
 
-Candidates come from distance, the gate growing with the uncertainty gathered along the graph since;
-each is searched exhaustively (a few key scans together against the older place's field), aligned by a
-`LoopMatch`, and believed only after checks: overlap, fit, a second opinion. Along a direction the scans
-are blind in, or along which the place repeats itself, a loop says nothing; the graph takes each with a
-heavy-tailed kernel.
+Candidates come from distance, within what drift along the graph may have come to (`drift`); each is searched
+exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
+believed only after checks: overlap, fit, a second opinion. Along a direction the scans are blind in, or along
+which the place repeats itself, a loop says nothing; the graph takes each with a heavy-tailed kernel.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -22,12 +20,12 @@ from datasets.se2 import SE2, Array, between
 from pipeline.slam.align import LEAST_OVERLAP, without_direction
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.correlative import best_and_rival, best_pose, make_field
+from pipeline.slam.drift import drift_of, reach, read_at
 from pipeline.slam.factors import Constraint
 from pipeline.slam.line_match import LineMatch
 from pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
 from pipeline.slam.open3d_icp import Open3dMatch
 from pipeline.slam.pose_graph import optimise
-from pipeline.slam.track import sees_everything
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
 """What `loops.match` may be; see `pipeline.slam.loop_match`."""
@@ -44,12 +42,7 @@ class LoopConfig(BaseModel):
     every: int = Field(default=3, gt=0, description="key scans between queries")
     group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
     min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
-    gate_m: float = Field(default=1.0, gt=0.0)
-    drift_per_m: float = Field(default=0.02, gt=0.0, description="growth of the gate with the path")
-    turn_gate_rad: float = Field(default=0.15, gt=0.0)
-    turn_drift_per_m: float = Field(default=0.004, gt=0.0)
-    max_gate_m: float = Field(default=8.0, gt=0.0)
-    max_turn_gate_rad: float = Field(default=0.8, gt=0.0)
+    reach_m: float = Field(default=4.0, gt=0.0, description="searched no further than this")
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the correlative search")
     rival_m: float = Field(default=0.6, gt=0.0, description="a second peak at least this far away")
@@ -58,9 +51,6 @@ class LoopConfig(BaseModel):
         default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
     )
     inflation: float = Field(default=50.0, gt=0.0)
-    doubtful_gate_m: float = Field(
-        default=2.0, ge=0.0, description="found in a wider gate than this, or with a rival: in doubt"
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +98,8 @@ def close_loops(
 BATCH = 24
 # A key is looked for at so many of the places within its gate, the nearest first.
 PLACES = 3
+# Cells and turns of the coarse search.
+CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
 
 
 class LoopFinder:
@@ -127,7 +119,6 @@ class LoopFinder:
         self.poses = T_map_keys.xyt.copy()
         self.steps = list(steps)
         self.loops = list(known)
-        self.anchors = [(loop.i, loop.j) for loop in known]
         self.record: list[Loop] = []
         length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
         self.path = np.concatenate([[0.0], np.cumsum(length)])
@@ -155,6 +146,7 @@ class LoopFinder:
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
+        self.drift = drift_of(self.poses, self.steps)
         for i in batch:
             if i % self.config.every == 0 or i == len(self.keys) - 1:
                 loop = self._query(i)
@@ -164,7 +156,6 @@ class LoopFinder:
         accepted = [loop for loop in found if loop.accepted]
         if not accepted:
             return
-        self.anchors += [(loop.j, loop.i) for loop in accepted if sees_everything(loop.information)]
         self.loops += [
             Constraint(
                 loop.j, loop.i, loop.T_j_i, loop.information / self.config.inflation, "loop", self.config.soft
@@ -183,38 +174,27 @@ class LoopFinder:
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None when none is near enough."""
         config = self.config
-        spread = self._spread(i)
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
         if len(old) == 0:
             return None
-        gates = np.minimum(config.gate_m + config.drift_per_m * spread[old], config.max_gate_m)
+        covariance = read_at(self.drift.from_key(i, self.loops)[old], self.poses[i])
+        gates, turns = reach(covariance)
+        gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
         distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
         near = distance < gates + 1.0
         if not near.any():
             return None
-        old, distance, gates = old[near], distance[near], gates[near]
+        old, distance, gates, turns = old[near], distance[near], gates[near], turns[near]
         tried: list[Loop] = []
-        for pick in np.argsort(distance + 0.05 * spread[old], kind="stable").tolist():
-            j, gate = int(old[pick]), float(gates[pick])
+        for pick in np.argsort(distance + gates, kind="stable").tolist():
+            j = int(old[pick])
             if any(abs(j - loop.j) <= 2 * config.group for loop in tried):
                 continue
-            turn_gate = config.turn_gate_rad + config.turn_drift_per_m * float(spread[j])
-            tried.append(self._match(i, j, gate, min(turn_gate, config.max_turn_gate_rad)))
+            tried.append(self._match(i, j, float(gates[pick]), float(turns[pick])))
             if tried[-1].accepted or len(tried) == PLACES:
                 break
         return max(tried, key=lambda loop: (loop.accepted, loop.score))
-
-    def _spread(self, i: int) -> Array:
-        """Shortest path through the graph from key i to each older key [m]: what drift grows with."""
-        n = i + 1
-        # a loop that is blind in one direction ends no drift
-        anchors = [(j, i) for j, i in self.anchors if max(i, j) < n]
-        rows = [k for k in range(n - 1)] + [i for _, i in anchors]
-        cols = [k + 1 for k in range(n - 1)] + [j for j, _ in anchors]
-        lengths = list(np.diff(self.path[:n])) + [0.1] * len(anchors)
-        graph = scipy.sparse.coo_matrix((lengths, (rows, cols)), shape=(n, n)).tocsr()
-        return scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=i)
 
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
         """Search, align and judge key i (with its predecessors) against the place around key j."""
@@ -225,12 +205,12 @@ class LoopFinder:
         points = query.points(self.clouds)
         points = points[:: max(1, len(points) // 300)]
         guess = between(poses[j], poses[i])
-        coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.2, 0.15)
+        coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
         coarse, best, rival, second = best_and_rival(
-            coarse_field, points, guess, gate, turn_gate, 0.03, config.rival_m
+            coarse_field, points, guess, gate, turn_gate, TURN_RAD, config.rival_m
         )
         fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)
-        fine, score = best_pose(fine_field, points, coarse, 0.2, 0.03, 0.01)
+        fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
         loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
         if score < config.min_score:
             return replace(loop, verdict="low score")
@@ -252,8 +232,7 @@ class LoopFinder:
             return replace(loop, verdict="low overlap")
         if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
             return replace(loop, verdict="alignment left the peak")
-        doubtful = gate > config.doubtful_gate_m or second > config.rival_share * best
-        if doubtful and not self.matcher.confirms(self.clouds, query, place, loop.T_j_i):
+        if not self.matcher.confirms(self.clouds, query, place, loop.T_j_i):
             return replace(loop, verdict="open3d disagrees")
         return loop
 

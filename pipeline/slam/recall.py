@@ -19,23 +19,22 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from datasets.se2 import SE2, Array, between
 from pipeline.slam.align import LEAST_OVERLAP, Alignment
-from pipeline.slam.chain import Chain, Gates, joined_parts
+from pipeline.slam.chain import Chain, joined_parts
 from pipeline.slam.clouds import Clouds
 from pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
+from pipeline.slam.drift import Drift, drift_of, reach, read_at
 from pipeline.slam.factors import Constraint
 from pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
 from pipeline.slam.pose_graph import optimise
 from pipeline.slam.selfcheck import BAD_SHARE, MOST_PAIRS, NEAR_M, THROUGH_M, WALL_M, denied_shares
-from pipeline.slam.submaps import Submap, laid_on, likeness, make_submap, windows
+from pipeline.slam.submaps import MOST_SHIFT, RESOLUTION_M, Submap, laid_on, likeness, make_submap, windows
 from pipeline.slam.track import sees_everything
 
-# The chain's drift is what is usual; a place further off than this many times it is not this place.
-DRIFT_FACTOR = 2.5
-# A stretch is laid on its place as far as this drift from a recognised key [m].
-NEAR_DRIFT_M = 1.0
 # Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
 # that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).
 RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
+# Submaps looked at from one place are one while their headings differ by less than this cosine says.
+SAME_WAY = 0.7
 
 
 class RecallConfig(BaseModel):
@@ -47,16 +46,12 @@ class RecallConfig(BaseModel):
     min_likeness: float = Field(default=0.6, gt=0.0, le=1.0, description="of the signatures")
     min_score: float = Field(default=0.4, gt=0.0, le=1.0, description="of the correlation by FFT")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
-    max_denied: float = Field(default=0.06, gt=0.0, description="points seen through, mean over a submap")
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
     rival_share: float = Field(
         default=0.35, gt=0.0, description="of the support for another place: the place is ambiguous"
     )
-    max_stretch_denied: float = Field(
-        default=0.05, gt=0.0, description="points seen through, mean over the stretch laid at its place"
-    )
     max_contradicted: float = Field(
-        default=0.03, gt=0.0, description="share of revisits that deny each other with the stretch laid there"
+        default=0.05, gt=0.0, description="share of revisits that deny each other with the stretch laid there"
     )
     inflation: float = Field(default=50.0, gt=0.0)
     soft: float = Field(default=2.0, ge=0.0, description="Cauchy width, in standard deviations")
@@ -80,18 +75,19 @@ def recall(
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     chain: Chain,
-    anchors: list[tuple[int, int]],
+    known: Sequence[Constraint],
     config: RecallConfig,
-    gates: Gates,
+    reach_m: float,
     matcher: LoopMatch,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
-    `anchors` are pairs of keys those loops hold together, `gates` is their reach, `matcher` what aligns them.
+    `known` are those loops, `reach_m` is how far they are looked for, `matcher` what aligns them.
     """
     poses = T_map_keys.xyt.copy()
-    found = _candidates(clouds, keys, poses, chain, anchors, config, gates, matcher)
-    believed, record = _believed(clouds, keys, poses, found, chain, config)
+    drift = drift_of(poses, steps, chain.broken)
+    found = _candidates(clouds, keys, drift, known, config, reach_m, matcher)
+    believed, record = _believed(clouds, keys, found, drift, reach_m, config)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:
         return Recall(T_map_keys, [], record, part, released)
@@ -121,38 +117,45 @@ def _loop(place: Recognised, config: RecallConfig) -> Constraint:
 def _candidates(
     clouds: Clouds,
     keys: NDArray[np.int64],
-    poses: Array,
-    chain: Chain,
-    anchors: list[tuple[int, int]],
+    drift: Drift,
+    known: Sequence[Constraint],
     config: RecallConfig,
-    gates: Gates,
+    reach_m: float,
     matcher: LoopMatch,
 ) -> list[Recognised]:
-    """Every submap that drift may have carried out of the gates' reach, laid on the places it resembles."""
-    if not chain.may_drift(gates):
-        return []
-    places, found = windows(len(keys), chain.broken), []
-    middles = np.array(list(places), dtype=np.int64)
+    """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
+
+    A place that the loops have held together since is asked and looked for once, however often it was passed.
+    """
+    poses, found = drift.T_map_keys, []
+    places = windows(len(keys), drift.broken)
 
     @cache
     def submap(middle: int) -> Submap | None:
         return make_submap(clouds, keys, poses, middle, places[middle])
 
-    for n, i in enumerate(middles.tolist()):
-        drift, length = (row[0] for row in chain.drift_from(middles[n : n + 1], anchors))
-        far = middles[:n][gates.beyond(drift[middles[:n]], length[middles[:n]])]
+    first_visits: list[int] = []
+    for i in places:
+        older = np.array(first_visits, dtype=np.int64)
+        off, _ = reach(read_at(drift.from_key(i, known)[older], poses[i]))
+        apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
+        same_way = np.cos(poses[older, 2] - poses[i, 2]) > SAME_WAY
+        if ((apart + off < NEAR_M) & same_way).any():
+            continue
+        first_visits.append(i)
+        far = older[(off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)]
         query = submap(i) if len(far) else None
         if query is None:
             continue
+        allowed = dict(zip(first_visits, off.tolist(), strict=False))
         others = [other for j in far.tolist() if (other := submap(j)) is not None]
         like = likeness(query, others)
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
             if like[k] < config.min_likeness:
                 break
             guess = between(poses[others[k].middle], poses[i])
-            reach = gates.least_m + DRIFT_FACTOR * drift[others[k].middle]
             for score, start in laid_on(query, others[k]):
-                near = np.hypot(*(start[:2] - guess[:2])) < reach
+                near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
                 if near and score >= config.min_score:
                     found.append(_settled(clouds, keys, query, others[k], start, score, config, matcher))
     return found
@@ -194,8 +197,6 @@ def _settled(
         query.middle, other.middle, pose, score, float(overlap),
         float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
     )  # fmt: skip
-    if place_found.denied > config.max_denied:
-        return place_found.judged("sees through walls")
     if not sees_everything(information):
         return place_found.judged("blind in one direction")
     if not matcher.confirms(clouds, middle, there, pose):
@@ -227,24 +228,24 @@ def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArra
 def _believed(
     clouds: Clouds,
     keys: NDArray[np.int64],
-    poses: Array,
     found: list[Recognised],
-    chain: Chain,
+    drift: Drift,
+    reach_m: float,
     config: RecallConfig,
 ) -> tuple[list[list[Recognised]], list[Recognised]]:
     """The sets of places that are believed, and the record of all with their verdicts."""
     good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
     places = [found[k] for k in good]
-    comparable, agree = consistency(places, poses, chain)
+    comparable, agree = consistency(places, drift, reach_m, config.inflation)
     verdicts = ["too few agree"] * len(places)
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):
         supporters = support(places, members)
         if supporters < config.min_support - 1:
             continue
-        denied = _laid_out(clouds, keys, poses, [places[k] for k in members], chain)
+        denied = _laid_out(clouds, keys, [places[k] for k in members], drift)
         mean, bad = (denied.mean(), np.mean(denied > BAD_SHARE)) if len(denied) else (1.0, 1.0)
-        if mean > config.max_stretch_denied or bad > config.max_contradicted:
+        if bad > config.max_contradicted:
             _mark(verdicts, members, "the stretch contradicts the place")
         else:
             feasible.append((members, supporters, float(mean)))
@@ -273,18 +274,16 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
         verdicts[k] = verdict
 
 
-def _laid_out(
-    clouds: Clouds, keys: NDArray[np.int64], poses: Array, stretch: list[Recognised], chain: Chain
-) -> Array:
+def _laid_out(clouds: Clouds, keys: NDArray[np.int64], stretch: list[Recognised], drift: Drift) -> Array:
     """Share of points denied in each revisit, with the whole stretch laid at its place.
 
-    Keys are carried by the nearest recognised one, as far as little drift separates them from it.
+    Keys are carried by the nearest recognised one, as far as drift cannot make a wall seem seen through.
     """
-    n = np.arange(len(keys))
-    to_i = np.array([chain.drift_between(n, np.full(len(n), place.i)) for place in stretch])
-    to_j = np.array([chain.drift_between(n, np.full(len(n), place.j)) for place in stretch])
-    newer = np.flatnonzero((to_i.min(axis=0) < NEAR_DRIFT_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
-    older = np.flatnonzero((to_j.min(axis=0) < NEAR_DRIFT_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
+    n, poses = np.arange(len(keys)), drift.T_map_keys
+    to_i = np.array([_off(drift, n, place.i) for place in stretch])
+    to_j = np.array([_off(drift, n, place.j) for place in stretch])
+    newer = np.flatnonzero((to_i.min(axis=0) < THROUGH_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
+    older = np.flatnonzero((to_j.min(axis=0) < THROUGH_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
     moved = poses.copy()
     for k in newer.tolist():
         place = stretch[int(np.argmin(to_i[:, k]))]
@@ -296,6 +295,12 @@ def _laid_out(
         return np.zeros(0)
     pairs = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
     return _denied(clouds, keys, moved, pairs)
+
+
+def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
+    """How far off keys (n,) may lie as seen from another one [m], (n,)."""
+    gathered = drift.along(keys, np.full(len(keys), other))
+    return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
 
 
 def _laid_together(

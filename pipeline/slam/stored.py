@@ -60,8 +60,6 @@ LAYOUT = {
     "chain_broken": ("b", "m"),
     "chain_contradicted": ("b", "m"),
     "chain_alone": ("b", "m"),
-    "chain_drift_m": ("n", "m"),
-    "chain_length_m": ("n", "m"),
     "chain_gaps": ("i", "g2"),
     "constraint_i": ("i", "c"),
     "constraint_j": ("i", "c"),

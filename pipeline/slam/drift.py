@@ -1,0 +1,146 @@
+"""How far off one key scan may lie as seen from another: the covariance gathered along the graph.
+
+Every step and loop says how well it is known, heading included. Written about the map's origin, as motions
+of the whole plane, their covariances simply add up along a way through the graph; at the end of the way they
+are read where the key scan is. A turn that is off by little then moves a far place by much.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.kernels import njit
+from datasets.se2 import Array
+from pipeline.slam.factors import Constraint
+from pipeline.slam.pose_graph import FLOOR
+
+# Steps say too much of their errors: over 3 to 300 m the squared ones come to 0.04 to 0.57 of the covariance
+# that they add up to (six logs with a reference, the mean of each).
+HONEST = 0.25
+# What nothing is known of.
+ANYWHERE = 1e12 * np.eye(3)
+# True places lie within it in 99 of 100 cases, by the normal distribution in the plane.
+SIGMAS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Key poses (n, 3), and the covariances about the origin of the steps between them (n - 1, 3, 3).
+
+    `broken` (n - 1,) are steps that may be anything.
+    """
+
+    T_map_keys: Array
+    steps: Array
+    broken: NDArray[np.bool_]
+
+    def along(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
+        """Covariance gathered along the log between keys (k,) and others (k,), about the origin, (k, 3, 3);
+        over a break anything."""
+        total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(self.steps, axis=0)])
+        part = np.concatenate([[0], np.cumsum(self.broken)])
+        lo, hi = np.minimum(i, j), np.maximum(i, j)
+        gathered = total[hi] - total[lo]
+        gathered[part[i] != part[j]] = ANYWHERE
+        return gathered
+
+    def from_key(self, i: int, loops: Sequence[Constraint]) -> Array:
+        """The same from key i to every key, by the surest way through steps and loops, (n, 3, 3)."""
+        n = len(self.T_map_keys)
+        ends = np.array([(c.i, c.j) for c in loops], dtype=np.int64).reshape(-1, 2)
+        whole = np.flatnonzero(~self.broken)
+        edges = np.vstack([np.column_stack([whole, whole + 1]), ends])
+        told = covariances(self.T_map_keys, ends[:, 1], [c.information for c in loops])
+        covariance = np.concatenate([self.steps[whole], told])
+        return _surest(ANYWHERE, *_rows(n, edges), covariance, edges, self.T_map_keys, i)
+
+
+def drift_of(
+    T_map_keys: Array, steps: Sequence[Constraint], broken: NDArray[np.bool_] | None = None
+) -> Drift:
+    """The drift of keys (n, 3) that steps hold together."""
+    n = len(T_map_keys)
+    information = np.zeros((max(n - 1, 0), 3, 3))
+    for c in steps:
+        if c.j == c.i + 1 < n:
+            information[c.i] += c.information
+    told = covariances(T_map_keys, np.arange(1, n), information)
+    return Drift(T_map_keys, told, np.zeros(len(told), dtype=bool) if broken is None else broken)
+
+
+def covariances(T_map_keys: Array, ends: NDArray[np.int64], information: Sequence[Array] | Array) -> Array:
+    """Information (k, 3, 3) in the frames of keys `ends` (k,) as covariances about the map's origin."""
+    if len(ends) == 0:
+        return np.zeros((0, 3, 3))
+    own = HONEST * np.linalg.inv(np.asarray(information) + FLOOR)
+    x, y, yaw = T_map_keys[ends].T
+    moved = np.zeros((len(ends), 3, 3))
+    moved[:, 0, 0] = moved[:, 1, 1] = np.cos(yaw)
+    moved[:, 1, 0] = np.sin(yaw)
+    moved[:, 0, 1] = -moved[:, 1, 0]
+    moved[:, 0, 2], moved[:, 1, 2], moved[:, 2, 2] = y, -x, 1.0
+    return np.asarray(moved @ own @ moved.transpose(0, 2, 1))
+
+
+def read_at(covariance: Array, poses: Array) -> Array:
+    """Covariances (..., 3, 3) about the origin as those of poses (..., 3), along the map's axes."""
+    lever = np.zeros((*poses.shape[:-1], 3, 3)) + np.eye(3)
+    lever[..., 0, 2], lever[..., 1, 2] = -poses[..., 1], poses[..., 0]
+    return np.asarray(lever @ covariance @ np.swapaxes(lever, -1, -2))
+
+
+def reach(covariance: Array) -> tuple[Array, Array]:
+    """How far off [m] and how far turned [rad] a pose of covariance (..., 3, 3) may be."""
+    xx, yy, xy = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    return SIGMAS * np.sqrt(largest), SIGMAS * np.sqrt(covariance[..., 2, 2])
+
+
+def _rows(n: int, edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For each key where its edges begin (n + 1,), and the edges of all keys one after another."""
+    ends = edges.ravel()
+    return np.searchsorted(np.sort(ends), np.arange(n + 1)), np.argsort(ends, kind="stable") // 2
+
+
+@njit(cache=True)
+def _surest(
+    anywhere: Array,
+    first: NDArray,
+    of_key: NDArray,
+    covariance: Array,
+    edges: NDArray,
+    poses: Array,
+    start: int,
+) -> Array:
+    """Dijkstra over what each edge adds to the variance of its end and of a point a metre beside it."""
+    n = len(poses)
+    out = np.empty((n, 3, 3))
+    out[:] = anywhere
+    best = np.full(n, np.inf)
+    done = np.zeros(n, dtype=np.bool_)
+    out[start] = 0.0
+    best[start] = 0.0
+    heap = [(0.0, start)]
+    while len(heap) > 0:
+        cost, k = heapq.heappop(heap)
+        if done[k]:
+            continue
+        done[k] = True
+        for r in range(first[k], first[k + 1]):
+            e = of_key[r]
+            other = edges[e, 0] + edges[e, 1] - k
+            c, x, y = covariance[e], poses[edges[e, 1], 0], poses[edges[e, 1], 1]
+            # at the edge's own end: c is about the origin
+            xx = c[0, 0] - 2.0 * y * c[0, 2] + y * y * c[2, 2]
+            yy = c[1, 1] + 2.0 * x * c[1, 2] + x * x * c[2, 2]
+            total = cost + xx + yy + c[2, 2]
+            if total < best[other]:
+                best[other] = total
+                out[other] = out[k] + c
+                heapq.heappush(heap, (total, other))
+    return out
