@@ -61,7 +61,7 @@ def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folde
 
 
 def test_a_page_that_contradicts_the_robot_verifies(page):
-    found = verify(page.parent, run_again=False)
+    found = verify(page.parent)
     assert found.problems == []
     checked = {check.key for check in found.checks}
     assert {
