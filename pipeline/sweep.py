@@ -14,7 +14,7 @@ from datasets.claims import MARKER, Claim, claimed
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, sha256_text, write_json, write_manifest
 from datasets.places import check_free
-from pipeline.cache import surroundings
+from datasets.stage_cache import surroundings
 from pipeline.campaign.case import CACHE, ROW, SHARED, Run, throw_away
 from pipeline.campaign.engine import run_cases
 from pipeline.campaign.plan import Campaign, Case, campaign_path, cases, load_campaign

@@ -19,12 +19,13 @@ from datasets.outputs import sha256_file
 from pipeline.remake import Remade, Run, floor_seen_again, goals_never_pursued, places_of, remade
 from reports.content import build_chapter, stage_metrics
 from reports.figures.album import Album
+from reports.grouping import group_stages
 from reports.metrics.map import occupied
 from reports.numbers import leaves, shown
 from reports.page import render
 from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
 from reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
-from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json, read_manifest
+from reports.stages import Group, Stage, changed_files, load_stage, read_json, read_manifest
 from sim.robots import load_robot
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')

@@ -10,8 +10,9 @@ from pipeline.compare import write_comparison
 from pipeline.report import make_index, make_report
 from pipeline.verify import verify, words_of
 from reports.content import verdict
+from reports.grouping import group_stages
 from reports.metrics.navigation import outcome
-from reports.stages import Stage, group_stages, load_stage
+from reports.stages import Stage, load_stage
 
 AWAY = ((1.3, 0.6), (-1.3, 0.6), (0.0, 1.2))
 """The robot takes the last of these to be reached 2.4 m from it."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.outputs import write_json
-from pipeline.cache import PLACE_VARIABLE
+from datasets.stage_cache import PLACE_VARIABLE
 from reports.stages import read_json
 
 Run = Callable[[list[str]], int]
