@@ -16,7 +16,8 @@ from datasets.seeds import stream
 from datasets.types import Scan, Trajectory, Twist, wrap
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
-from sim.worlds import World, load_world
+from sim.world import World
+from sim.worlds import load_world
 
 KEPT = 15  # control steps that surely reach back to a scan's stamp
 MARGIN_M = 0.12  # kept from walls and low things, beyond the robot's own radius

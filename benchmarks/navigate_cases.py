@@ -21,7 +21,8 @@ from planners.control.goal_checker import GoalCheckerConfig
 from planners.costmap import CostmapConfig, costmap_from_grid
 from planners.tasks.avoid import AvoidConfig
 from sim.robots import RobotSpec, load_robot
-from sim.worlds import World, load_world
+from sim.world import World
+from sim.worlds import load_world
 
 ROOM_M = 0.05
 """Goals are reachable for the circumscribed radius and this."""

@@ -19,7 +19,7 @@ from planners.costmap import CostmapConfig, costmap_from_grid
 from planners.tasks.waypoints import tutorial_patrol
 from sim.faults import FaultConfig
 from sim.shapes import Solid, box
-from sim.worlds import World
+from sim.world import World
 
 OFF_M, OFF_RAD = 0.5, math.radians(30.0)
 FAR_M = 4.0

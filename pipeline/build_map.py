@@ -5,39 +5,30 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from datasets.bags.mapping_input import NoScans
 from datasets.errors import InputError
 from datasets.files import require_same, signatures
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map, save_map
+from datasets.maps import save_map
 from datasets.outputs import Stopwatch, sha256_tree, staged_output, write_json, write_manifest
 from datasets.places import check_free
 from datasets.recordings import load_recording
-from datasets.relations import load_relations
 from datasets.se2 import SE2
-from datasets.trajectories import load_tum, save_tum
-from datasets.types import Recording, Recording3D, Trajectory
-from pipeline.cache import StageCache
+from datasets.stage_cache import StageCache
+from datasets.trajectories import save_tum
+from datasets.types import Recording
 from pipeline.config import config_text, load_config
 from pipeline.console import log, log_notes, track
-from pipeline.map_lines import tell_map
+from pipeline.map_lines import summary, tell_map
+from pipeline.map_references import References
 from pipeline.slam.explain import loop_record, write_explanation
 from pipeline.slam.pose_graph import write_g2o
-from pipeline.slam.slam import SlamConfig, SlamResult, chosen_parts, continue_slam, run_slam
+from pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from pipeline.slam.stored import FILE as GRAPH
 from pipeline.slam.stored import load_session, require_same_front_end, save_session
-from pipeline.slam.turns import delay_metrics
-from reports.metrics.map import map_metrics
-from reports.metrics.relations import relations_metrics
-from reports.metrics.trajectory import trajectory_metrics
 
 TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
 """Names of our own files in the folder of a map."""
-
-if TYPE_CHECKING:
-    from pipeline.slam3d.slam3d import Slam3dResult
 
 
 def build_map(
@@ -184,59 +175,3 @@ def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, ca
 
 def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
     return track(items, text, total)
-
-
-class References:
-    """What the result is measured against, read and checked before the work starts."""
-
-    def __init__(self, truth: Path | None, relations: Path | None) -> None:
-        self._truth_folder = _truth_folder(truth) if truth is not None else None
-        self._relations_file = relations
-        self._relations = load_relations(relations) if relations is not None else None
-        if self._truth_folder is not None:
-            self._true_poses = load_tum(self._truth_folder / "trajectory.tum")
-            true_map = self._truth_folder / "map.yaml"
-            self._true_grid = load_map(true_map) if true_map.exists() else None
-
-    def inputs(self) -> dict[str, Path]:
-        """Paths for the manifest."""
-        named = {"truth": self._truth_folder, "relations": self._relations_file}
-        return {name: path for name, path in named.items() if path is not None}
-
-    def metrics(self, trajectory: Trajectory, grid: OccupancyGrid) -> dict[str, Any]:
-        """The contract's keys for what was given."""
-        found: dict[str, Any] = {}
-        if self._truth_folder is not None:
-            try:
-                found |= trajectory_metrics(trajectory, self._true_poses)
-            except ValueError as error:
-                raise InputError(f"{self._truth_folder}: {error}") from None
-            if self._true_grid is not None:
-                found["map"] = map_metrics(grid, self._true_grid)
-        if self._relations is not None:
-            found |= relations_metrics(trajectory, self._relations)
-        return found
-
-
-def _truth_folder(path: Path) -> Path:
-    for folder in (path, path / "truth"):
-        if (folder / "trajectory.tum").is_file():
-            return folder
-    raise InputError(f"{path}: no truth here (expected trajectory.tum in it or in its truth/)")
-
-
-def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
-    """Metrics that need no reference, the same of planar maps and of maps in 3D."""
-    accepted = sum(loop.accepted for loop in result.loops)
-    return {
-        "scans": len(recording),
-        "keyframes": len(result.keys),
-        "loops": {
-            "proposed": len(result.loops),
-            "accepted": accepted,
-            "rejected": len(result.loops) - accepted,
-        },
-        "log_s": recording.duration(),
-        **delay_metrics(recording),
-        "self_check": result.check.as_metrics(),
-    }

@@ -14,10 +14,10 @@ from datasets.maps import save_map
 from datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from datasets.se2 import Array
 from datasets.trajectories import save_tum_3d
-from pipeline.build_map import References, summary
 from pipeline.config import config_text, load_config
 from pipeline.console import log_notes, track
-from pipeline.map_lines import tell_map
+from pipeline.map_lines import summary, tell_map
+from pipeline.map_references import References
 from pipeline.slam3d.cloud_map import save_ply
 from pipeline.slam3d.graph import residuals, write_g2o
 from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d

@@ -1,12 +1,18 @@
-"""What `map` says at its end: how good the map is, and where it lies."""
+"""What `map` writes and says of a map that needs no truth: how good it is, and where it lies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from datasets.types import Recording, Recording3D
 from pipeline.console import length, log
+from pipeline.slam.turns import delay_metrics
+
+if TYPE_CHECKING:
+    from pipeline.slam.slam import SlamResult
+    from pipeline.slam3d.slam3d import Slam3dResult
 
 SHOWN = (".yaml", ".pgm", ".ply", ".tum")
 """What people open; the other files beside them are named in the documentation."""
@@ -43,3 +49,20 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
         )
     names = sorted(path.name for path in out.iterdir() if path.suffix in SHOWN and path.stem != "config")
     yield f"{out}: {', '.join(names)}"
+
+
+def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
+    """Metrics that need no reference, the same of planar maps and of maps in 3D."""
+    accepted = sum(loop.accepted for loop in result.loops)
+    return {
+        "scans": len(recording),
+        "keyframes": len(result.keys),
+        "loops": {
+            "proposed": len(result.loops),
+            "accepted": accepted,
+            "rejected": len(result.loops) - accepted,
+        },
+        "log_s": recording.duration(),
+        **delay_metrics(recording),
+        "self_check": result.check.as_metrics(),
+    }

@@ -24,7 +24,8 @@ from pipeline.record import deferred_interrupt, own_files
 from planners.costmap import polygon_mask
 from sim.robots import RobotSpec, load_robot
 from sim.simulator import Simulator
-from sim.worlds import World, load_world
+from sim.world import World
+from sim.worlds import load_world
 
 
 def navigate(

@@ -23,10 +23,11 @@ from pipeline.config import config_text
 from pipeline.console import Simulated, log, simulated_time
 from pipeline.replay import is_recording, load_commands
 from sim.driver import Stuck
-from sim.robots import RobotSpec, load_robot
+from sim.robots import RobotSpec, load_robot, static_transforms
 from sim.simulator import SimConfig, Simulator, Truth
 from sim.teleop import commands, load_script, script_names
-from sim.worlds import World, load_world
+from sim.world import World
+from sim.worlds import load_world
 
 
 class RecordOptions(BaseModel):
@@ -227,22 +228,6 @@ def _drive(
         observation = simulator.step(command)
     bag.command(observation.stamp_ns, Twist())
     return seconds(observation.stamp_ns), stuck
-
-
-def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, float, float], float]]:
-    """(parent, child, xyz, yaw) of the robot's fixed frames, for /tf_static."""
-    x, y, yaw = robot.lidar.pose
-    axle = robot.axle_height
-    ix, iy, iz = robot.imu.position
-    links = [
-        ("base_footprint", "base_link", (0.0, 0.0, axle), 0.0),
-        ("base_link", "base_scan", (x, y, robot.lidar.height - axle), yaw),
-        ("base_link", "imu_link", (ix, iy, iz - axle), 0.0),
-    ]
-    if robot.lidar3d is not None:
-        px, py, pz = robot.lidar3d.position
-        links.append(("base_link", "lidar_3d", (px, py, pz - axle), 0.0))
-    return links
 
 
 @contextmanager

@@ -7,15 +7,13 @@ inputs where they lie now and with the very settings of its `config.yaml`.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
-from pipeline.cli import build_parser, joined
-from pipeline.commands.arguments import pose
 from pipeline.console import log
 from planners.tasks.waypoints import load_waypoints, tutorial_patrol
 from reports.metrics.area import area_metrics
@@ -23,6 +21,8 @@ from reports.provenance import rename
 from reports.stages import Group, Stage, read_json
 from sim.robots import load_robot
 
+Run = Callable[[list[str]], int]
+"""Runs a command line, without its `turtlebag`, saying nothing; gives the exit code."""
 AGAIN = ("map", "localise", "plan")
 """Stages that are functions of files alone; a drive is judged by its bag."""
 
@@ -41,38 +41,31 @@ def places_of(groups: Sequence[Group]) -> dict[str, str]:
     return {out.rstrip("/"): str(stage.folder) for stage in stages if (out := stage.option("out"))}
 
 
-def remade(stage: Stage, places: Mapping[str, str]) -> Remade | None:
+def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
     """Run a stage again; None when it cannot be: another kind, or what it read is gone or not the same."""
     if stage.kind not in AGAIN or len(stage.command) < 2 or not stage.has("config.yaml"):
         return None
     log.debug("running %s again", stage.folder)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "again"
-        level = log.level
-        try:
-            log.setLevel("CRITICAL")
-            args = build_parser(stage.kind).parse_args(joined(command_again(stage, places, out)))
-            args.command_line, args.no_cache = [], True
-            args.run(args)
-            again = read_json(out / "manifest.json")
-            if _read(again) != _read(stage.manifest):
-                return None
-            changed = [
-                path
-                for path, digest in stage.outputs.items()
-                if not (out / path).is_file() or sha256_file(out / path) != digest
-            ]
-            return Remade(read_json(out / "metrics.json"), changed)
-        except (InputError, OSError):
+        run(command_again(stage, places, out))
+        if not (out / "manifest.json").is_file():
             return None
-        finally:
-            log.setLevel(level)
+        again = read_json(out / "manifest.json")
+        if _read(again) != _read(stage.manifest):
+            return None
+        changed = [
+            path
+            for path, digest in stage.outputs.items()
+            if not (out / path).is_file() or sha256_file(out / path) != digest
+        ]
+        return Remade(read_json(out / "metrics.json"), changed)
 
 
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
     """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
     words: list[str] = []
-    following = iter(joined(stage.command[1:]))
+    following = iter(stage.command[1:])
     for word in following:
         option, equals, _ = word.partition("=")
         if option in ("--out", "--config", "--set"):
@@ -80,7 +73,8 @@ def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[st
                 next(following, None)
         elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
             words.append(rename(word, dict(places)))
-    return [*words, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
+    anew = ["--no-cache"] if stage.kind == "map" and "--no-cache" not in words else []
+    return [*words, *anew, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
 
 
 def _read(manifest: Mapping[str, Any]) -> list[str]:
@@ -111,13 +105,13 @@ def _asked(stage: Stage, places: Mapping[str, str]) -> list[tuple[float, float, 
     """The goals of the command line or its waypoints file, x, y, yaw."""
     try:
         if (goal := stage.option("goal")) is not None:
-            x, y, yaw = pose(goal, "--goal").xyt.tolist()
+            x, y, yaw = (float(part) for part in goal.split(","))
             return [(x, y, yaw)]
         if stage.fact("task") != "patrol":
             return []
         file = stage.option("waypoints")
         found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, dict(places))))
-    except InputError:
+    except (InputError, ValueError):
         return []
     return [waypoint.written for waypoint in found.waypoints]
 

@@ -11,10 +11,11 @@ from datasets.outputs import Stopwatch, staged_output, write_json, write_manifes
 from pipeline.console import drawing
 from reports.content import build_chapter
 from reports.figures.album import Album
+from reports.grouping import group_stages
 from reports.index import index_lines, shown_outputs
 from reports.layout import viewer_layouts
 from reports.page import render, render_index
-from reports.stages import group_stages, load_stage
+from reports.stages import load_stage
 from reports.tables import write_tables
 
 

@@ -14,8 +14,8 @@ from datasets.claims import MARKER, Claim, claimed
 from datasets.errors import InputError
 from datasets.outputs import Stopwatch, sha256_text, write_json, write_manifest
 from datasets.places import check_free
-from pipeline.cache import surroundings
-from pipeline.campaign.case import CACHE, ROW, SHARED, throw_away
+from datasets.stage_cache import surroundings
+from pipeline.campaign.case import CACHE, ROW, SHARED, Run, throw_away
 from pipeline.campaign.engine import run_cases
 from pipeline.campaign.plan import Campaign, Case, campaign_path, cases, load_campaign
 from pipeline.campaign.table import write_parquet
@@ -36,13 +36,15 @@ MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 def sweep(
     campaign_name: str,
     out: Path,
+    run: Run,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
     force: bool = False,
     command: Sequence[str] = ("turtlebag", "sweep"),
 ) -> int:
-    """Run what is left of a campaign and write its results to `out`; 1 when any case failed.
+    """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
+    any case failed.
 
     The work grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
     """
@@ -50,13 +52,14 @@ def sweep(
     campaign = load_campaign(campaign_name)
     check_free(out, force=force, kind="folder")
     with claimed(out, force=force) as claim:
-        return _sweep(campaign, campaign_name, claim, scheduler, workers, command, watch)
+        return _sweep(campaign, campaign_name, claim, run, scheduler, workers, command, watch)
 
 
 def _sweep(
     campaign: Campaign,
     campaign_name: str,
     claim: Claim,
+    run: Run,
     scheduler: str | None,
     workers: int | None,
     command: Sequence[str],
@@ -66,7 +69,7 @@ def _sweep(
     todo = cases(campaign)
     inputs = _inputs(campaign_name, todo)
     claim.watch(inputs.values())
-    rows = _run(campaign, todo, folder / "cases", scheduler, workers)
+    rows = _run(campaign, todo, folder / "cases", run, scheduler, workers)
     timing = _collect_timing(folder / "cases")
     _tidy(folder, campaign)
     write_results(campaign, rows, folder)
@@ -124,7 +127,12 @@ def _other_maker(folder: Path, marks: Mapping[str, str]) -> str:
 
 
 def _run(
-    campaign: Campaign, todo: Sequence[Case], folder: Path, scheduler: str | None, workers: int | None
+    campaign: Campaign,
+    todo: Sequence[Case],
+    folder: Path,
+    run: Run,
+    scheduler: str | None,
+    workers: int | None,
 ) -> list[dict[str, Any]]:
     """Rows of all cases in the campaign's order; those that were done before are only read."""
     rows: dict[str, dict[str, Any]] = {}
@@ -136,7 +144,7 @@ def _run(
     if rows:
         log.info(f"going on: {len(rows)} of {len(todo)} cases are done")
     if left:
-        found = run_cases(campaign, left, folder, scheduler=scheduler, workers=workers)
+        found = run_cases(campaign, left, folder, run, scheduler=scheduler, workers=workers)
         for row in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if row["failed"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import html
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,16 @@ from scipy import ndimage
 from datasets.bags.reader import read_poses
 from datasets.errors import InputError
 from datasets.outputs import sha256_file
-from pipeline.remake import floor_seen_again, goals_never_pursued, places_of, remade
+from pipeline.remake import Remade, Run, floor_seen_again, goals_never_pursued, places_of, remade
 from reports.content import build_chapter, stage_metrics
 from reports.figures.album import Album
+from reports.grouping import group_stages
 from reports.metrics.map import occupied
 from reports.numbers import leaves, shown
 from reports.page import render
 from reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
 from reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
-from reports.stages import Group, Stage, changed_files, group_stages, load_stage, read_json, read_manifest
+from reports.stages import Group, Stage, changed_files, load_stage, read_json, read_manifest
 from sim.robots import load_robot
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
@@ -66,16 +67,20 @@ def _file(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def verify(report: Path, *, run_again: bool = True) -> Verification:
+def verify(report: Path, run: Run | None = None) -> Verification:
     """Check a report folder; InputError when it or its inputs cannot be read at all.
 
-    `run_again`: stages whose numbers their files alone do not hold are run again from what they read.
+    With `run`, stages whose numbers their files alone do not hold are run again from what they read.
     """
     found = Verification()
     groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
     reported = read_json(_file(report, "metrics.json"))
     _check_report_files(report, groups, found)
-    places = places_of(groups) if run_again else None
+    places = places_of(groups)
+
+    def again(stage: Stage) -> Remade | None:
+        return None if run is None else remade(stage, places, run)
+
     for group in groups:
         for stage in group.stages:
             chapter = reported.get(group.name)
@@ -83,7 +88,7 @@ def verify(report: Path, *, run_again: bool = True) -> Verification:
             if not isinstance(metrics, dict):
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
-            _check_stage(stage, group, metrics, places, found)
+            _check_stage(stage, group, metrics, places, again, found)
     _check_page(_file(report, "index.html"), found)
     _check_texts(_file(report, "index.html"), groups, found)
     return found
@@ -108,7 +113,8 @@ def _check_stage(
     stage: Stage,
     group: Group,
     metrics: dict[str, Any],
-    places: dict[str, str] | None,
+    places: dict[str, str],
+    again: Callable[[Stage], Remade | None],
     found: Verification,
 ) -> None:
     name = f"{group.name}/{stage.label}"
@@ -123,10 +129,12 @@ def _check_stage(
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics, places or {})
+    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics, places)
     left = _unknown(name, metrics, done)
-    if left and places is not None:
-        done += _run_again(stage, name, metrics, left, places, found)
+    if left and (anew := again(stage)) is not None:
+        if anew.other_bytes:
+            found.notes.append(f"{name}: run again, other bytes in {', '.join(anew.other_bytes)}")
+        done += [check for check in _checks(name, metrics, anew.metrics) if check.key in left]
         left = _unknown(name, metrics, done)
     found.checks += done
     found.unchecked += left
@@ -151,22 +159,6 @@ def _computed_here(stage: Stage, name: str, metrics: dict[str, Any], places: dic
         return []
     asked = goals_never_pursued(stage, places)
     return _checks(name, metrics, floor_seen_again(stage)) + _checks(name, metrics, asked)
-
-
-def _run_again(
-    stage: Stage,
-    name: str,
-    metrics: dict[str, Any],
-    wanted: list[str],
-    places: dict[str, str],
-    found: Verification,
-) -> list[Check]:
-    again = remade(stage, places)
-    if again is None:
-        return []
-    if again.other_bytes:
-        found.notes.append(f"{name}: run again, other bytes in {', '.join(again.other_bytes)}")
-    return [check for check in _checks(name, metrics, again.metrics) if check.key in wanted]
 
 
 def _checks(name: str, told: dict[str, Any], found: dict[str, Any]) -> list[Check]:

@@ -6,10 +6,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from reports.stages import Stage
+from reports.stages import Stage
 
 TITLES = {
     "record": "Recording",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -17,9 +16,7 @@ from datasets.seeds import stream
 from sim.movers import Mover
 from sim.raycast import roomiest
 from sim.shapes import Solid, box, cylinder, sections
-
-if TYPE_CHECKING:
-    from sim.worlds import World
+from sim.world import World
 
 CELL_M = 0.1
 ROOM_M = 0.25

@@ -227,3 +227,19 @@ def check_rate(rate_hz: float, where: str) -> None:
 def robot_names() -> list[str]:
     """Names of the built-in robots."""
     return known_names(FOLDER)
+
+
+def static_transforms(robot: RobotSpec) -> list[tuple[str, str, tuple[float, float, float], float]]:
+    """(parent, child, xyz, yaw) of the robot's fixed frames, for /tf_static."""
+    x, y, yaw = robot.lidar.pose
+    axle = robot.axle_height
+    ix, iy, iz = robot.imu.position
+    links = [
+        ("base_footprint", "base_link", (0.0, 0.0, axle), 0.0),
+        ("base_link", "base_scan", (x, y, robot.lidar.height - axle), yaw),
+        ("base_link", "imu_link", (ix, iy, iz - axle), 0.0),
+    ]
+    if robot.lidar3d is not None:
+        px, py, pz = robot.lidar3d.position
+        links.append(("base_link", "lidar_3d", (px, py, pz - axle), 0.0))
+    return links

@@ -18,7 +18,7 @@ from datasets.errors import InputError
 from datasets.se2 import SE2, Array
 from sim.raycast import distance_to_point, roomiest
 from sim.robots import RobotSpec
-from sim.worlds import World
+from sim.world import World
 
 CELL_M = 0.1
 SIDE_M = 0.08

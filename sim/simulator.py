@@ -24,7 +24,7 @@ from sim.robots import LidarErrors, RobotSpec, check_rate
 from sim.shapes import Sections, contains
 from sim.sweep import Sweep
 from sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
-from sim.worlds import World
+from sim.world import World
 
 CONTROL_HZ = 30
 Sensors = Literal["realistic", "clean"]

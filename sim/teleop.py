@@ -24,7 +24,7 @@ from sim.driver import Driver
 from sim.robots import RobotSpec
 from sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
 from sim.simulator import CONTROL_HZ, Truth
-from sim.worlds import World
+from sim.world import World
 
 FOLDER = Path(__file__).parent / "scripts"
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
+from datasets.se2 import SE2
 from datasets.yaml_files import checked, find_named, known_names, read_mapping
 from sim.clutter import cluttered
 from sim.generators import GENERATORS, LIMITS
-from sim.movers import Mover
-from sim.rasterize import true_map
 from sim.raycast import distance_to_point
 from sim.sdf import load_sdf
-from sim.shapes import Sections, Solid, contains, sections
+from sim.shapes import Solid, contains, sections
+from sim.world import World
 from sim.world_files import GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
@@ -26,40 +23,6 @@ MARGIN_M = 0.5
 """Free border around the outermost solid in a true map."""
 MOST_M2 = 160_000.0
 """Largest world: its true map has as many cells as can be read again."""
-
-
-@dataclass(frozen=True, eq=False)
-class World:
-    """Solids on an endless floor at z = 0, and where a robot starts.
-
-    `keepout` are outlines (n, 2) that planners may be told to avoid because a planar lidar cannot
-    see what stands there; `routes` are named way points (n, 2) for scripted driving.
-    """
-
-    name: str
-    robot: str
-    spawn: SE2
-    shapes: tuple[Solid, ...]
-    bounds: tuple[float, float, float, float]
-    keepout: tuple[Array, ...]
-    routes: dict[str, Array]
-    movers: tuple[Mover, ...] = ()
-
-    def crossing(self, z: float) -> list[Solid]:
-        """Solids that a horizontal plane at z cuts: what a lidar at that height can see."""
-        return [solid for solid in self.shapes if solid.crosses(z)]
-
-    def below(self, z: float) -> list[Solid]:
-        """Solids that reach into the space over the floor and below z: what a robot that high can touch."""
-        return [solid for solid in self.shapes if solid.z_min < z and solid.z_max > 0.0]
-
-    def touchable(self, height: float) -> Sections:
-        """Outlines of everything that a robot of that height can touch."""
-        return sections(self.below(height), 0.0, height)
-
-    def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
-        """The true map at height z, as a perfect lidar there would draw it (see sim.rasterize)."""
-        return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)
 
 
 def load_world(name_or_path: str) -> World:

@@ -32,7 +32,7 @@ def no_workers(monkeypatch):
     """Campaigns whose cases all end at once with the same numbers."""
     import pipeline.sweep
 
-    def rows(campaign, todo, folder, **options):
+    def rows(campaign, todo, folder, run, **options):
         for case in todo:
             values = dict.fromkeys(campaign.results, 0.5)
             yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}

@@ -12,8 +12,8 @@ from datasets.errors import InputError
 from datasets.maps import save_map
 from datasets.runlog import RunLogBuilder
 from datasets.se2 import SE2
+from datasets.stage_cache import StageCache
 from datasets.types import Trajectory, Twist
-from pipeline.cache import StageCache
 from pipeline.campaign.oracle import true_drive, true_steps, with_sensors, with_truth
 from pipeline.cli import main
 from pipeline.navigation.config import NavigateConfig

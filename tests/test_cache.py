@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import stage_cache as caching
 from datasets.bags.writer import BagWriter
 from datasets.errors import InputError
 from datasets.fingerprints import fingerprint
 from datasets.kept import MAGIC
 from datasets.outputs import sha256_tree
 from datasets.se2 import SE2
+from datasets.stage_cache import StageCache, default_cache
 from datasets.types import Joints, Observation, Odometry, Twist
-from pipeline import cache as caching
-from pipeline.cache import StageCache, default_cache
 from pipeline.cli import main
 from pipeline.slam.slam import SlamConfig, run_slam
 from tests.slam_rooms import ROOM, around_the_room, drifted, recording
@@ -229,7 +229,7 @@ def test_the_sources_in_a_key_are_all_that_a_stage_is_made_of():
             re.M,
         )
         others = {name for name in named if not name.startswith(folders)}
-        assert others <= {"pipeline.cache"}, path
+        assert others <= {"datasets.stage_cache"}, path
 
 
 def test_where_the_cache_is(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from datasets.bags.reader import bag_info
 from datasets.bags.source import open_bag
 from datasets.errors import InputError
 from datasets.files import FileBytes
-from pipeline.cache import StageCache
+from datasets.stage_cache import StageCache
 from pipeline.cli import main
 
 
@@ -85,7 +85,7 @@ def test_what_changed_while_it_was_mapped_is_neither_written_nor_kept(bag, tmp_p
         return recording
 
     monkeypatch.setattr(pipeline.build_map, "load_recording", meanwhile)
-    monkeypatch.setattr("pipeline.cache.default_cache", lambda: cache)
+    monkeypatch.setattr("datasets.stage_cache.default_cache", lambda: cache)
     assert main(["map", str(bag), "--out", str(tmp_path / "map")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "map").exists()

@@ -112,7 +112,7 @@ def test_every_number_of_the_report_is_computed_again_and_a_lie_of_the_maps_own_
     for name in ("record", "map", "run", "report"):
         shutil.copytree(stages / name, tmp_path / name)
     # Nothing is left where it was made: all is found beside the report.
-    found = verify(tmp_path / "report")
+    found = verify(tmp_path / "report", main)
     assert (found.problems, found.unchecked, found.notes) == ([], [], [])
     assert "turtlebot3_world/map:self_check.revisits" in {check.key for check in found.checks}
     for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
@@ -120,11 +120,9 @@ def test_every_number_of_the_report_is_computed_again_and_a_lie_of_the_maps_own_
         file.write_text(re.sub(r'"revisits": \d+', '"revisits": 7', text))
         assert file.read_text() != text
         rehash(file.parent, "metrics.json")
-    problems = verify(tmp_path / "report").problems
+    problems = verify(tmp_path / "report", main).problems
     assert any(line.startswith("turtlebot3_world/map:self_check.revisits: reported 7, ") for line in problems)
-    assert (
-        "turtlebot3_world/map:self_check.revisits" in verify(tmp_path / "report", run_again=False).unchecked
-    )
+    assert "turtlebot3_world/map:self_check.revisits" in verify(tmp_path / "report").unchecked
 
 
 def test_the_same_seed_gives_the_same_bytes_wherever_it_is_written(stages, tmp_path):
@@ -233,6 +231,6 @@ def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path
     assert found["distance_m"] < 0.01
     # It ended before the first scan; that can be shown, and checked, too.
     assert turtlebag("report", tmp_path / "run", "--no-animation", "--out", tmp_path / "report") == 0
-    seen = verify(tmp_path / "report")
+    seen = verify(tmp_path / "report", main)
     assert (seen.problems, seen.unchecked) == ([], [])
     assert "0 of 1 task succeeded" in (tmp_path / "report" / "index.html").read_text()

@@ -31,7 +31,8 @@ from sim import shapes
 from sim.faults import FaultConfig
 from sim.robots import load_robot
 from sim.simulator import SimConfig, Simulator
-from sim.worlds import World, load_world
+from sim.world import World
+from sim.worlds import load_world
 
 # 12 x 4 m, the same when turned by half a circle about (6, 2) but for a cupboard at the right end.
 TWIN = SE2.from_xyt(12.0, 4.0, math.pi)

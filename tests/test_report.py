@@ -15,10 +15,11 @@ from datasets.outputs import sha256_tree
 from pipeline.cli import main
 from pipeline.report import make_report
 from reports.content import collision_count, verdict
+from reports.grouping import group_stages
 from reports.numbers import numbers_of, shown
 from reports.provenance import rename
 from reports.specs import SECTIONS
-from reports.stages import Group, Stage, changed_files, group_stages, load_stage
+from reports.stages import Group, Stage, changed_files, load_stage
 from reports.words import WORDS, explained
 
 

@@ -12,6 +12,7 @@ from datasets.errors import InputError
 from datasets.grid import OCCUPIED, OccupancyGrid
 from datasets.maps import load_map, save_map
 from datasets.outputs import sha256_file, write_json
+from pipeline.cli import main
 from pipeline.report import make_report
 from pipeline.verify import verify
 from reports.content import pointer_of
@@ -30,7 +31,7 @@ def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     assert list(metrics["room"]) == ["record", "map", "localise", "plan"]
     assert "Localised, " in page
     assert "A path of 4.00\u202fm was found." in page
-    found = verify(tmp_path / "out")
+    found = verify(tmp_path / "out", main)
     assert found.problems == []
     assert "room/localise:localisation_error_m.rmse" in {check.key for check in found.checks}
 
@@ -51,7 +52,7 @@ def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
     rehash(plan, "metrics.json")
     page = make_report([plan], tmp_path / "out", animate=False).read_text()
     assert "No path was found: no way round the pillar." in page
-    assert verify(tmp_path / "out").problems == []
+    assert verify(tmp_path / "out", main).problems == []
 
 
 def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):

@@ -10,8 +10,9 @@ from pipeline.compare import write_comparison
 from pipeline.report import make_index, make_report
 from pipeline.verify import verify, words_of
 from reports.content import verdict
+from reports.grouping import group_stages
 from reports.metrics.navigation import outcome
-from reports.stages import Stage, group_stages, load_stage
+from reports.stages import Stage, load_stage
 
 AWAY = ((1.3, 0.6), (-1.3, 0.6), (0.0, 1.2))
 """The robot takes the last of these to be reached 2.4 m from it."""
@@ -61,7 +62,7 @@ def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folde
 
 
 def test_a_page_that_contradicts_the_robot_verifies(page):
-    found = verify(page.parent, run_again=False)
+    found = verify(page.parent)
     assert found.problems == []
     checked = {check.key for check in found.checks}
     assert {

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+import uuid
 from pathlib import Path
 
 import distributed
@@ -53,11 +54,6 @@ def fake_main(argv):
     (out / "big.bin").write_bytes(b"0" * 100)
     write_manifest(out, stage="fake", command=argv, inputs={}, seed=None, wall_s=0.0)
     return 0
-
-
-@pytest.fixture
-def no_commands(monkeypatch):
-    monkeypatch.setattr("pipeline.cli.main", fake_main)
 
 
 def load(tmp_path, text=CAMPAIGN):
@@ -140,13 +136,13 @@ def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
         query(tmp_path / "runs.parquet", sql)
 
 
-def row_of(tmp_path, **factors):
+def row_of(tmp_path, run=fake_main, **factors):
     commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
     case = {"name": "c", "factors": factors, "commands": commands}
-    return run_case(case, {"error_m": "make:error.rmse"}, str(tmp_path / "c"), ["metrics.json"])
+    return run_case(case, {"error_m": "make:error.rmse"}, str(tmp_path / "c"), ["metrics.json"], run)
 
 
-def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path, no_commands):
+def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path):
     row = row_of(tmp_path, size=2)
     assert row == {"case": "c", "size": 2, "failed": False, "error": "", "error_m": pytest.approx(0.202)}
     assert json.loads((tmp_path / "c/row.json").read_text()) == row
@@ -155,17 +151,16 @@ def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path, no_commands):
 
 
 @pytest.mark.parametrize(("size", "reason"), [(98, "turtlebag: bad size 98"), (99, "RuntimeError: a defect")])
-def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, no_commands, size, reason):
+def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, size, reason):
     row = row_of(tmp_path, size=size)
     assert row["failed"]
     assert row["error"] == f"make: {reason}"
     assert row["error_m"] is None
 
 
-def test_a_finished_case_is_not_run_again(tmp_path, no_commands, monkeypatch):
+def test_a_finished_case_is_not_run_again(tmp_path):
     first = row_of(tmp_path, size=2)
-    monkeypatch.setattr("pipeline.cli.main", lambda argv: pytest.fail("ran again"))
-    assert row_of(tmp_path, size=2) == first
+    assert row_of(tmp_path, lambda argv: pytest.fail("ran again"), size=2) == first
 
 
 @pytest.fixture(scope="module")
@@ -176,11 +171,11 @@ def scheduler():
         yield cluster.scheduler_address
 
 
-def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, no_commands, scheduler):
+def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, scheduler):
     from pipeline.sweep import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler) == 1
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
     names, rows = query(
         tmp_path / "out/results.parquet",
         "SELECT size, median(error_m) AS m, "
@@ -206,11 +201,11 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, n
         query(tmp_path / "out/results.parquet", "SELECT nothing FROM runs")
 
 
-def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, no_commands, scheduler, monkeypatch):
+def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, scheduler, monkeypatch):
     from pipeline.sweep import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "whole", scheduler=scheduler) == 0
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "whole", fake_main, scheduler=scheduler) == 0
 
     def stopped(found, description, total):
         for count, row in enumerate(found):
@@ -220,35 +215,33 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, no_comm
 
     monkeypatch.setattr("pipeline.sweep.track", stopped)
     with pytest.raises(KeyboardInterrupt):
-        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", scheduler=scheduler)
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler)
     done = len(list((tmp_path / "parts.partial/cases").glob("*/row.json")))
     assert 10 <= done <= 24
     monkeypatch.undo()
-    monkeypatch.setattr("pipeline.cli.main", fake_main)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", scheduler=scheduler) == 0
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler) == 0
     assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
 
 
-def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, no_commands, scheduler, monkeypatch):
+def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler):
     from pipeline.sweep import sweep
 
-    ran = []
+    ran = tmp_path / "ran"  # what is run goes to the workers as a copy: it counts in files
+    ran.mkdir()
 
     def counted(argv):
-        ran.append(argv[1 : argv.index("--quiet")])
+        (ran / uuid.uuid4().hex).touch()
         return fake_main(argv)
 
-    monkeypatch.setattr("pipeline.cli.main", counted)
     text = CAMPAIGN.replace("--seed {seed} {kind}", "--seed {seed}").replace(
         "metrics.json", "metrics.json {kind}"
     )
     (tmp_path / "campaign.yaml").write_text(text)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "alone", scheduler=scheduler) == 0
-    assert len(ran) == 2 * 24
-    ran.clear()
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "alone", counted, scheduler=scheduler) == 0
+    assert len(list(ran.iterdir())) == 2 * 24
     (tmp_path / "campaign.yaml").write_text(text + "shared: [make]\n")
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "together", scheduler=scheduler) == 0
-    assert len(ran) == 24 + 12
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "together", counted, scheduler=scheduler) == 0
+    assert len(list(ran.iterdir())) == 2 * 24 + 24 + 12
     rows = [(tmp_path / name / "summary.json").read_bytes() for name in ("alone", "together")]
     assert rows[0] == rows[1]
     shared = list((tmp_path / "together/shared").iterdir())
@@ -270,7 +263,7 @@ def test_without_a_terminal_lines_say_how_much_is_left(monkeypatch, caplog):
     ]
 
 
-def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, scheduler):
+def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, scheduler):
     from pipeline.sweep import sweep
 
     (tmp_path / "out.partial").mkdir()
@@ -278,14 +271,14 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, no_commands, sch
     (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="another campaign"):
-        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler)
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler)
 
 
-def test_rows_of_other_code_are_not_gone_on_with(tmp_path, no_commands, scheduler, monkeypatch):
+def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatch):
     from pipeline import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
-    arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out"
+    arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
     for _ in range(2):
         with claimed(arguments[1]) as claim:
             folder = sweep._work_folder(load_campaign(arguments[0]), claim)
@@ -299,15 +292,13 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, no_commands, schedule
     assert not (arguments[1] / sweep.MARK).exists()
 
 
-def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_read(
-    tmp_path, no_commands, scheduler
-):
+def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_read(tmp_path, scheduler):
     from pipeline.sweep import sweep
 
     (tmp_path / "own.yaml").write_text("a: 1\n")
     text = CAMPAIGN.replace("--odd 'two words'", f"--world={tmp_path}/own.yaml:gate=open")
     (tmp_path / "campaign.yaml").write_text(text)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", scheduler=scheduler) == 0
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 0
     inputs = json.loads((tmp_path / "out/manifest.json").read_text())["inputs"]
     assert inputs["campaign"]["sha256"] == {"campaign.yaml": sha256_text(text)}
     assert inputs[str(tmp_path / "own.yaml")]["sha256"] == {"own.yaml": sha256_text("a: 1\n")}

@@ -23,7 +23,6 @@ results: {error_m: "make:error"}
 STAND_IN = """
 import os, sys, time
 from pathlib import Path
-import pipeline.cli
 from datasets.outputs import write_json, write_manifest
 
 def main(argv):
@@ -37,13 +36,12 @@ def main(argv):
     write_manifest(out, stage="fake", command=[], inputs={}, seed=None, wall_s=0.0)
     return 0
 
-pipeline.cli.main = main
 if __name__ == "__main__":
     from pipeline.sweep import sweep
     from pipeline.console import set_verbosity
     set_verbosity(0)
     options = {"scheduler": sys.argv[3]} if len(sys.argv) > 3 else {"workers": 1}
-    sys.exit(sweep(sys.argv[1], Path(sys.argv[2]), **options))
+    sys.exit(sweep(sys.argv[1], Path(sys.argv[2]), main, **options))
 """
 
 
@@ -86,12 +84,20 @@ def undisturbed(place, monkeypatch):
     from pipeline.sweep import sweep
 
     monkeypatch.setenv("RAN", str(place))
-    monkeypatch.setattr("pipeline.cli.main", None)
-    exec(STAND_IN, {"__name__": "stand_in"})
+    stand_in = {"__name__": "stand_in"}
+    exec(STAND_IN, stand_in)
     with distributed.LocalCluster(
         1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
-        assert sweep(str(place / "small.yaml"), place / "whole", scheduler=cluster.scheduler_address) == 1
+        assert (
+            sweep(
+                str(place / "small.yaml"),
+                place / "whole",
+                stand_in["main"],
+                scheduler=cluster.scheduler_address,
+            )
+            == 1
+        )
     return place / "whole"
 
 

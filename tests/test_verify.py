@@ -46,7 +46,7 @@ def edit_metrics(folder, change):
 
 
 def test_an_honest_report_verifies(tree):
-    found = verify(tree / "report")
+    found = verify(tree / "report", main)
     assert found.problems == []
     assert len(found.checks) > 40
     assert all(check.agrees for check in found.checks)
@@ -54,7 +54,7 @@ def test_an_honest_report_verifies(tree):
 
 
 def test_every_number_on_the_page_has_a_key_that_is_checked_or_told(tree):
-    found = verify(tree / "report")
+    found = verify(tree / "report", main)
     known = {check.key for check in found.checks} | set(found.unchecked)
     keys = [key for key, _, _ in page_numbers(tree / "report/index.html")]
     assert len(keys) > 30
@@ -79,7 +79,7 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
         edit_metrics(tree / stage, change)
     shutil.rmtree(tree / "report")
     make_report([tree / "record", tree / "map", tree / "run"], tree / "report", animate=False)
-    problems = verify(tree / "report").problems
+    problems = verify(tree / "report", main).problems
     for _, key, _ in LIES:
         assert any(problem.startswith(f"{key}: reported") for problem in problems), key
 
@@ -90,7 +90,7 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
     marked = f'data-key="{key}" data-value="{value}">'
     page.write_text(page.read_text().replace(marked + text, marked + "0.01\u202fcm"))
     rehash(tree / "report", "index.html")
-    problems = verify(tree / "report").problems
+    problems = verify(tree / "report", main).problems
     assert any("room/map:ate_m.max" in problem for problem in problems)
 
 
@@ -110,7 +110,7 @@ def test_a_tile_a_verdict_and_a_caption_changed_on_the_page_are_named(tree, said
     assert said in text
     page.write_text(text.replace(said, lie, 1))
     rehash(tree / "report", "index.html")
-    (problem,) = verify(tree / "report").problems
+    (problem,) = verify(tree / "report", main).problems
     assert problem.startswith("index.html: says ")
     assert re.sub("<[^>]*>", "", said) in problem.partition("; computed ")[2]
 
@@ -121,19 +121,19 @@ def test_a_tile_that_shows_another_number_than_the_stages_is_named(tree):
     tile = f'<dd data-key="{key}" data-value="{value}">'
     page.write_text(page.read_text().replace(tile + text, tile + "0.01\u202fcm"))
     rehash(tree / "report", "index.html")
-    assert any("room/map:ate_m.rmse" in line for line in verify(tree / "report").problems)
+    assert any("room/map:ate_m.rmse" in line for line in verify(tree / "report", main).problems)
 
 
 def test_a_number_changed_in_the_reports_metrics_only_is_named(tree):
     edit_metrics(tree / "report", lambda m: m["room"]["record"].update(distance_m=100.0))
-    problems = verify(tree / "report").problems
+    problems = verify(tree / "report", main).problems
     assert any(problem.startswith("room/record:distance_m") for problem in problems)
 
 
 def test_a_changed_data_file_is_named(tree):
     path = tree / "map/trajectory.tum"
     path.write_text(path.read_text().replace("0 0 0", "0 0 0 ", 1))
-    assert "room/map/trajectory.tum: not what its manifest says" in verify(tree / "report").problems
+    assert "room/map/trajectory.tum: not what its manifest says" in verify(tree / "report", main).problems
 
 
 def test_a_truth_that_is_not_the_bags_is_named(tree):
@@ -142,7 +142,7 @@ def test_a_truth_that_is_not_the_bags_is_named(tree):
     stamp, x, *rest = lines[10].split()
     lines[10] = " ".join([stamp, str(float(x) + 0.05), *rest])
     path.write_text("\n".join(lines) + "\n")
-    assert any("/ground_truth/odom" in problem for problem in verify(tree / "report").problems)
+    assert any("/ground_truth/odom" in problem for problem in verify(tree / "report", main).problems)
 
 
 def test_the_command_names_what_differs_and_exits_1(tree, capsys):
@@ -208,5 +208,5 @@ def test_a_clearance_the_true_map_does_not_leave_is_named(tree):
     rehash(tree / "run", "runlog.csv")
     edit_metrics(tree / "run", lambda m: m.update(min_clearance_m=5.0))
     edit_metrics(tree / "report", lambda m: m["room"]["patrol"].update(min_clearance_m=5.0))
-    problems = verify(tree / "report").problems
+    problems = verify(tree / "report", main).problems
     assert any("room/patrol:min_clearance_m: reported 5.000, but the true map" in text for text in problems)

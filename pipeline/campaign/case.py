@@ -9,14 +9,16 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from datasets.outputs import write_json
-from pipeline.cache import PLACE_VARIABLE
+from datasets.stage_cache import PLACE_VARIABLE
 from reports.stages import read_json
 
+Run = Callable[[list[str]], int]
+"""Runs a command line, without its `turtlebag`, and gives the exit code."""
 ROW = "row.json"
 SHARED, CACHE = "shared", "cache"
 """Beside the cases: outputs that several use, and the stage cache."""
@@ -27,6 +29,7 @@ def run_case(
     results: Mapping[str, str],
     folder: str,
     keep: Sequence[str],
+    run: Run,
     shared: Collection[str] = (),
 ) -> dict[str, Any]:
     """Run a case in `folder` (its own) and return its row; a stage that breaks makes a `failed` row.
@@ -44,7 +47,7 @@ def run_case(
     folders = stage_folders(case["commands"], place, shared)
     with _cache_of_the_campaign(place):
         for stage, words in case["commands"].items():
-            error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place)
+            error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place, run)
             if error:
                 break
     row: dict[str, Any] = {"case": case["name"], **case["factors"], "failed": bool(error), "error": error}
@@ -86,10 +89,8 @@ def _cache_of_the_campaign(place: Path) -> Iterator[None]:
             os.environ[PLACE_VARIABLE] = before
 
 
-def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path) -> str:
+def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path, run: Run) -> str:
     """Run one command into its folder; the reason in one line when it did not finish its outputs."""
-    from pipeline.cli import main
-
     if (out / "manifest.json").is_file():
         return ""
     mine = out if out.parent == place else place / stage
@@ -97,7 +98,7 @@ def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path) -> str:
     told, said = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
-            code = main([*words, "--quiet", "--out", str(mine), "--force"])
+            code = run([*words, "--quiet", "--out", str(mine), "--force"])
     except (Exception, SystemExit) as error:
         # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
         return f"{stage}: {type(error).__name__}: {error}".replace("\n", " ")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError
-from pipeline.campaign.case import run_case
+from pipeline.campaign.case import Run, run_case
 from pipeline.campaign.plan import Campaign, Case
 
 
@@ -51,6 +51,7 @@ def run_cases(
     campaign: Campaign,
     todo: Sequence[Case],
     folder: Path,
+    run: Run,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -70,6 +71,7 @@ def run_cases(
                 {name: result.at for name, result in campaign.results.items()},
                 str(place / case.name),
                 campaign.keep,
+                run,
                 campaign.shared,
                 key=f"{campaign.name}-{case.name}",
                 pure=False,

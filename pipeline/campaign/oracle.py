@@ -33,7 +33,7 @@ from pipeline.slam.slam import SlamConfig, Steps
 from pipeline.slam.tracking import Lines
 from reports.stages import Stage
 from sim.simulator import Simulator
-from sim.worlds import World
+from sim.world import World
 
 SURE = np.diag([1e6, 1e6, 1e6])
 """Information of a loop that the truth closes: a millimetre, a thousandth of a radian."""

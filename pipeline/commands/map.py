@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build the map."""
+    from datasets.stage_cache import StageCache, default_cache
     from pipeline.build_map import build_map
-    from pipeline.cache import StageCache, default_cache
 
     placed, upside_down = laser(args.laser)
     return build_map(

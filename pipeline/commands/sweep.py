@@ -35,11 +35,13 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("sweep: --out DIR is needed")
     if args.workers is not None and args.workers < 1:
         raise InputError(f"--workers {args.workers}: at least one is needed")
+    from pipeline.cli import main
     from pipeline.sweep import sweep
 
     code = sweep(
         args.campaign,
         args.out,
+        main,
         scheduler=args.scheduler,
         workers=args.workers,
         force=args.force,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 from pathlib import Path
 
 from datasets.errors import InputError
@@ -29,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     """Print what differs; exit 1 when anything does."""
     from pipeline.verify import verify
 
-    found = verify(args.report, run_again=not args.quick)
+    found = verify(args.report, None if args.quick else _run_silently)
     if args.only is not None:
         matching = [check for check in found.checks if check.key == args.only]
         if not matching:
@@ -50,3 +52,16 @@ def run(args: argparse.Namespace) -> int:
     if found.unchecked and args.only is None:
         print(f"{len(found.unchecked)} not recomputed: {', '.join(found.unchecked)}")
     return 1 if found.problems else 0
+
+
+def _run_silently(words: list[str]) -> int:
+    """Run a command line; what it says is not for the reader of a verification."""
+    from pipeline.cli import main
+    from pipeline.console import log
+
+    level = log.level
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            return main([*words, "--quiet"])
+    finally:
+        log.setLevel(level)

@@ -17,10 +17,10 @@ from pipeline.navigation.news import News
 from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
-from pipeline.record import static_transforms
 from planners.control.monitor import CollisionMonitor
 from reports.metrics.area import area_metrics
 from reports.metrics.map import map_metrics
+from sim.robots import static_transforms
 from sim.simulator import Simulator
 
 

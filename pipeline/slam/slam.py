@@ -15,8 +15,8 @@ from datasets.errors import InputError
 from datasets.grid import OccupancyGrid
 from datasets.own_body import without_own_body
 from datasets.se2 import SE2
+from datasets.stage_cache import StageCache
 from datasets.types import LidarSpec, Recording, Trajectory
-from pipeline.cache import StageCache
 from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
 from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
 from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
