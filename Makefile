@@ -48,7 +48,7 @@ setup: $(READY) ## make the virtual environment (every other target does it when
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' 2>/dev/null \
 	  || { echo "make: needs Python 3.10 or newer with venv (on Debian: apt install python3-venv); or make PYTHON=/path/to/python3 ..." >&2; exit 2; }
-	@$(PYTHON) -I pipeline/install.py $(@D)
+	@$(PYTHON) -I pipeline/setup/install.py $(@D)
 	@touch $@
 
 doctor: $(READY) ## check the installation: a line for each thing that is missing
@@ -70,10 +70,10 @@ map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(W
 navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
 report: $(REPORT_DIR)/manifest.json ## make the page of a run   (OUT, or as navigate)
 
-$(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/record.py | $(READY)
+$(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/stages/record.py | $(READY)
 	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D) $(OR_AGAIN)
 
-$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) pipeline/build_map.py pipeline/build_map3d.py | $(READY)
+$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) pipeline/stages/map.py pipeline/stages/map3d.py | $(READY)
 	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 
 data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
@@ -84,7 +84,7 @@ $(RUN_DIR)/manifest.json: $(if $(NEEDS_MAP),$(or $(MAP),$(MAP_DIR)/manifest.json
 	$(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
 	  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL)) $(OR_AGAIN)
 
-$(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/report.py | $(READY)
+$(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/stages/report.py | $(READY)
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)
 
 # Everything the demo leaves, but for the manifests: those alone may tell one run from another.

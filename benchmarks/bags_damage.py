@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.bags.convert import to_ros1_bag, to_sqlite3
-from datasets.bags.recover import recover
-from datasets.bags.source import open_bag
-from datasets.errors import InputError
-from datasets.recordings import load_recording
+from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
+from turtlebag.datasets.bags.recover import recover
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.recordings import load_recording
 
 
 def messages_of(path: Path) -> list[tuple[str, int, bytes]]:

@@ -20,12 +20,12 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from datasets.bags.recover import recover
-from datasets.bags.source import open_bag
-from datasets.bags.writer import BagWriter
-from datasets.errors import InputError
-from datasets.recordings import load_recording
-from pipeline.record import record
+from turtlebag.datasets.bags.recover import recover
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.pipeline.stages.record import record
 
 
 def recording_child(out: Path, seed: int, progress: mmap.mmap) -> None:

@@ -20,15 +20,15 @@ import numpy as np
 
 from benchmarks.intervals import wilson
 from benchmarks.navigate_cases import goal_request, named_floor, pose_on
-from datasets.maps import save_map
-from datasets.seeds import stream
-from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.episode import drive
-from pipeline.navigation.recorder import NoBag
-from pipeline.navigation.setup import prepare
-from planners.control.dwa import DwaConfig
-from planners.control.goal_checker import GoalCheckerConfig
-from sim.simulator import Simulator
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.navigation.setup import prepare
+from turtlebag.planners.control.dwa import DwaConfig
+from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.sim.simulator import Simulator
 
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 CONTROLLERS = {

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from benchmarks.slam_drives import integrate
-from datasets.relations import Relations
-from datasets.se2 import SE2, Array, wrap
-from datasets.seeds import stream
-from datasets.types import ImuLog, Recording, Trajectory
-from reports.metrics.relations import nearest
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import ImuLog, Recording, Trajectory
+from turtlebag.reports.metrics.relations import nearest
 
 Mask = NDArray[np.bool_]
 NO_RELATIONS = Relations(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), SE2.identity(0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scipy.stats import beta
 
-from reports.metrics.statistics import share_interval
+from turtlebag.reports.metrics.statistics import share_interval
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:

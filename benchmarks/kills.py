@@ -32,8 +32,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.kills_demo import demo_kills
-from datasets.outputs import sha256_tree
-from pipeline.cli import main as turtlebag
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.pipeline.cli.main import main as turtlebag
 
 DONE = (0, 1)
 """Exit codes of complete outputs; a drive of some seconds does not reach everything."""

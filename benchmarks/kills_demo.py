@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import sha256_tree
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = shutil.ignore_patterns(".venv", "data", ".git", ".hypothesis", ".mypy_cache", ".ruff_cache")

@@ -31,18 +31,18 @@ import numpy as np
 
 from benchmarks.intervals import wilson
 from benchmarks.localise_drives import Sweep, Wanderer, kidnapped
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
-from datasets.recordings import load_recording
-from datasets.se2 import SE2, Array
-from datasets.seeds import stream
-from datasets.trajectories import load_tum
-from pipeline.build_map import build_map
-from pipeline.localisation.amcl import Amcl
-from pipeline.localisation.parameters import AmclConfig
-from pipeline.localise import run_amcl
-from pipeline.record import record
-from sim.simulator import Sensors, SimConfig
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.stages.localise import run_amcl
+from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.record import record
+from turtlebag.sim.simulator import Sensors, SimConfig
 
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 TABLES = ("accuracy", "models", "speed", "log")

@@ -10,14 +10,14 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from datasets.grid import FREE, OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.seeds import stream
-from datasets.types import Scan, Trajectory, Twist, wrap
-from sim.robots import RobotSpec, load_robot
-from sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
-from sim.world import World
-from sim.worlds import load_world
+from turtlebag.datasets.grid import FREE, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Scan, Trajectory, Twist, wrap
+from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
 
 KEPT = 15  # control steps that surely reach back to a scan's stamp
 MARGIN_M = 0.12  # kept from walls and low things, beyond the robot's own radius

@@ -25,7 +25,13 @@ import pytest
 
 from benchmarks.mutants_draw import Mutant
 
-OURS = ("benchmarks", "datasets", "pipeline", "planners", "reports", "sim", "tests", "turtlebag")
+OURS = ("benchmarks", "tests", "turtlebag")
+# What is imported as `turtlebag.planners` is the copy's folder `planners`, and not what is installed.
+PACKAGE = """\
+from pathlib import Path
+
+__path__ = [str(Path(__file__).parents[1])]
+"""
 HEAVY = (
     "gtsam", "hypothesis", "numba", "ompl.base", "pydantic", "rosbags.typesys", "scipy.ndimage",
     "scipy.sparse.csgraph", "scipy.spatial", "scipy.stats", "yaml",
@@ -57,6 +63,8 @@ class Tree:
         shutil.rmtree(self.path, ignore_errors=True)
         self.path.mkdir(parents=True)
         _copy(root, self.path, ref)
+        (self.path / "turtlebag").mkdir()
+        (self.path / "turtlebag/__init__.py").write_text(PACKAGE)
         for name in HEAVY:
             importlib.import_module(name)
 

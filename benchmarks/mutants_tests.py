@@ -43,7 +43,7 @@ LONGEST_S, TOGETHER_S = 20.0, 30.0
 
 def subject_files(root: Path, folder: str) -> list[str]:
     """Paths of the test files of a subject, sorted."""
-    found = {path for name in SUBJECTS[folder] for path in (root / "tests").glob(f"test_{name}.py")}
+    found = {path for name in SUBJECTS[folder] for path in (root / "tests").rglob(f"test_{name}.py")}
     return sorted(str(path.relative_to(root)) for path in found)
 
 

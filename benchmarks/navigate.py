@@ -26,12 +26,12 @@ from benchmarks import navigate_faults as faults
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_maps import Maps
 from benchmarks.navigate_rows import HEAD, Table, failures, refused_row, row_of, summary
-from datasets.errors import InputError
-from pipeline.navigate import navigate_in
-from pipeline.navigation.episode import drive
-from pipeline.navigation.recorder import NoBag
-from pipeline.navigation.setup import prepare
-from sim.simulator import Sensors, Simulator
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.navigation.setup import prepare
+from turtlebag.pipeline.stages.navigate import navigate_in
+from turtlebag.sim.simulator import Sensors, Simulator
 
 SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0

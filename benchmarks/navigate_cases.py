@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.navigate_maps import Maps
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.setup import Request
-from planners.control.goal_checker import GoalCheckerConfig
-from planners.costmap import CostmapConfig, costmap_from_grid
-from planners.tasks.avoid import AvoidConfig
-from sim.robots import RobotSpec, load_robot
-from sim.world import World
-from sim.worlds import load_world
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.setup import Request
+from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.tasks.avoid import AvoidConfig
+from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
 
 ROOM_M = 0.05
 """Goals are reachable for the circumscribed radius and this."""

@@ -9,12 +9,12 @@ import numpy as np
 
 from benchmarks.navigate_cases import Case, floor, goal_request, named_floor, pose_on
 from benchmarks.navigate_maps import Maps
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from planners.costmap import CostmapConfig, costmap_from_grid
-from sim.movers import Mover
-from sim.shapes import Solid, box, cylinder
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.sim.movers import Mover
+from turtlebag.sim.shapes import Solid, box, cylinder
 
 WALKER_ROOM_M = 0.5
 """Movers start where they have so much room: one that cannot move is a wall."""

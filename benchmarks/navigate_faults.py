@@ -12,14 +12,14 @@ import numpy as np
 
 from benchmarks.navigate_cases import Case, floor, goal_request, house_goal, named_floor, patrol, pose_on
 from benchmarks.navigate_maps import Maps
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from planners.costmap import CostmapConfig, costmap_from_grid
-from planners.tasks.waypoints import tutorial_patrol
-from sim.faults import FaultConfig
-from sim.shapes import Solid, box
-from sim.world import World
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.tasks.waypoints import tutorial_patrol
+from turtlebag.sim.faults import FaultConfig
+from turtlebag.sim.shapes import Solid, box
+from turtlebag.sim.world import World
 
 OFF_M, OFF_RAD = 0.5, math.radians(30.0)
 FAR_M = 4.0

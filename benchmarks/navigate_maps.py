@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.build_map import build_map
-from pipeline.record import record
-from sim.simulator import Sensors, SimConfig
+from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.record import record
+from turtlebag.sim.simulator import Sensors, SimConfig
 
 TOUR_SEED = 1
 

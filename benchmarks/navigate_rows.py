@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.intervals import clopper_pearson, wilson
 from benchmarks.navigate_cases import Case
-from datasets.runlog import RunLog
-from pipeline.navigation.episode import Episode
-from reports.metrics.navigation import collision_episodes
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.pipeline.navigation.episode import Episode
+from turtlebag.reports.metrics.navigation import collision_episodes
 
 COLUMNS = (
     "scenario",

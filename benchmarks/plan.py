@@ -29,20 +29,20 @@ import numpy as np
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from pipeline.build_map import build_map
-from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from planners.footprint import footprint_free, path_clearance, sample_footprint
-from planners.global_plan import ORIENTED, OVER_CELLS, NoPath, Plan, PlanConfig, plan_path
-from planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
-from planners.smoothing import densify
-from reports.figures.planners import planner_boxes
-from reports.figures.style import save_png, styled
-from sim.robots import RobotSpec, load_robot
-from sim.worlds import load_world
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.stages.map import build_map
+from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
+from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, NoPath, Plan, PlanConfig, plan_path
+from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
+from turtlebag.planners.smoothing import densify
+from turtlebag.reports.figures.planners import planner_boxes
+from turtlebag.reports.figures.style import save_png, styled
+from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.worlds import load_world
 
 MAPS = (
     ("turtlebot3_world", "burger"),

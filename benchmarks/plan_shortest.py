@@ -15,14 +15,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from datasets.types import RobotModel
-from planners.control.monitor import padded
-from planners.costmap import Costmap
-from planners.footprint import Field32, footprint_free
-from planners.lattice import HEADINGS
-from planners.oriented import drives, pull
-from planners.smoothing import densify, path_length
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import RobotModel
+from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import Field32, footprint_free
+from turtlebag.planners.lattice import HEADINGS
+from turtlebag.planners.oriented import drives, pull
+from turtlebag.planners.smoothing import densify, path_length
 
 
 class Lattice:

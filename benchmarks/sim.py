@@ -15,13 +15,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from datasets.bags.writer import BagWriter
-from sim.lidar import Lidar
-from sim.physics import Physics
-from sim.robots import load_robot
-from sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
-from sim.teleop import commands, load_script
-from sim.worlds import load_world
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.sim.lidar import Lidar
+from turtlebag.sim.physics import Physics
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import CONTROL_HZ, Sensors, SimConfig, Simulator
+from turtlebag.sim.teleop import commands, load_script
+from turtlebag.sim.worlds import load_world
 
 CASES = (
     ("turtlebot3_world", "burger"),

@@ -22,16 +22,16 @@ from PIL import Image
 
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
 from benchmarks.slam_rows import write
-from datasets import se3
-from datasets.bags.clouds import load_clouds
-from datasets.maps import load_map, save_map
-from datasets.trajectories import load_tum
-from datasets.types import Cloud, Recording3D, Trajectory
-from pipeline.record import record
-from pipeline.slam3d.cloud_map import save_ply
-from pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
-from reports.metrics.map import map_metrics
-from reports.metrics.trajectory import ate
+from turtlebag.datasets import se3
+from turtlebag.datasets.bags.clouds import load_clouds
+from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
+from turtlebag.pipeline.slam3d.cloud_map import save_ply
+from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
+from turtlebag.pipeline.stages.record import record
+from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.reports.metrics.trajectory import ate
 
 WORLDS = (("turtlebot3_world", "tour"), ("turtlebot3_house", "tour"), ("office:3", "tour"))
 VARIANTS: dict[str, dict[str, Any]] = {

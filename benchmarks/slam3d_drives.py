@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datasets import se3
-from datasets.se2 import SE2, Array, wrap
-from datasets.types import Cloud, Recording3D, Trajectory
-from sim.lidar3d import Lidar3d
-from sim.robots import Lidar3dMount
-from sim.shapes import Solid, box, cylinder
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
+from turtlebag.sim.lidar3d import Lidar3d
+from turtlebag.sim.robots import Lidar3dMount
+from turtlebag.sim.shapes import Solid, box, cylinder
 
 CONTROL_HZ, SCAN_HZ = 30, 5
 STEPS = CONTROL_HZ // SCAN_HZ

@@ -129,7 +129,7 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         "growth": Suite(
             growth_cases(data),
             ("case", *COSTS, "error"),
-            code=(*SYNTHETIC, "sim", "pipeline/build_map.py", "benchmarks/slam_growth.py"),
+            code=(*SYNTHETIC, "sim", "pipeline/stages/map.py", "benchmarks/slam_growth.py"),
         ),
     }
 

@@ -25,18 +25,18 @@ from benchmarks.disturb import (
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_rows import Case, Row
 from benchmarks.slam_scores import score
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map, save_map
-from datasets.recordings import load_recording
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from datasets.trajectories import load_tum
-from datasets.types import Recording, Trajectory
-from pipeline.record import record
-from pipeline.slam.slam import SlamConfig, SlamResult, run_slam
-from reports.metrics.map import map_metrics, occupied, visible_surface
-from sim.simulator import Sensors, SimConfig
-from sim.teleop import script_names
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
+from turtlebag.pipeline.stages.record import record
+from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
+from turtlebag.sim.simulator import Sensors, SimConfig
+from turtlebag.sim.teleop import script_names
 
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")

@@ -36,8 +36,8 @@ from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_
 from benchmarks.slam_drives import Log
 from benchmarks.slam_logs import arena, office, rooms
 from benchmarks.slam_rows import Case, Row
-from datasets.se2 import SE2, wrap
-from datasets.seeds import stream
+from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.seeds import stream
 
 BAD_M, TIMES = 0.2, 5.0
 PLAINS, TURNS = 4, 2

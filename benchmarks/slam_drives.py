@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.slam_plans import Caster, FloorPlan
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.seeds import stream
-from datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 
 DT = 0.02
 

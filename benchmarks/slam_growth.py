@@ -23,12 +23,12 @@ from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import door
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_rows import Case, Row
-from datasets.grid import UNKNOWN
-from datasets.kernels import folders
-from datasets.maps import load_map
-from datasets.seeds import stream
-from datasets.types import Recording
-from pipeline.record import record
+from turtlebag.datasets.grid import UNKNOWN
+from turtlebag.datasets.kernels import folders
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.stages.record import record
 
 SCANS = 20_000
 LAPS = (1, 2, 4)

@@ -21,8 +21,8 @@ from benchmarks.slam_drives import (
     without,
 )
 from benchmarks.slam_plans import FloorPlan
-from datasets.se2 import Array
-from datasets.seeds import stream
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.seeds import stream
 
 WHEELS = {
     1: Wheels(0.01, 0.02, 0.001),

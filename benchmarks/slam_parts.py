@@ -12,7 +12,7 @@ from benchmarks.slam_cases import PLACES, driven, errors, mapped
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_public import RADISH, by_relations, read
 from benchmarks.slam_rows import Case, Row
-from datasets.relations import load_relations
+from turtlebag.datasets.relations import load_relations
 
 OFF = {"enabled": False}
 OPEN3D = {"match": "open3d"}

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
 
 CELL = 0.05
 BIN = 1.0

@@ -13,14 +13,14 @@ import numpy as np
 from benchmarks.disturb import MODES, chosen, disturbed, known
 from benchmarks.slam_cases import errors, mapped, picture
 from benchmarks.slam_rows import Case, Row
-from datasets.kept import read_kept, write_kept
-from datasets.recordings import load_recording
-from datasets.relations import Relations, load_relations
-from datasets.se2 import SE2
-from datasets.trajectories import load_tum
-from datasets.types import Recording, Trajectory
-from reports.metrics.relations import relations_metrics
-from reports.metrics.trajectory import associate
+from turtlebag.datasets.kept import read_kept, write_kept
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.relations import Relations, load_relations
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.reports.metrics.relations import relations_metrics
+from turtlebag.reports.metrics.trajectory import associate
 
 RADISH = ("mit-csail", "fr079", "intel")
 ENOUGH_RELATIONS = 300

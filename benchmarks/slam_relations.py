@@ -25,15 +25,15 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from benchmarks.slam_cases import mapped
 from benchmarks.slam_public import public_data
 from benchmarks.slam_rows import Row, write
-from datasets.recordings import load_recording
-from datasets.relations import Relations, load_relations
-from datasets.se2 import SE2, Array, wrap
-from pipeline.slam.clouds import Clouds, make_clouds
-from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import match_points
-from pipeline.slam.pose_graph import optimise
-from pipeline.slam.refine import linearise_pairs
-from reports.metrics.relations import nearest
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.relations import Relations, load_relations
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.open3d_icp import match_points
+from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.refine import linearise_pairs
+from turtlebag.reports.metrics.relations import nearest
 
 GATES_M = (0.3, 0.15, 0.1, 0.1, 0.1)
 MIN_OVERLAP = 0.6

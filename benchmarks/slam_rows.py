@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from datasets.fingerprints import fingerprint
+from turtlebag.datasets.fingerprints import fingerprint
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from datasets.se2 import SE2, Array, wrap
-from datasets.seeds import stream
-from datasets.types import Trajectory
-from reports.metrics.trajectory import fit_rigid
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.metrics.trajectory import fit_rigid
 
 PAIRS = 2000
 NEAR_M = 2.5

@@ -33,7 +33,7 @@ NUMBERS = {
     "reach of loops": "loops: reach_m",
     "trust in loops": "loops: inflation",
 }
-"""Constants of modules of pipeline.slam, and settings by their section: those named are changed together."""
+"""Constants of modules of `pipeline/slam`, and settings by their section: those named change together."""
 LOGS = ("mit-csail", "turtlebot3_house", "rooms-1", "fr079", "aces", "intel")
 FACTORS = (1.0, 0.5, 2.0)
 
@@ -43,7 +43,7 @@ def measured(name: str, factor: float, data: Path | None, log: str) -> Row:
     section, _, fields = NUMBERS[name].partition(": ")
     settings: dict[str, Any] = {}
     if fields:
-        from pipeline.slam.slam import SlamConfig
+        from turtlebag.pipeline.slam.slam import SlamConfig
 
         config: Any = SlamConfig()
         for part in section.split("."):
@@ -53,7 +53,7 @@ def measured(name: str, factor: float, data: Path | None, log: str) -> Row:
             settings = {part: settings}
     else:
         module_name, _, constant = section.partition(".")
-        module = importlib.import_module(f"pipeline.slam.{module_name}")
+        module = importlib.import_module(f"turtlebag.pipeline.slam.{module_name}")
         setattr(module, constant, factor * getattr(module, constant))
     from benchmarks.slam_parts import mapped_row
 

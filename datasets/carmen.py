@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bags.scans import Geometry, on_one_grid
-from datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
-from datasets.errors import InputError
-from datasets.returns import no_return_value
-from datasets.se2 import SE2, Array
-from datasets.trajectories import stamp_from_text
-from datasets.types import LidarSpec, Recording, Stamps
+from turtlebag.datasets.bags.scans import Geometry, on_one_grid
+from turtlebag.datasets.bags.units import FAR_M, driven_in_millimetres, ranges_in_millimetres, stands_still
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.returns import no_return_value
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.trajectories import stamp_from_text
+from turtlebag.datasets.types import LidarSpec, Recording, Stamps
 
 FAR = 49.99
 """No planar lidar of these logs sees farther: larger readings are codes for "no return" [m]."""

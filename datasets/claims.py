@@ -18,10 +18,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from datasets.errors import InputError
-from datasets.files import Signature, require_same, signatures
-from datasets.locks import close, is_locked, is_same, open_locked
-from datasets.places import check_free, identity, is_output, lineage, place_of, require_apart
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import Signature, require_same, signatures
+from turtlebag.datasets.locks import close, is_locked, is_same, open_locked
+from turtlebag.datasets.output_rules import check_free, identity, is_output, lineage, place_of, require_apart
 
 MARKER = ".turtlebag-unfinished"
 """File in every folder that grows. It never is part of a finished output, nor of its hashes."""

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple, overload
 
 import zstandard
 
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 HARMLESS_BYTES = 64 << 20
 """Whatever unpacks to no more than this is unpacked."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
 MAX_CELLS, MAX_GB = 64_000_000, 5

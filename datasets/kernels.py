@@ -31,8 +31,8 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
-from datasets.fingerprints import fingerprint
-from datasets.kept import read_kept, trim_kept, user_cache, write_kept
+from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.kept import read_kept, trim_kept, user_cache, write_kept
 
 MADE_BY = [numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag]
 LIMIT_BYTES, LIMIT_FILES = 100_000_000, 2000

@@ -7,8 +7,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from datasets.errors import InputError
-from datasets.places import identity
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_rules import identity
 
 
 def open_locked(folder: Path, out: Path) -> int | None:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.errors import InputError
-from datasets.grid import FREE, MAX_CELLS, MAX_GB, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2
-from datasets.yaml_files import load_model
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, MAX_CELLS, MAX_GB, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.yaml_files import load_model
 
 # Trinary pixels of map_saver. 205 reads back as (255 - 205) / 255 = 0.19608, which is "unknown" only
 # because free_thresh is 0.196: with Nav2's 0.25 it would load as free.

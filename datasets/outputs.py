@@ -14,9 +14,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from datasets.claims import MARKER, Claim, claimed, watch_inputs
-from datasets.errors import InputError
-from datasets.places import check_free
+from turtlebag.datasets.claims import MARKER, Claim, claimed, watch_inputs
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_rules import check_free
 
 PACKAGES = (
     "turtlebag",

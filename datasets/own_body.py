@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.types import Recording
+from turtlebag.datasets.types import Recording
 
 NEAR_M = 0.5
 """No part of the robot is farther from its lidar."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import Array
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
 
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "char": "i1", "ushort": "<u2", "short": "<i2",
           "uint": "<u4", "int": "<i4"}  # fmt: skip

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from datasets.bags.mapping_input import read_for_mapping
-from datasets.bags.scans import TURNED_OVER, turned_over
-from datasets.bags.source import is_bag, open_bag
-from datasets.carmen import is_carmen, parse_carmen
-from datasets.errors import InputError
-from datasets.files import read_unpacked
-from datasets.se2 import SE2
-from datasets.types import Recording
+from turtlebag.datasets.bags.mapping_input import read_for_mapping
+from turtlebag.datasets.bags.scans import TURNED_OVER, turned_over
+from turtlebag.datasets.bags.source import is_bag, open_bag
+from turtlebag.datasets.carmen import is_carmen, parse_carmen
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import read_unpacked
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording
 
 
 def load_recording(

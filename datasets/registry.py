@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.errors import InputError
-from datasets.outputs import sha256_file
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_file
 
 MIRROR_VARIABLE = "TURTLEBAG_DATA"
 """Folder with files of the registry, searched (also below it) before anything is downloaded."""

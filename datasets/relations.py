@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.files import read_unpacked
-from datasets.se2 import SE2
-from datasets.trajectories import stamp_from_text
-from datasets.types import Stamps
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import read_unpacked
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import stamp_from_text
+from turtlebag.datasets.types import Stamps
 
 
 @dataclass(frozen=True, eq=False)

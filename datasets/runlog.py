@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.types import Stamps, Twist
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps, Twist
 
 _NUMBERS = (
     "true_x",

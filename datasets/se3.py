@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array
 
 _SMALL = 1e-6
 

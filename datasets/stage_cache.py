@@ -21,10 +21,10 @@ from typing import Any, TypeVar
 import numpy as np
 from llvmlite.binding import get_host_cpu_name
 
-from datasets.errors import InputError
-from datasets.fingerprints import fingerprint
-from datasets.kept import read_kept, trim_kept, user_cache, write_kept
-from datasets.outputs import package_versions
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.kept import read_kept, trim_kept, user_cache, write_kept
+from turtlebag.datasets.outputs import package_versions
 
 Value = TypeVar("Value")
 PLACE_VARIABLE = "TURTLEBAG_STAGE_CACHE"
@@ -150,7 +150,7 @@ class _Entry(pickle.Unpickler):
             "scalar",
         ):
             return super().find_class(module, name)
-        if module.split(".")[0] in ("datasets", "pipeline") and name.isidentifier():
+        if module.split(".")[0] == "turtlebag" and name.isidentifier():
             found = super().find_class(module, name)
             if isinstance(found, type) and is_dataclass(found):
                 return found

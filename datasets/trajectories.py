@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.se3 import quaternions
-from datasets.types import Stamps, Trajectory
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se3 import quaternions
+from turtlebag.datasets.types import Stamps, Trajectory
 
 
 def stamp_text(stamp_ns: int) -> str:

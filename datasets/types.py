@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.se2 import SE2, Array, wrap
 
 Stamps = NDArray[np.int64]
 

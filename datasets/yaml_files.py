@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -24,9 +24,9 @@ def run() -> int:
     if ours:
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(128 + number))
     try:
-        from pipeline.cli import main
+        from turtlebag.pipeline.cli.main import main
     except ImportError as error:
-        from pipeline.missing import missing_package
+        from turtlebag.pipeline.setup.missing_package import missing_package
 
         print(missing_package(error), file=sys.stderr)
         return 2

@@ -12,9 +12,9 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.grid import UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
-from planners.distance import distance_field
+from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.distance import distance_field
 
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)

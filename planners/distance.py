@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
+from turtlebag.datasets.kernels import njit
 
 Field32 = NDArray[np.float32]
 

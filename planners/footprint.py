@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from datasets.types import RobotModel
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import RobotModel
 
 Field32 = NDArray[np.float32]
 

@@ -2,7 +2,7 @@
 
 The floor is searched for the disc that holds the whole footprint, first with room to spare, then
 with less: a differential robot can turn on the spot anywhere along such a path. Where that disc has no
-way, the footprint itself is looked at in every heading (planners.lattice).
+way, the footprint itself is looked at in every heading (turtlebag.planners.lattice).
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array
-from datasets.spans import Seconds
-from datasets.types import RobotModel
-from planners.control.monitor import padded
-from planners.costmap import Costmap
-from planners.footprint import footprint_free
-from planners.lattice import Lattice, inner_disc_joins
-from planners.ompl_planner import OmplConfig, solve
-from planners.oriented import free_from
-from planners.pose_planner import solve_poses
-from planners.smoothing import densify, path_length, relax, shortcut, with_headings
-from planners.wavefront import descend, wave
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.types import RobotModel
+from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.lattice import Lattice, inner_disc_joins
+from turtlebag.planners.ompl_planner import OmplConfig, solve
+from turtlebag.planners.oriented import free_from
+from turtlebag.planners.pose_planner import solve_poses
+from turtlebag.planners.smoothing import densify, path_length, relax, shortcut, with_headings
+from turtlebag.planners.wavefront import descend, wave
 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
 """Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""

@@ -11,14 +11,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from planners.control.monitor import padded
-from planners.costmap import Costmap
-from planners.footprint import Field32
-from planners.lattice_search import BLOCKED, Numbers, ends, flood, number_cells, shortest
-from planners.oriented import free_from, pull, turning
-from planners.smoothing import densify
-from planners.wavefront import wave
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.control.monitor import padded
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import Field32
+from turtlebag.planners.lattice_search import BLOCKED, Numbers, ends, flood, number_cells, shortest
+from turtlebag.planners.oriented import free_from, pull, turning
+from turtlebag.planners.smoothing import densify
+from turtlebag.planners.wavefront import wave
 
 _OCTANT = ((1, 0), (3, 1), (2, 1), (3, 2))
 HEADINGS = np.array(

@@ -1,4 +1,4 @@
-"""Searches on the lattice of cells and headings (see planners.lattice), compiled.
+"""Searches on the lattice of cells and headings (see turtlebag.planners.lattice), compiled.
 
 Where the disc round the footprint has room a cell is one state, elsewhere each of its headings is one.
 """
@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from planners.footprint import Field32, footprint_free
-from planners.oriented import drives, moves, turns
-from planners.wavefront import Wave
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.planners.footprint import Field32, footprint_free
+from turtlebag.planners.oriented import drives, moves, turns
+from turtlebag.planners.wavefront import Wave
 
 BLOCKED, WIDE = -1, -2
 BACKWARDS, TURN = 2.0, 0.2

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.spans import Seconds
-from planners.costmap import Costmap, Mask
-from planners.distance import distance_field
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.spans import Seconds
+from turtlebag.planners.costmap import Costmap, Mask
+from turtlebag.planners.distance import distance_field
 
 NEVER = -1.0e9
 

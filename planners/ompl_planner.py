@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.se2 import Array
-from planners.footprint import Field32, disc_segment_free
-from planners.planner_names import PlannerName
+from turtlebag.datasets.se2 import Array
+from turtlebag.planners.footprint import Field32, disc_segment_free
+from turtlebag.planners.planner_names import PlannerName
 
 ROADMAPS = ("PRM", "PRMstar")
 IMPOSSIBLE = {

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from planners.footprint import Field32, footprint_free
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.planners.footprint import Field32, footprint_free
 
 TURN_STEP = 0.1
 """Turns are checked this often [rad]."""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from planners.costmap import Costmap
-from planners.footprint import footprint_free
-from planners.ompl_planner import OmplConfig, exact_path, iteration_limit, set_goal_length
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.ompl_planner import OmplConfig, exact_path, iteration_limit, set_goal_length
 
 SIMPLIFY_CALLS = 400
 

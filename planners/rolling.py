@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from planners.costmap import Costmap, Mask
-from planners.global_plan import NoPath
-from planners.live import NEVER, LiveConfig, LiveLayer
-from planners.wavefront import wave
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.costmap import Costmap, Mask
+from turtlebag.planners.global_plan import NoPath
+from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
+from turtlebag.planners.wavefront import wave
 
 RIM_M = 0.8
 """Places to make for lie this far inside the window: its edge counts as an obstacle."""

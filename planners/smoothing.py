@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from planners.footprint import Field32, disc_segment_free, field_at
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.footprint import Field32, disc_segment_free, field_at
 
 
 @njit(cache=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
+from turtlebag.datasets.kernels import njit
 
 SQRT2 = float(np.sqrt(2.0))
 _STEPS = (

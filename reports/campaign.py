@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.seeds import stream
-from reports.metrics.statistics import Interval, Paired, median_interval, paired, share_interval
+from turtlebag.datasets.seeds import stream
+from turtlebag.reports.metrics.statistics import Interval, Paired, median_interval, paired, share_interval
 
 Row = Mapping[str, Any]
 

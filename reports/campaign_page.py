@@ -6,17 +6,17 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from reports.campaign import LevelSummary, PairedSummary, levels_of
-from reports.figures.album import Album, Picture
-from reports.figures.campaign import result_over_factor, words
-from reports.metrics.statistics import Interval
-from reports.names import slug
-from reports.numbers import DASH, shown
-from reports.page import fill
+from turtlebag.reports.campaign import LevelSummary, PairedSummary, levels_of
+from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.figures.campaign import result_over_factor, words
+from turtlebag.reports.metrics.statistics import Interval
+from turtlebag.reports.numbers import DASH, shown
+from turtlebag.reports.page import fill
+from turtlebag.reports.stage_titles import slug
 
 Row = Mapping[str, Any]
 Names = Mapping[str, tuple[str, str]]
-"""Result -> (what it is called, unit of reports.numbers.DISPLAY)."""
+"""Result -> (what it is called, unit of turtlebag.reports.numbers.DISPLAY)."""
 
 
 def draw_campaign(

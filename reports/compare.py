@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
-from datasets.types import Trajectory
-from reports.content import stage_metrics, verdict
-from reports.draw_localise import given_map, read_path
-from reports.figures import comparison
-from reports.figures.album import Album
-from reports.metrics.map import occupied
-from reports.metrics.trajectory import associate
-from reports.numbers import DASH, leaves, lookup, shown
-from reports.provenance import rename
-from reports.specs import SPECS
-from reports.stages import Group, Stage
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.content import stage_metrics, verdict
+from turtlebag.reports.draw_localise import given_map, read_path
+from turtlebag.reports.figures import comparison
+from turtlebag.reports.figures.album import Album
+from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.reports.numbers import DASH, leaves, lookup, shown
+from turtlebag.reports.provenance import rename
+from turtlebag.reports.specs import SPECS
+from turtlebag.reports.stages import Group, Stage
 
 MORE_IS_BETTER = (
     "iou",

@@ -7,17 +7,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from reports.draw_localise import draw_localise, draw_plan, given_map
-from reports.drawing import draw_map, draw_record, draw_run
-from reports.figures.album import Album, Picture
-from reports.metrics.navigation import outcome, truly_reached
-from reports.metrics.recording import recording_metrics
-from reports.names import slug
-from reports.numbers import DASH, Number, files_of, lookup, numbers_of, other_values, sections_of, shown
-from reports.pointer import PointerMap, pointer_map
-from reports.spec import Section
-from reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
-from reports.stages import Group, Stage
+from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
+from turtlebag.reports.drawing import draw_map, draw_record, draw_run
+from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.metrics.navigation import outcome, truly_reached
+from turtlebag.reports.metrics.recording import recording_metrics
+from turtlebag.reports.numbers import (
+    DASH,
+    Number,
+    files_of,
+    lookup,
+    numbers_of,
+    other_values,
+    sections_of,
+    shown,
+)
+from turtlebag.reports.pointer import PointerMap, pointer_map
+from turtlebag.reports.spec import Section
+from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
+from turtlebag.reports.stage_titles import slug
+from turtlebag.reports.stages import Group, Stage
 
 DRAW = {
     "record": draw_record,

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
-from datasets.outputs import sha256_tree
-from datasets.se2 import SE2
-from datasets.types import Trajectory
-from reports.figures import maps, series
-from reports.figures.album import Album, Picture
-from reports.metrics.trajectory import associate
-from reports.stages import Group, Stage
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures import maps, series
+from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.reports.stages import Group, Stage
 
 
 def given_map(stage: Stage, group: Group) -> OccupancyGrid | None:

@@ -8,25 +8,25 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from datasets.bags.reader import read_particles, read_poses
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.ply import read_ply
-from datasets.recordings import load_recording
-from datasets.runlog import RunLog
-from datasets.se2 import SE2
-from datasets.types import Recording, Trajectory
-from reports.draw_localise import given_map
-from reports.figures import animation, maps, runs, series
-from reports.figures.album import Album, Picture
-from reports.figures.cloud import cloud_from_above
-from reports.figures.graph import pose_graph, shown_edges
-from reports.figures.particles import particles
-from reports.g2o import read_g2o, read_loops
-from reports.metrics.navigation import collision_episodes
-from reports.metrics.trajectory import associate
-from reports.numbers import shown
-from reports.stages import Group, Stage
+from turtlebag.datasets.bags.reader import read_particles, read_poses
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.ply import read_ply
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.reports.draw_localise import given_map
+from turtlebag.reports.figures import animation, maps, runs, series
+from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.figures.cloud import cloud_from_above
+from turtlebag.reports.figures.graph import pose_graph, shown_edges
+from turtlebag.reports.figures.particles import particles
+from turtlebag.reports.g2o import read_g2o, read_loops
+from turtlebag.reports.metrics.navigation import collision_episodes
+from turtlebag.reports.metrics.trajectory import associate
+from turtlebag.reports.numbers import shown
+from turtlebag.reports.stages import Group, Stage
 
 SNAPSHOTS = 6
 

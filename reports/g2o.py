@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
 
 
 @dataclass(frozen=True, eq=False)

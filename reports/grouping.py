@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from reports.names import names_of, unique_names
-from reports.stages import KINDS, Group, Stage
+from turtlebag.reports.stage_titles import names_of, unique_names
+from turtlebag.reports.stages import KINDS, Group, Stage
 
 
 def group_stages(stages: Sequence[Stage]) -> list[Group]:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import InputError
-from reports.content import collision_count, stage_metrics, verdict
-from reports.metrics.navigation import truly_reached
-from reports.numbers import lookup, shown
-from reports.specs import SPECS
-from reports.stages import KINDS, Stage, load_stage, read_json
+from turtlebag.datasets.errors import InputError
+from turtlebag.reports.content import collision_count, stage_metrics, verdict
+from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.specs import SPECS
+from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
 
 # (head, path in the metrics, unit)
 COLUMNS = (

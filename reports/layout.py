@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from datasets.grid import OccupancyGrid
-from reports.stages import Stage
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.reports.stages import Stage
 
 PANEL = "3D!turtlebag"
 ON_MAP = ("/map", "/plan", "/particlecloud", "/amcl_pose", "/goal_pose")

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from reports.spec import Section, Spec
-from reports.specs import REFERENCES, SECTIONS, SPECS
-from reports.stages import Stage
+from turtlebag.reports.spec import Section, Spec
+from turtlebag.reports.specs import REFERENCES, SECTIONS, SPECS
+from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
 # How a unit is shown: factor from the stored SI value, symbol, decimals.

@@ -9,17 +9,17 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from reports.compare import Comparison
-from reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
-from reports.figures import style
-from reports.figures.album import Picture
-from reports.index import Line, used_columns
-from reports.metrics.navigation import truly_reached
-from reports.numbers import lookup, shown
-from reports.provenance import packages, recipe
-from reports.specs import GOAL_MEANINGS, SPECS
-from reports.stages import Group
-from reports.words import WORDS, explained
+from turtlebag.reports.compare import Comparison
+from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
+from turtlebag.reports.figures import style
+from turtlebag.reports.figures.album import Picture
+from turtlebag.reports.glossary import WORDS, explained
+from turtlebag.reports.index import Line, used_columns
+from turtlebag.reports.metrics.navigation import truly_reached
+from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.provenance import packages, recipe
+from turtlebag.reports.specs import GOAL_MEANINGS, SPECS
+from turtlebag.reports.stages import Group
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
 THEMED = {

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from datasets.grid import FREE, OccupancyGrid
-from datasets.types import Trajectory
-from reports.metrics.map import occupied
-from reports.metrics.navigation import truly_reached
+from turtlebag.datasets.grid import FREE, OccupancyGrid
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.navigation import truly_reached
 
 PIXELS = {"occupied": 28, "unknown": 224, "free": 254}
 SPACING_M = 0.02

@@ -6,8 +6,8 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from reports.numbers import DASH
-from reports.stages import Group, Stage
+from turtlebag.reports.numbers import DASH
+from turtlebag.reports.stages import Group, Stage
 
 
 @dataclass(frozen=True)

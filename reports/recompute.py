@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from datasets.bags.reader import bag_info, read_poses
-from datasets.errors import InputError
-from datasets.relations import load_relations
-from datasets.runlog import RunLog
-from datasets.se2 import SE2, wrap
-from datasets.types import Trajectory, yaw_difference
-from reports.g2o import read_g2o, read_loops
-from reports.metrics.map import map_metrics
-from reports.metrics.navigation import (
+from turtlebag.datasets.bags.reader import bag_info, read_poses
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.types import Trajectory, yaw_difference
+from turtlebag.reports.g2o import read_g2o, read_loops
+from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.reports.metrics.navigation import (
     collisions,
     distance_driven,
     localisation_error,
@@ -26,11 +26,11 @@ from reports.metrics.navigation import (
     takeovers,
     truly_reached,
 )
-from reports.metrics.recording import recording_metrics
-from reports.metrics.relations import relations_metrics
-from reports.metrics.trajectory import associate, summary, trajectory_metrics
-from reports.numbers import leaves
-from reports.stages import Group, Stage
+from turtlebag.reports.metrics.recording import recording_metrics
+from turtlebag.reports.metrics.relations import relations_metrics
+from turtlebag.reports.metrics.trajectory import associate, summary, trajectory_metrics
+from turtlebag.reports.numbers import leaves
+from turtlebag.reports.stages import Group, Stage
 
 # Files hold poses with 9 decimals and run logs with 6; metrics were made from unrounded ones.
 ABSOLUTE, RELATIVE = 2e-6, 1e-6

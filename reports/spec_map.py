@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
+from turtlebag.reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
 
 WALLS = Section(
     "The walls",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from reports.spec import BAG, LOG, SEEN, TRUTH, Section, Spec
-from reports.spec_map import WALLS
+from turtlebag.reports.spec import BAG, LOG, SEEN, TRUTH, Section, Spec
+from turtlebag.reports.spec_map import WALLS
 
 RUN = (
     Section(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, TRAJECTORY, TRUTH, Section, Spec
-from reports.spec_map import MAP
-from reports.spec_run import RUN
+from turtlebag.reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, TRAJECTORY, TRUTH, Section, Spec
+from turtlebag.reports.spec_map import MAP
+from turtlebag.reports.spec_run import RUN
 
 RECORD = (
     Section(

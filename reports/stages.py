@@ -12,14 +12,14 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.maps import load_map
-from datasets.outputs import sha256_file
-from datasets.runlog import RunLog
-from datasets.trajectories import load_tum, stamp_text
-from datasets.types import Trajectory
-from datasets.yaml_files import checked
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import sha256_file
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.trajectories import load_tum, stamp_text
+from turtlebag.datasets.types import Trajectory
+from turtlebag.datasets.yaml_files import checked
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from reports.content import Chapter, Part
-from reports.names import slug
-from reports.numbers import SI
-from reports.specs import GOAL_MEANINGS, GOAL_UNITS
+from turtlebag.reports.content import Chapter, Part
+from turtlebag.reports.numbers import SI
+from turtlebag.reports.specs import GOAL_MEANINGS, GOAL_UNITS
+from turtlebag.reports.stage_titles import slug
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
 LATEX |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "|": "$|$"}

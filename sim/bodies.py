@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.bullet import bullet
-from sim.shapes import Ball, Mesh, Solid, as_rectangle
+from turtlebag.sim.bullet import bullet
+from turtlebag.sim.shapes import Ball, Mesh, Solid, as_rectangle
 
 GROUP = 16
 """How many shapes Bullet's Python module takes for one body."""

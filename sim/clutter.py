@@ -10,13 +10,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.se2 import Array
-from datasets.seeds import stream
-from sim.movers import Mover
-from sim.raycast import roomiest
-from sim.shapes import Solid, box, cylinder, sections
-from sim.world import World
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.sim.movers import Mover
+from turtlebag.sim.raycast import roomiest
+from turtlebag.sim.shapes import Solid, box, cylinder, sections
+from turtlebag.sim.world import World
 
 CELL_M = 0.1
 ROOM_M = 0.25

@@ -10,9 +10,9 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 
-from datasets.se2 import Array
-from datasets.types import Twist
-from sim.simulator import Truth
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Twist
+from turtlebag.sim.simulator import Truth
 
 Action = Generator[Twist, Truth, Truth]
 

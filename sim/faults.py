@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from datasets.se2 import SE2
-from datasets.types import Imu, Scan, Twist
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Imu, Scan, Twist
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Spans = tuple[tuple[NonNegative, NonNegative], ...]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets.seeds import stream
-from sim.shapes import Solid, box, cylinder
+from turtlebag.datasets.seeds import stream
+from turtlebag.sim.shapes import Solid, box, cylinder
 
 HEIGHT = (0.0, 1.0)
 WALL_M = 0.1

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import Array
-from datasets.types import Imu, Twist
-from sim.robots import RobotSpec
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Imu, Twist
+from turtlebag.sim.robots import RobotSpec
 
 RATE_HZ = 100
 GRAVITY = 9.81

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.se2 import Array
-from datasets.types import LidarSpec
-from sim.lidar_errors import LidarUnit, incidence
-from sim.raycast import beam_rays, cast, cast_sweep
-from sim.robots import LidarErrors, RobotSpec
-from sim.shapes import Solid, sections
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import LidarSpec
+from turtlebag.sim.lidar_errors import LidarUnit, incidence
+from turtlebag.sim.raycast import beam_rays, cast, cast_sweep
+from turtlebag.sim.robots import LidarErrors, RobotSpec
+from turtlebag.sim.shapes import Solid, sections
 
 GAZEBO_SIGMA = 0.01
 """White noise of the tutorial's lidar in Gazebo [m]."""

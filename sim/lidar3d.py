@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from datasets.se2 import Array
-from datasets.types import Cloud
-from sim.raycast import beam_rays
-from sim.raycast3d import Scene
-from sim.robots import Lidar3dMount
-from sim.shapes import Solid
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Cloud
+from turtlebag.sim.raycast import beam_rays
+from turtlebag.sim.raycast3d import Scene
+from turtlebag.sim.robots import Lidar3dMount
+from turtlebag.sim.shapes import Solid
 
 
 class Lidar3d:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
-from sim.robots import LidarErrors
-from sim.shapes import Sections
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.robots import LidarErrors
+from turtlebag.sim.shapes import Sections
 
 LIMIT = 3.0
 """Draws of a unit and of its turns end at so many standard deviations, as the data sheet's tolerances do."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import Array
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
 
 
 def load_mesh(path: Path) -> Array:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import Array
-from sim.raycast import distance_to_point
-from sim.shapes import Sections, Solid, sections
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.shapes import Sections, Solid, sections
 
 WANDER_MARGIN_M = 0.15
 YIELD_M = 0.25

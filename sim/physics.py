@@ -12,12 +12,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array
-from sim.bodies import create_body, create_compound, groups
-from sim.bullet import bullet
-from sim.robots import RobotSpec
-from sim.shapes import Solid
-from sim.urdf import composite, urdf
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.sim.bodies import create_body, create_compound, groups
+from turtlebag.sim.bullet import bullet
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.shapes import Solid
+from turtlebag.sim.urdf import composite, urdf
 
 CONTACT_GAP_M = 5e-4
 """Bullet keeps points of bodies that are merely near; nearer than this they touch."""

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
-from sim.shapes import Mesh, Solid, contains
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.sim.shapes import Mesh, Solid, contains
 
 INSET_M = 1e-3
 """Surfaces are sampled this far inside the solid, so that one on a cell border falls in the solid's cell."""

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import Array
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
 
 
 @njit(cache=True)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from sim.shapes import Ball, Mesh, Solid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.shapes import Ball, Mesh, Solid
 
 
 @njit(cache=True)

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from datasets.errors import InputError
-from datasets.se2 import SE2
-from datasets.types import LidarSpec, RobotModel
-from datasets.yaml_files import find_named, known_names, load_model
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec, RobotModel
+from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
 

@@ -1,6 +1,6 @@
 """Routes for any world: where a careful person would drive, planned on the true geometry.
 
-They belong to the simulated driver (see sim.teleop): what is planned here reaches the robot as motion only.
+They belong to the simulated driver (see `teleop.py`): what is planned here reaches the robot as motion only.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from sim.raycast import distance_to_point, roomiest
-from sim.robots import RobotSpec
-from sim.world import World
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.sim.raycast import distance_to_point, roomiest
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.world import World
 
 CELL_M = 0.1
 SIDE_M = 0.08

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import Array
-from sim.meshes import load_mesh
-from sim.shapes import Solid, ball, cylinder, mesh, prism
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.meshes import load_mesh
+from turtlebag.sim.shapes import Solid, ball, cylinder, mesh, prism
 
 UPRIGHT = 1e-6
 """A box or cylinder tilted by more than this sine is taken as a mesh."""

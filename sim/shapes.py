@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
+from turtlebag.datasets.se2 import Array
 
 Bools = NDArray[np.bool_]
 NO_SEGMENTS, NO_CIRCLES = np.zeros((0, 4)), np.zeros((0, 3))

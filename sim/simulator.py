@@ -9,22 +9,22 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.seeds import stream
-from datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
-from sim.faults import FaultConfig, Faults
-from sim.imu import ImuConfig, ImuSensor
-from sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
-from sim.lidar3d import Lidar3d
-from sim.movers import MovingSolid, outlines
-from sim.physics import Physics, PhysicsConfig
-from sim.raycast import distance_to_outlines, distance_to_point
-from sim.robots import LidarErrors, RobotSpec, check_rate
-from sim.shapes import Sections, contains
-from sim.sweep import Sweep
-from sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
-from sim.world import World
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
+from turtlebag.sim.faults import FaultConfig, Faults
+from turtlebag.sim.imu import ImuConfig, ImuSensor
+from turtlebag.sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
+from turtlebag.sim.lidar3d import Lidar3d
+from turtlebag.sim.lidar_sweeps import Sweep
+from turtlebag.sim.movers import MovingSolid, outlines
+from turtlebag.sim.physics import Physics, PhysicsConfig
+from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
+from turtlebag.sim.robots import LidarErrors, RobotSpec, check_rate
+from turtlebag.sim.shapes import Sections, contains
+from turtlebag.sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
+from turtlebag.sim.world import World
 
 CONTROL_HZ = 30
 Sensors = Literal["realistic", "clean"]

@@ -15,16 +15,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.errors import InputError
-from datasets.se2 import Array
-from datasets.seeds import stream
-from datasets.types import Twist
-from datasets.yaml_files import checked, find_named, known_names, read_mapping
-from sim.driver import Driver
-from sim.robots import RobotSpec
-from sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
-from sim.simulator import CONTROL_HZ, Truth
-from sim.world import World
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
+from turtlebag.sim.driver import Driver
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
+from turtlebag.sim.simulator import CONTROL_HZ, Truth
+from turtlebag.sim.world import World
 
 FOLDER = Path(__file__).parent / "scripts"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.se2 import Array
-from sim.robots import BoxPart, CylinderPart, Part, RobotSpec
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.robots import BoxPart, CylinderPart, Part, RobotSpec
 
 TREAD = 0.2
 """A wheel stands on a narrow tread (this share of its width), as a crowned tyre does: a rigid cylinder of

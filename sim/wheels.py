@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2
-from datasets.types import Twist
-from sim.robots import RobotSpec
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+from turtlebag.sim.robots import RobotSpec
 
 
 class OdometryConfig(BaseModel):

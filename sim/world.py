@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from sim.movers import Mover
-from sim.rasterize import true_map
-from sim.shapes import Sections, Solid, sections
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.sim.movers import Mover
+from turtlebag.sim.rasterize import true_map
+from turtlebag.sim.shapes import Sections, Solid, sections
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,5 +41,5 @@ class World:
         return sections(self.below(height), 0.0, height)
 
     def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
-        """The true map at height z, as a perfect lidar there would draw it (see sim.rasterize)."""
+        """The true map at height z, as a perfect lidar there would draw it (see turtlebag.sim.rasterize)."""
         return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)

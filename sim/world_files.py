@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from sim.meshes import load_mesh
-from sim.movers import Mover
-from sim.shapes import Solid, box, cylinder, mesh, prism
+from turtlebag.sim.meshes import load_mesh
+from turtlebag.sim.movers import Mover
+from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]

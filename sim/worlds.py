@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import SE2
-from datasets.yaml_files import checked, find_named, known_names, read_mapping
-from sim.clutter import cluttered
-from sim.generators import GENERATORS, LIMITS
-from sim.raycast import distance_to_point
-from sim.sdf import load_sdf
-from sim.shapes import Solid, contains, sections
-from sim.world import World
-from sim.world_files import GeneratorSpec, WorldSpec
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
+from turtlebag.sim.clutter import cluttered
+from turtlebag.sim.generators import GENERATORS, LIMITS
+from turtlebag.sim.raycast import distance_to_point
+from turtlebag.sim.sdf import load_sdf
+from turtlebag.sim.shapes import Solid, contains, sections
+from turtlebag.sim.world import World
+from turtlebag.sim.world_files import GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
 MARGIN_M = 0.5

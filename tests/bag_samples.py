@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from datasets.bags.writer import BagWriter
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2
-from datasets.types import Cloud, Imu, Joints, LidarSpec, Observation, Odometry, Scan, Twist
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Cloud, Imu, Joints, LidarSpec, Observation, Odometry, Scan, Twist
 
 LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 3.5, time_increment=1 / 1800, scan_time=0.2)
 LINKS = [

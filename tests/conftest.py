@@ -30,11 +30,11 @@ def chain(tmp_path_factory):
 @pytest.fixture
 def no_workers(monkeypatch):
     """Campaigns whose cases all end at once with the same numbers."""
-    import pipeline.sweep
+    import turtlebag.pipeline.campaign.sweep
 
     def rows(campaign, todo, folder, run, **options):
         for case in todo:
             values = dict.fromkeys(campaign.results, 0.5)
             yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}
 
-    monkeypatch.setattr(pipeline.sweep, "run_cases", rows)
+    monkeypatch.setattr(turtlebag.pipeline.campaign.sweep, "run_cases", rows)

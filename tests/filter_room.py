@@ -3,11 +3,11 @@
 import numpy as np
 from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 
-from datasets.se2 import SE2
-from datasets.types import Scan
-from pipeline.localisation.amcl import Amcl
-from pipeline.localisation.beams import prepare
-from pipeline.localisation.parameters import AmclConfig
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 ROOM = l_shaped_room()
 GRID = ROOM.grid()

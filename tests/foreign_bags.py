@@ -7,7 +7,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from datasets.bags import cdr
+from turtlebag.datasets.bags import cdr
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

@@ -9,8 +9,8 @@ from typing import get_args
 import yaml
 from fuzz_inputs import broken, tree_broken
 
-from pipeline.cli import main
-from planners.ompl_planner import PlannerName
+from turtlebag.pipeline.cli.main import main
+from turtlebag.planners.ompl_planner import PlannerName
 
 SIM = Path(__file__).parents[1] / "sim"
 ROOM = """\

@@ -16,7 +16,7 @@ from pathlib import Path
 import yaml
 from numba.core.event import Listener, install_listener
 
-from pipeline.cli import main
+from turtlebag.pipeline.cli.main import main
 
 WILD = [
     None, "", "x", "\u00e9\n\x00", "nan", True, False, 0, -1, 1, 3, 10**30, 10**400, 0.5, -0.0, 1e-300, 1e300,

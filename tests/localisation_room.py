@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import LidarSpec, Scan
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import LidarSpec, Scan
 
 LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 3.5, time_increment=0.2 / 360, scan_time=0.2)
 STILL_LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 3.5)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from datasets.grid import FREE, OCCUPIED, OccupancyGrid
-from datasets.se2 import SE2
-from datasets.types import RobotModel
+from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import RobotModel
 
 BURGER = RobotModel(
     "burger",

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.bags.writer import BagWriter
-from datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.maps import map_files, save_map
-from datasets.outputs import sha256_file, write_json, write_manifest
-from datasets.runlog import RunLogBuilder
-from datasets.se2 import SE2
-from datasets.seeds import stream
-from datasets.trajectories import load_tum, save_tum
-from datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
-from reports.metrics.map import map_metrics
-from reports.metrics.navigation import localisation_error, pose_error
-from reports.metrics.trajectory import trajectory_metrics
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.maps import map_files, save_map
+from turtlebag.datasets.outputs import sha256_file, write_json, write_manifest
+from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
+from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.reports.metrics.navigation import localisation_error, pose_error
+from turtlebag.reports.metrics.trajectory import trajectory_metrics
 
 TICK_NS = 1_000_000_000 // 30
 TICKS = 900

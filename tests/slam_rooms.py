@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from datasets.se2 import SE2
-from datasets.types import LidarSpec, Recording
-from pipeline.slam.course import track_log
-from pipeline.slam.track import TrackingConfig
-from pipeline.slam.wheels import Wheels
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.pipeline.slam.course import track_log
+from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.wheels import Wheels
 
 SICK = LidarSpec(180, -math.pi / 2, math.pi / 180.0, 0.05, 30.0)
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 8.0)

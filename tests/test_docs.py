@@ -9,24 +9,24 @@ from pathlib import Path
 
 import pytest
 
-from datasets.maps import MapYaml
-from datasets.recordings import load_recording
-from datasets.relations import load_relations
-from datasets.runlog import RunLog
-from datasets.trajectories import load_tum
-from datasets.types import Twist
-from datasets.yaml_files import load_model
-from pipeline.campaign.plan import Campaign
-from pipeline.cli import VERBS, build_parser, joined, main
-from pipeline.config import load_config
-from pipeline.navigation.takeover import load_script
-from pipeline.slam.slam import SlamConfig
-from planners.tasks.waypoints import load_waypoints
-from reports.draw_localise import read_path
-from reports.g2o import read_g2o, read_loops
-from sim.robots import load_robot
-from sim.simulator import SimConfig, Simulator
-from sim.worlds import load_world
+from turtlebag.datasets.maps import MapYaml
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import load_model
+from turtlebag.pipeline.campaign.campaign_file import Campaign
+from turtlebag.pipeline.cli.main import VERBS, build_parser, joined, main
+from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.planners.tasks.waypoints import load_waypoints
+from turtlebag.reports.draw_localise import read_path
+from turtlebag.reports.g2o import read_g2o, read_loops
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.worlds import load_world
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted((ROOT / "docs").rglob("*.md"))

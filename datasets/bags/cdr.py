@@ -8,7 +8,7 @@ from math import cos, sin
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array
 
 _STAMP = struct.Struct("<iI")
 _POSE = struct.Struct("<2d24x2d")  # x, y; z, qx, qy stay 0; qz, qw

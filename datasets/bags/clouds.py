@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bags.decode import BadMessage, Cursor
-from datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
-from datasets.bags.source import Bag, open_bag
-from datasets.bags.streams import Streams
-from datasets.errors import InputError
-from datasets.se2 import Array
-from datasets.types import Cloud, Recording3D
+from turtlebag.datasets.bags.decode import BadMessage, Cursor
+from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
+from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Cloud, Recording3D
 
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")

@@ -10,10 +10,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bags import decode
-from datasets.bags.decode import BadMessage, Cursor
-from datasets.se2 import Array
-from datasets.types import ImuLog, Stamps
+from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.decode import BadMessage, Cursor
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import ImuLog, Stamps
 
 MakeCursor = Callable[[bytes], Cursor]
 Bytes = NDArray[np.uint8]

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.rosbag2.metadata import parse_qos
 
-from datasets.bags.copying import (
+from turtlebag.datasets.bags.copying import (
     Copier,
     Untranslatable,
     Write,
@@ -23,12 +23,12 @@ from datasets.bags.copying import (
     to_ros1,
     to_ros2,
 )
-from datasets.bags.folder import BagFolder
-from datasets.bags.source import Bag, open_bag
-from datasets.bags.storage import Topic
-from datasets.bags.writer import BagWriter
-from datasets.errors import InputError
-from datasets.types import Odometry, Recording, Twist
+from turtlebag.datasets.bags.folder import BagFolder
+from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.storage import Topic
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.types import Odometry, Recording, Twist
 
 
 def to_mcap(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tuple[int, list[str]]:

@@ -12,9 +12,9 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from datasets.bags.folder import BagFolder
-from datasets.bags.storage import Message, Topic
-from datasets.bags.topics import definition, typestore
+from turtlebag.datasets.bags.folder import BagFolder
+from turtlebag.datasets.bags.storage import Message, Topic
+from turtlebag.datasets.bags.topics import definition, typestore
 
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"

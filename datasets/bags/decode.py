@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
+from turtlebag.datasets.se2 import Array
 
 _SIZES = {"B": 1, "i": 4, "I": 4, "f": 4, "d": 8}
 _STRUCTS: dict[tuple[str, str, int], struct.Struct] = {}

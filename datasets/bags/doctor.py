@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.bags import impossible
-from datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
-from datasets.bags.survey import Survey, TopicSurvey, survey
-from datasets.bags.units import directed, stands_still
+from turtlebag.datasets.bags import impossible
+from turtlebag.datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
+from turtlebag.datasets.bags.survey import Survey, TopicSurvey, survey
+from turtlebag.datasets.bags.units import directed, stands_still
 
 _LATCHED = ("/tf_static", "/map")
 _CLOCK_NS = 1_000_000_000

@@ -8,8 +8,8 @@ from types import TracebackType
 
 import yaml
 
-from datasets.bags.mcap import McapWriter
-from datasets.bags.topics import (
+from turtlebag.datasets.bags.mcap import McapWriter
+from turtlebag.datasets.bags.topics import (
     CUSTOM_RECORD,
     DATA_FILE,
     METADATA_FILE,
@@ -17,7 +17,7 @@ from datasets.bags.topics import (
     bag_metadata,
     metadata_text,
 )
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 
 class BagFolder:

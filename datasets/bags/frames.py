@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from datasets.bags.decode import RawTransform
-from datasets.bags.units import far_away
-from datasets.se2 import Array
+from turtlebag.datasets.bags.decode import RawTransform
+from turtlebag.datasets.bags.units import far_away
+from turtlebag.datasets.se2 import Array
 
 
 def matrix(xyz: Iterable[float], quaternion: Iterable[float]) -> Array:

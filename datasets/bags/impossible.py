@@ -6,11 +6,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
-from datasets.bags.survey import Survey
-from datasets.bags.units import ARM_M, driven_in_millimetres, far_away, ranges_in_millimetres, stands_still
-from datasets.se2 import Array
-from datasets.types import Stamps
+from turtlebag.datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
+from turtlebag.datasets.bags.survey import Survey
+from turtlebag.datasets.bags.units import (
+    ARM_M,
+    driven_in_millimetres,
+    far_away,
+    ranges_in_millimetres,
+    stands_still,
+)
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Stamps
 
 
 def still_clocks(found: Survey) -> list[Finding]:

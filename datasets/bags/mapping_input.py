@@ -6,15 +6,15 @@ from collections import Counter
 
 import numpy as np
 
-from datasets.bags.decode import RawScan
-from datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
-from datasets.bags.scans import TURNED_OVER, assemble, turned_over
-from datasets.bags.source import Bag
-from datasets.bags.streams import CLOUD, Streams
-from datasets.bags.units import stands_still
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.types import Recording, Stamps
+from turtlebag.datasets.bags.decode import RawScan
+from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
+from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
+from turtlebag.datasets.bags.source import Bag
+from turtlebag.datasets.bags.streams import CLOUD, Streams
+from turtlebag.datasets.bags.units import stands_still
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Recording, Stamps
 
 
 class NoScans(InputError):

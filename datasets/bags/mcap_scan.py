@@ -15,7 +15,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from datasets.bags.mcap import (
+from turtlebag.datasets.bags.mcap import (
     CHANNEL,
     CHUNK,
     DATA_END,
@@ -28,8 +28,8 @@ from datasets.bags.mcap import (
     SCHEMA,
     STATISTICS,
 )
-from datasets.errors import InputError
-from datasets.files import FileBytes, Unpacked, chunk_bound
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.bags import decode
-from datasets.bags.frames import FrameTree
-from datasets.bags.streams import Streams
-from datasets.bags.units import ARM_M, FAR_M, driven_in_millimetres, stands_still
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.types import Stamps, Trajectory
+from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.units import ARM_M, FAR_M, driven_in_millimetres, stands_still
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps, Trajectory
 
 _BASES = ("base_footprint", "base_link")
 _CLOCK_NS = 1_000_000_000

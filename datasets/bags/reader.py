@@ -10,13 +10,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from datasets.bags import decode
-from datasets.bags.decode import BadMessage, Cursor
-from datasets.bags.source import open_bag
-from datasets.bags.storage import Topic
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.types import Stamps, Trajectory
+from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.decode import BadMessage, Cursor
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.storage import Topic
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps, Trajectory
 
 Decoded = TypeVar("Decoded")
 

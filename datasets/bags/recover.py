@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.bags.copying import into_mcap
-from datasets.bags.folder import BagFolder
-from datasets.bags.source import open_bag
-from datasets.errors import InputError
+from turtlebag.datasets.bags.copying import into_mcap
+from turtlebag.datasets.bags.folder import BagFolder
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

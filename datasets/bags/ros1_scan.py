@@ -14,8 +14,8 @@ from pathlib import Path
 
 import lz4.frame
 
-from datasets.errors import InputError
-from datasets.files import FileBytes, Unpacked, chunk_bound
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bags.decode import RawScan
-from datasets.bags.units import directed, limits_in_millimetres, ranges_in_millimetres
-from datasets.returns import no_return_value
-from datasets.se2 import Array
-from datasets.types import LidarSpec
+from turtlebag.datasets.bags.decode import RawScan
+from turtlebag.datasets.bags.units import directed, limits_in_millimetres, ranges_in_millimetres
+from turtlebag.datasets.returns import no_return_value
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import LidarSpec
 
 Ranges = NDArray[np.float32]
 

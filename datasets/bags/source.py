@@ -9,14 +9,14 @@ from typing import Any
 
 import yaml
 
-from datasets.bags.decode import Cursor, Ros1Cursor
-from datasets.bags.mcap import MAGIC
-from datasets.bags.mcap_scan import McapScan
-from datasets.bags.ros1_scan import ROS1_MAGIC
-from datasets.bags.storage import READERS, Message, Wanted
-from datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
-from datasets.errors import InputError
-from datasets.files import (
+from turtlebag.datasets.bags.decode import Cursor, Ros1Cursor
+from turtlebag.datasets.bags.mcap import MAGIC
+from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.ros1_scan import ROS1_MAGIC
+from turtlebag.datasets.bags.storage import READERS, Message, Wanted
+from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import (
     chunk_bound,
     opened_plain,
     read_unpacked,

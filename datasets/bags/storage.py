@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from datasets.bags.mcap_scan import McapChannel, McapScan
-from datasets.bags.ros1_scan import Ros1Connection, Ros1Scan
-from datasets.bags.topics import TOPICS, metadata_text
-from datasets.errors import InputError
+from turtlebag.datasets.bags.mcap_scan import McapChannel, McapScan
+from turtlebag.datasets.bags.ros1_scan import Ros1Connection, Ros1Scan
+from turtlebag.datasets.bags.topics import TOPICS, metadata_text
+from turtlebag.datasets.errors import InputError
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection

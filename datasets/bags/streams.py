@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from datasets.bags import decode
-from datasets.bags.columns import OdometryColumns, imu, odometry
-from datasets.bags.frames import FrameTree
-from datasets.bags.source import TRUTH_PREFIX, Bag
-from datasets.bags.storage import Topic
-from datasets.bags.topics import typestore
-from datasets.types import ImuLog
+from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
+from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
+from turtlebag.datasets.bags.storage import Topic
+from turtlebag.datasets.bags.topics import typestore
+from turtlebag.datasets.types import ImuLog
 
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.bags import decode
-from datasets.bags.frames import FrameTree
-from datasets.bags.source import Bag, open_bag
-from datasets.bags.storage import Topic
+from turtlebag.datasets.bags import decode
+from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.storage import Topic
 
 _SOME = 200
 _BASES = ("base_footprint", "base_link")

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.se2 import Array
-from datasets.types import Stamps
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Stamps
 
 FAR_M = 1e8
 """No place on Earth is as far from another; coordinates of a country's grid are less."""

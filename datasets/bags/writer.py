@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from datasets.bags import cdr
-from datasets.bags.folder import BagFolder
-from datasets.bags.topics import TOPICS, definition, metadata_text
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import Cloud, Imu, LidarSpec, Observation, Odometry, Scan, Twist
+from turtlebag.datasets.bags import cdr
+from turtlebag.datasets.bags.folder import BagFolder
+from turtlebag.datasets.bags.topics import TOPICS, definition, metadata_text
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Cloud, Imu, LidarSpec, Observation, Odometry, Scan, Twist
 
 _POSE_VARIANCES = (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 """Diagonal that the TurtleBot3's odometry publishes: z, roll and pitch are not measured."""

@@ -13,9 +13,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets.outputs import write_json
-from datasets.stage_cache import PLACE_VARIABLE
-from reports.stages import read_json
+from turtlebag.datasets.outputs import write_json
+from turtlebag.datasets.stage_cache import PLACE_VARIABLE
+from turtlebag.reports.stages import read_json
 
 Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, and gives the exit code."""

@@ -10,9 +10,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import InputError
-from pipeline.campaign.case import Run, run_case
-from pipeline.campaign.plan import Campaign, Case
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
+from turtlebag.pipeline.campaign.case import Run, run_case
 
 
 @contextmanager

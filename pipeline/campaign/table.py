@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 
 def _duckdb() -> Any:

@@ -9,19 +9,19 @@ import math
 
 import numpy as np
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array, wrap
-from datasets.types import LidarSpec, Scan
-from pipeline.localisation import motion, sampling
-from pipeline.localisation.beams import Beams, prepare
-from pipeline.localisation.estimate import Estimate, main_cluster
-from pipeline.localisation.field import distance_field
-from pipeline.localisation.fine_pose import FinePose
-from pipeline.localisation.free_space import FreeSpace
-from pipeline.localisation.parameters import AmclConfig
-from pipeline.localisation.search import GlobalSearch
-from pipeline.localisation.sensor import make_sensor_model
-from pipeline.localisation.standing import StandingWatch
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.types import LidarSpec, Scan
+from turtlebag.pipeline.localisation import motion, sampling
+from turtlebag.pipeline.localisation.beams import Beams, prepare
+from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster
+from turtlebag.pipeline.localisation.field import distance_field
+from turtlebag.pipeline.localisation.fine_pose import FinePose
+from turtlebag.pipeline.localisation.free_space import FreeSpace
+from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.push_detection import StandingWatch
+from turtlebag.pipeline.localisation.sensor import make_sensor_model
 
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.localisation.beams import Beams, spread
-from pipeline.localisation.field import DistanceField, FloatGrid
-from pipeline.localisation.parameters import AmclConfig
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
 class BeamModel:

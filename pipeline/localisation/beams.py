@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.types import Scan
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Scan
 
 
 @dataclass(frozen=True, eq=False)

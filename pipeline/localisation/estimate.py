@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from pipeline.localisation.sampling import bin_numbers
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.localisation.sampling import bin_numbers
 
 # Reach of a cluster about its mean: several bins, so that one cloud is never cut in two.
 REACH_XY, REACH_YAW = 0.5, 0.6

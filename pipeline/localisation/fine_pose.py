@@ -15,12 +15,12 @@ import math
 
 import numpy as np
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array, wrap
-from pipeline.localisation.estimate import Estimate
-from pipeline.localisation.parameters import AmclConfig
-from pipeline.localisation.surfaces import fit_surfaces
-from pipeline.localisation.wall_filter import WallFilter
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.pipeline.localisation.estimate import Estimate
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.surfaces import fit_surfaces
+from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
 # The cloud must be this narrow before a pose is tracked in it: matching reaches four cells far.
 START_STD = np.array([0.15, 0.15, 0.15])

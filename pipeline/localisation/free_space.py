@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from pipeline.localisation.field import free_cells
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.localisation.field import free_cells
 
 
 class FreeSpace:

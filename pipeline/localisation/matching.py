@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.localisation.surfaces import Indices
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.localisation.surfaces import Indices
 
 
 @njit(cache=True)

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array, wrap
 
 # Below this step the direction of travel is noise and the motion counts as a turn on the spot.
 MIN_STEP_M = 0.01

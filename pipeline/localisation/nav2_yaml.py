@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 _SAME = [
     "min_particles",

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class AmclConfig(BaseModel):
-    """Settings of `pipeline.localisation.amcl.Amcl`; lengths in m, angles in rad.
+    """Settings of `turtlebag.pipeline.localisation.amcl.Amcl`; lengths in m, angles in rad.
 
     Names shared with ROS amcl mean the same here. Values differ where measured better for a lidar of
     3.5 m and 1 cm: ROS's sigma_hit of 0.2 m and its odometry noise are far too wide to reach 1 cm.

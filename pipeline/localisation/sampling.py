@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
 
 
 def effective_size(weights: Array) -> float:

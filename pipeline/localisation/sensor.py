@@ -6,11 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from datasets.se2 import Array
-from pipeline.localisation.beam_model import BeamModel
-from pipeline.localisation.beams import Beams, spread
-from pipeline.localisation.field import DistanceField, hit_probability, sum_over_beams
-from pipeline.localisation.parameters import AmclConfig
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.localisation.beam_model import BeamModel
+from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.field import DistanceField, hit_probability, sum_over_beams
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
 class SensorModel(Protocol):

@@ -13,10 +13,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.grid import FREE, OCCUPIED, OccupancyGrid
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from pipeline.localisation.linear import solve
+from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.localisation.small_matrices import solve
 
 Indices = NDArray[np.int32]
 

@@ -17,11 +17,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from pipeline.localisation.linear import multiply, solve
-from pipeline.localisation.matching import match_beams
-from pipeline.localisation.surfaces import Indices, Surfaces
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.localisation.matching import match_beams
+from turtlebag.pipeline.localisation.small_matrices import multiply, solve
+from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 
 MAX_ITERATIONS = 4
 STEP_DONE = 1e-4

@@ -5,13 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from datasets.se2 import SE2
-from datasets.types import Observation, RobotModel, Scan, Twist
-from pipeline.navigation.sensing import Sensing
-from planners.control.interface import SpeedLimits, ramped
-from planners.tasks.avoid import AvoidConfig, Decision, Sectors, decision_line, read_sectors, tutorial_rule
-from planners.tasks.guarded import Guard, View
-from sim.simulator import CONTROL_HZ
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, RobotModel, Scan, Twist
+from turtlebag.pipeline.navigation.guarded import Guard, View
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.interface import SpeedLimits, ramped
+from turtlebag.planners.tasks.avoid import (
+    AvoidConfig,
+    Decision,
+    Sectors,
+    decision_line,
+    read_sectors,
+    tutorial_rule,
+)
+from turtlebag.sim.simulator import CONTROL_HZ
 
 
 class AvoidDriver:

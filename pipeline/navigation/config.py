@@ -6,25 +6,25 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.spans import Seconds
-from pipeline.localisation.parameters import AmclConfig
-from pipeline.navigation.explore import ExploreConfig
-from pipeline.navigation.moving import WaryConfig
-from pipeline.navigation.takeover import TakeoverConfig
-from planners.control.dwa import DwaConfig
-from planners.control.goal_checker import GoalCheckerConfig
-from planners.control.monitor import MonitorConfig
-from planners.control.pursuit import PursuitConfig
-from planners.costmap import CostmapConfig
-from planners.global_plan import PlanConfig
-from planners.live import LiveConfig
-from planners.tasks.avoid import AvoidConfig
-from planners.tasks.guarded import GuardConfig
-from planners.tasks.recovery import RecoveryConfig, Rung
-from planners.tasks.relocalise import RelocaliseConfig
-from planners.tasks.sequence import SequenceConfig
-from planners.tasks.wiggle import WiggleConfig
-from sim.simulator import SimConfig
+from turtlebag.datasets.spans import Seconds
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.navigation.explore import ExploreConfig
+from turtlebag.pipeline.navigation.guarded import GuardConfig
+from turtlebag.pipeline.navigation.moving_obstacles import WaryConfig
+from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig
+from turtlebag.pipeline.navigation.takeover import TakeoverConfig
+from turtlebag.planners.control.dwa import DwaConfig
+from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.control.monitor import MonitorConfig
+from turtlebag.planners.control.pursuit import PursuitConfig
+from turtlebag.planners.costmap import CostmapConfig
+from turtlebag.planners.global_plan import PlanConfig
+from turtlebag.planners.live import LiveConfig
+from turtlebag.planners.tasks.avoid import AvoidConfig
+from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
+from turtlebag.planners.tasks.sequence import SequenceConfig
+from turtlebag.planners.tasks.wiggle import WiggleConfig
+from turtlebag.sim.simulator import SimConfig
 
 ControllerName = Literal["pursuit", "dwa"]
 

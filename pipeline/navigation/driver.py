@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from datasets.se2 import SE2
-from datasets.types import Observation, Twist
-from pipeline.navigation.sensing import Sensing
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.navigation.sensing import Sensing
 
 
 class Driver(Protocol):

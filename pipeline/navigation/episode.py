@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from datasets.grid import OccupancyGrid
-from datasets.runlog import RunLog
-from datasets.types import Trajectory
-from pipeline.navigation.driver import Driver
-from pipeline.navigation.explore import ExploreDriver
-from pipeline.navigation.metrics import run_metrics
-from pipeline.navigation.news import News
-from pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
-from pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
-from pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
-from planners.control.monitor import CollisionMonitor
-from reports.metrics.area import area_metrics
-from reports.metrics.map import map_metrics
-from sim.robots import static_transforms
-from sim.simulator import Simulator
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.metrics import run_metrics
+from turtlebag.pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
+from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
+from turtlebag.pipeline.navigation.status_lines import News
+from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.reports.metrics.area import area_metrics
+from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.sim.robots import static_transforms
+from turtlebag.sim.simulator import Simulator
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,20 +8,20 @@ from typing import Protocol
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.spans import Seconds
-from datasets.types import Observation, RobotModel, Twist
-from pipeline.navigation.goal_runner import GoalRunner, Tools
-from pipeline.navigation.localiser import Publisher
-from pipeline.navigation.online_map import OnlineMap
-from pipeline.navigation.sensing import Sensing, Sight
-from pipeline.navigation.unseen import Unseen
-from pipeline.slam.slam import SlamConfig
-from planners.control.goal_checker import GoalCheckerConfig
-from planners.costmap import Costmap, CostmapConfig, costmap_from_grid
-from planners.tasks.frontier import FrontierConfig, next_view
-from planners.tasks.guarded import GuardConfig
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.types import Observation, RobotModel, Twist
+from turtlebag.pipeline.navigation.bump_memory import Unseen
+from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
+from turtlebag.pipeline.navigation.guarded import GuardConfig
+from turtlebag.pipeline.navigation.localiser import Publisher
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.planners.control.goal_checker import GoalCheckerConfig
+from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from turtlebag.planners.tasks.frontier import FrontierConfig, next_view
 
 
 class MapPublisher(Publisher, Protocol):

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from datasets.types import RobotModel, Twist
-from pipeline.navigation.moving import Wary
-from planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from planners.control.interface import Controller
-from planners.control.monitor import CollisionMonitor, moved
-from planners.costmap import Costmap
-from planners.footprint import footprint_clearance, path_clearance, sample_footprint
-from planners.global_plan import NoPath, Plan, PlanConfig, plan_path
-from planners.live import LiveLayer
-from planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
-from planners.tasks.sequence import Status
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.pipeline.navigation.moving_obstacles import Wary
+from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.monitor import CollisionMonitor, moved
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import footprint_clearance, path_clearance, sample_footprint
+from turtlebag.planners.global_plan import NoPath, Plan, PlanConfig, plan_path
+from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
+from turtlebag.planners.tasks.sequence import Status
 
 LOOK_AHEAD_M = 2.5
 TIGHT_M = 0.02

@@ -7,11 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from datasets.types import Observation, Scan
-from pipeline.localisation.amcl import Amcl
-from pipeline.localisation.rivals import Glimpse
-from pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Observation, Scan
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.pose_hypotheses import Glimpse
+from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
 
 class Publisher(Protocol):

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets.runlog import RunLog
-from datasets.types import Trajectory
-from planners.tasks.sequence import GoalOutcome
-from reports.metrics.navigation import (
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.types import Trajectory
+from turtlebag.planners.tasks.sequence import GoalOutcome
+from turtlebag.reports.metrics.navigation import (
     collision_episodes,
     collisions,
     distance_driven,

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from datasets.se2 import SE2
-from datasets.types import Observation, Twist
-from pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
-from pipeline.navigation.localiser import Localiser, Publisher
-from pipeline.navigation.moving import MovingWatch
-from pipeline.navigation.seeker import Seeker
-from pipeline.navigation.sensing import Sensing, Sight
-from pipeline.navigation.telling import ALIKE, Telling
-from planners.global_plan import fits
-from planners.live import LiveLayer
-from planners.tasks.sequence import GoalSequence
-from planners.tasks.wiggle import Wiggle
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.navigation.disambiguation import ALIKE, Telling
+from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
+from turtlebag.pipeline.navigation.localiser import Localiser, Publisher
+from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
+from turtlebag.pipeline.navigation.seeker import Seeker
+from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.planners.global_plan import fits
+from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.wiggle import Wiggle
 
 PATIENCE_S = 30.0
 """Without a scan for so long the goals are given up."""
@@ -29,7 +29,7 @@ PUSHED_NS = 2_000_000_000
 
 
 class NavigationDriver:
-    """Drives on a map (see pipeline.navigation.driver)."""
+    """Drives on a map (see turtlebag.pipeline.navigation.driver)."""
 
     def __init__(
         self,

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import Observation, Recording, Scan, Trajectory
-from pipeline.navigation.growing import GrowingClouds
-from pipeline.slam.clouds import KNOTS, sweep_motion
-from pipeline.slam.course import Course
-from pipeline.slam.loops import BATCH, LoopFinder
-from pipeline.slam.occupancy import make_grid
-from pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
-from pipeline.slam.steps import step_constraints
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Observation, Recording, Scan, Trajectory
+from turtlebag.pipeline.navigation.growing_clouds import GrowingClouds
+from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
+from turtlebag.pipeline.slam.course import Course
+from turtlebag.pipeline.slam.loops import BATCH, LoopFinder
+from turtlebag.pipeline.slam.occupancy import make_grid
+from turtlebag.pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
+from turtlebag.pipeline.slam.steps import step_constraints
 
 # A scan is kept when the robot has moved this far since the last one kept.
 KEEP_M, KEEP_RAD = 0.1, 0.15

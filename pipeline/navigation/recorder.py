@@ -7,18 +7,18 @@ from typing import Protocol
 
 import numpy as np
 
-from datasets.grid import OccupancyGrid
-from datasets.runlog import RunLog, RunLogBuilder
-from datasets.se2 import SE2
-from datasets.types import Observation, Trajectory, Twist
-from pipeline.navigation.localiser import Publisher
-from pipeline.navigation.sensing import OdometryBuffer
-from pipeline.navigation.takeover import CommandOwner
-from sim.simulator import Simulator
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.runlog import RunLog, RunLogBuilder
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, Trajectory, Twist
+from turtlebag.pipeline.navigation.localiser import Publisher
+from turtlebag.pipeline.navigation.sensing import OdometryBuffer
+from turtlebag.pipeline.navigation.takeover import CommandOwner
+from turtlebag.sim.simulator import Simulator
 
 
 class Bag(Publisher, Protocol):
-    """What a run writes to its bag (see datasets.bags.writer)."""
+    """What a run writes to its bag (see turtlebag.datasets.bags.writer)."""
 
     def static_transforms(
         self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from datasets.se2 import SE2
-from datasets.types import Observation, Twist
-from pipeline.navigation.localiser import Localiser
-from pipeline.navigation.sensing import Sensing
-from planners.control.interface import Controller
-from planners.control.monitor import CollisionMonitor
-from planners.tasks.avoid import Sectors, read_sectors
-from planners.tasks.guarded import Guard, View
-from planners.tasks.relocalise import Action, RelocaliseConfig, Relocaliser
-from planners.tasks.wiggle import Wiggle, WiggleConfig
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.navigation.guarded import Guard, View
+from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.relocalise import Action, RelocaliseConfig, Relocaliser
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.tasks.avoid import Sectors, read_sectors
+from turtlebag.planners.tasks.wiggle import Wiggle, WiggleConfig
 
 JUMP_M, JUMP_RAD = 0.25, 0.25
 """An estimate that moves more than this with one scan was wrong before."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from datasets.types import Observation, Scan
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Observation, Scan
 
 SILENT_S = 0.5
 """Two scans of a 5 Hz lidar lost, one after the other, and the robot stops."""

@@ -8,42 +8,42 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from datasets.errors import InputError
-from datasets.grid import FREE, OCCUPIED, OccupancyGrid
-from datasets.maps import load_map
-from datasets.se2 import SE2, Array
-from datasets.seeds import stream
-from datasets.types import Observation
-from pipeline.localisation.amcl import Amcl
-from pipeline.localisation.rivals import Rivals
-from pipeline.navigation.avoid import AvoidDriver
-from pipeline.navigation.config import NavigateConfig
-from pipeline.navigation.driver import Driver
-from pipeline.navigation.explore import ExploreDriver
-from pipeline.navigation.goal_runner import Tools
-from pipeline.navigation.localiser import Localiser
-from pipeline.navigation.moving import Wary
-from pipeline.navigation.navigator import NavigationDriver
-from pipeline.navigation.online_map import OnlineMap
-from pipeline.navigation.recorder import Bag
-from pipeline.navigation.seeker import Seeker
-from pipeline.navigation.sensing import Sensing
-from pipeline.navigation.takeover import load_script
-from pipeline.navigation.telling import Telling
-from pipeline.pose_check import require_free, require_on_map
-from planners.control.dwa import Dwa
-from planners.control.interface import Controller
-from planners.control.monitor import CollisionMonitor
-from planners.control.pursuit import Pursuit
-from planners.costmap import Costmap, costmap_from_grid
-from planners.live import LiveLayer
-from planners.rolling import RollingLayer
-from planners.tasks.guarded import Guard
-from planners.tasks.sequence import GoalSequence
-from planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
-from planners.tasks.wiggle import Wiggle
-from sim.robots import RobotSpec
-from sim.simulator import CONTROL_HZ
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Observation
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.pose_hypotheses import Rivals
+from turtlebag.pipeline.navigation.avoid import AvoidDriver
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.disambiguation import Telling
+from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.goal_runner import Tools
+from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.moving_obstacles import Wary
+from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
+from turtlebag.pipeline.navigation.recorder import Bag
+from turtlebag.pipeline.navigation.seeker import Seeker
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.planners.control.dwa import Dwa
+from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.control.pursuit import Pursuit
+from turtlebag.planners.costmap import Costmap, costmap_from_grid
+from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.rolling import RollingLayer
+from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
+from turtlebag.planners.tasks.wiggle import Wiggle
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import CONTROL_HZ
 
 Task = Literal["goal", "patrol", "avoid", "explore"]
 TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid", "explore")

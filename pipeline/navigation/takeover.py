@@ -14,14 +14,14 @@ from typing import Any, Literal, Protocol
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.errors import InputError
-from datasets.se2 import SE2
-from datasets.types import Observation, RobotModel, Twist
-from datasets.yaml_files import checked, parsed
-from pipeline.navigation.driver import Driver
-from planners.control.interface import SpeedLimits, ramped
-from planners.control.monitor import CollisionMonitor
-from sim.simulator import CONTROL_HZ
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, RobotModel, Twist
+from turtlebag.datasets.yaml_files import checked, parsed
+from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.planners.control.interface import SpeedLimits, ramped
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.sim.simulator import CONTROL_HZ
 
 Owner = Literal["navigation", "teleop"]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from pipeline.slam.clouds import Clouds
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.clouds import Clouds
 
 MAX_HALF_WINDOW = 10
 # Points farther apart than the gate are no partners, and the kernel on distances to lines is so wide [m]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from pipeline.slam.align import (
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.align import (
     CAUCHY,
     FINE_GATE_M,
     FINE_SIGMA_M,
@@ -22,9 +22,9 @@ from pipeline.slam.align import (
     ROUGH_GATE_M,
     STEP_INFLATION,
 )
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.range_noise import PER_MEDIAN
-from pipeline.slam.refine import match_pairs
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
+from turtlebag.pipeline.slam.refine import match_pairs
 
 # Key scans are compared over a baseline, so much driving [m] or a radian of turning: far enough for shares to
 # stand out of the noise of a match, near enough for the views to overlap.

@@ -8,10 +8,10 @@ from functools import cache as once
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2
-from datasets.types import Recording
-from pipeline.slam.clouds import PER_POINT, Clouds, make_clouds
-from pipeline.slam.range_noise import range_noise
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.clouds import PER_POINT, Clouds, make_clouds
+from turtlebag.pipeline.slam.range_noise import range_noise
 
 # Points of a log of no more readings than this stay in memory, some 70 bytes each.
 FEW_READINGS = 1_000_000

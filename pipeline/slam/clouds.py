@@ -13,11 +13,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.types import Recording
-from pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
-from pipeline.slam.threads import in_parts
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.range_noise import LEAST_M, RangeNoise, range_noise
+from turtlebag.pipeline.slam.threads import in_parts
 
 # Fewer points, or fewer with a surface line, than this place nothing; nor do the lines of a scan most of
 # whose points have none: posts, table legs, thin trunks.

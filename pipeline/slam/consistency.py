@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
 
 
 @dataclass(frozen=True, eq=False)

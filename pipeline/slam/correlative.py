@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.slam.clouds import Clouds
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.clouds import Clouds
 
 # The score of a cell that nothing saw, 0..255.
 UNSEEN = 128

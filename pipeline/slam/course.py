@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array, between, compose
-from datasets.types import Recording
-from pipeline.slam.calibration import Calibration, calibrate
-from pipeline.slam.clouds import MIN_LINES, Clouds
-from pipeline.slam.correlative import Field, best_pose, make_field
-from pipeline.slam.front_end import FrontEnd, Placed
-from pipeline.slam.track import Track, TrackingConfig
+from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.calibration import Calibration, calibrate
+from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds
+from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
+from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 # Key scans in the coarse search's field, and the size of its cells, which is that of its blur [m].
 FIELD_KEYS, FIELD_M = 30, 0.1

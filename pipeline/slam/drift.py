@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.slam.factors import Constraint
-from pipeline.slam.pose_graph import FLOOR
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.pose_graph import FLOOR
 
 # Steps say too much of their errors: over 3 to 300 m the squared ones come to 0.04 to 0.57 of the covariance
 # that they add up to (six logs with a reference, the mean of each).

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from datasets.maps import save_map
-from datasets.outputs import write_json
-from datasets.se2 import SE2
-from pipeline.slam.consistency import Recognised
-from pipeline.slam.loops import Loop
-from pipeline.slam.occupancy import make_grid
-from pipeline.slam.pose_graph import mahalanobis
-from pipeline.slam.selfcheck import hypothesis_shares
-from pipeline.slam.sessions import Session
-from pipeline.slam.slam import SlamConfig, SlamResult
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import write_json
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.occupancy import make_grid
+from turtlebag.pipeline.slam.pose_graph import mahalanobis
+from turtlebag.pipeline.slam.selfcheck import hypothesis_shares
+from turtlebag.pipeline.slam.sessions import Session
+from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult
 
 WORST = 10
 

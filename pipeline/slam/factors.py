@@ -1,6 +1,6 @@
 """What the pose graphs of the plane and of space share: the constraint, its noise model, the solver.
 
-With `pipeline.slam.pose_graph` and `pipeline.slam3d.graph` it wraps GTSAM, so that nothing else sees its
+With `slam/pose_graph.py` and `slam3d/graph.py` it wraps GTSAM, so that nothing else sees its
 keys, its noise models or its failure modes.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from datasets.se2 import Array
+from turtlebag.datasets.se2 import Array
 
 Kind = Literal["step", "odometry", "steady", "loop", "pair"]
 

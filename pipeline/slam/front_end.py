@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from datasets.se2 import Array
+from turtlebag.datasets.se2 import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array, wrap
-from datasets.types import ImuLog, Recording, Trajectory
-from pipeline.slam.align import CAUCHY
-from pipeline.slam.calibration import ODOMETRY_SHARE
-from pipeline.slam.range_noise import PER_MEDIAN
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.types import ImuLog, Recording, Trajectory
+from turtlebag.pipeline.slam.align import CAUCHY
+from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE
+from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
 
 # A gyro slower than this, or with longer holes, is not followed through them [s].
 HOLE_S = 0.1

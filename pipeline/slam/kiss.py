@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.se2 import SE2, Array, compose
-from pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
-from pipeline.slam.clouds import point_information
-from pipeline.slam.course import FIELD_KEYS, Course
-from pipeline.slam.front_end import Placed
-from pipeline.slam.track import HYPOTHESES
+from turtlebag.datasets.se2 import SE2, Array, compose
+from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
+from turtlebag.pipeline.slam.clouds import point_information
+from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
+from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.track import HYPOTHESES
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
 VOXEL_M = 0.2

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from datasets.se2 import Array
-from pipeline.slam.align import Alignment, align
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.loop_match import Limits, Stretch
-from pipeline.slam.open3d_icp import Open3dMatch, stays_put
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.align import Alignment, align
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.loop_match import Limits, Stretch
+from turtlebag.pipeline.slam.open3d_icp import Open3dMatch, stays_put
 
 
 class LineMatch:

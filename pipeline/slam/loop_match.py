@@ -12,10 +12,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.se2 import Array
-from pipeline.slam.align import ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import points_in_map
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.align import ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correlative import points_in_map
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import LEAST_OVERLAP, without_direction
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import best_and_rival, best_pose, make_field
-from pipeline.slam.drift import drift_of, reach, read_at
-from pipeline.slam.factors import Constraint
-from pipeline.slam.line_match import LineMatch
-from pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
-from pipeline.slam.open3d_icp import Open3dMatch
-from pipeline.slam.pose_graph import optimise
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP, without_direction
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correlative import best_and_rival, best_pose, make_field
+from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.line_match import LineMatch
+from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
+from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
+from turtlebag.pipeline.slam.pose_graph import optimise
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
-"""What `loops.match` may be; see `pipeline.slam.loop_match`."""
+"""What `loops.match` may be; see `turtlebag.pipeline.slam.loop_match`."""
 
 
 class LoopConfig(BaseModel):

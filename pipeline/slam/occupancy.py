@@ -16,12 +16,12 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.errors import InputError
-from datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.types import LidarSpec, Recording
-from pipeline.slam.clouds import KNOTS, sweep_motion
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
 
 MAX_COUNTED = 400_000_000
 """Cells to count beams in; most are cut off when the map is trimmed to what is known."""

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from pipeline.slam.align import Alignment
-from pipeline.slam.clouds import Clouds, point_information
-from pipeline.slam.loop_match import Limits, Stretch
-from pipeline.slam.open3d_loader import open3d
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.align import Alignment
+from turtlebag.pipeline.slam.clouds import Clouds, point_information
+from turtlebag.pipeline.slam.loop_match import Limits, Stretch
+from turtlebag.pipeline.slam.open3d_loader import open3d
 
 CORRESPONDENCE_M = 0.15
 MIN_FITNESS = 0.6

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from datasets.errors import InputError
+from turtlebag.datasets.errors import InputError
 
 
 @cache

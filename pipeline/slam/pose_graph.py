@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from pipeline.slam.factors import Constraint, noise, solved
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.factors import Constraint, noise, solved
 
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 FLOOR = np.diag([1e-4, 1e-4, 1e-4])

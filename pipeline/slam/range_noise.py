@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from datasets.se2 import Array
-from datasets.types import Recording
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Recording
 
 # Ranges are not better than this [m]: logs are rounded to centimetres, walls are rough.
 LEAST_M = 0.003

@@ -15,9 +15,9 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from pipeline.slam.align import (
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.align import (
     FINE_GATE_M,
     FINE_SIGMA_M,
     KERNEL_SIGMAS,
@@ -33,11 +33,11 @@ from pipeline.slam.align import (
     find_partner,
     observable,
 )
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.factors import Constraint
-from pipeline.slam.open3d_icp import match_points
-from pipeline.slam.pose_graph import optimise
-from pipeline.slam.threads import in_parts
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.open3d_icp import match_points
+from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.threads import in_parts
 
 # Key scans farther apart than this see too little of the same to be partners [m].
 RADIUS_M = 4.0

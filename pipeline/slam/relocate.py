@@ -13,13 +13,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array, between
-from pipeline.slam.align import FINE_GATE_M, NEIGHBOURS, ROUGH_GATE_M, align
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import best_pose, make_field, points_in_map
-from pipeline.slam.course import FIELD_KEYS, FIELD_M
-from pipeline.slam.submaps import HEADINGS
-from pipeline.slam.track import AGREE, AGREE_M
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.align import FINE_GATE_M, NEIGHBOURS, ROUGH_GATE_M, align
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correlative import best_pose, make_field, points_in_map
+from turtlebag.pipeline.slam.course import FIELD_KEYS, FIELD_M
+from turtlebag.pipeline.slam.submaps import HEADINGS
+from turtlebag.pipeline.slam.track import AGREE, AGREE_M
 
 # Cells of the coarse field, and its blur [m].
 RESOLUTION_M = 0.2

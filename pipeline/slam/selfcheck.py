@@ -15,16 +15,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.types import Recording
-from pipeline.slam.align import LEAST_OVERLAP
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.occupancy import Certainty
-from pipeline.slam.threads import in_parts
-from pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
-from pipeline.slam.verdict import Verdict
-from pipeline.slam.witnesses import agree, too_fast, unwitnessed
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.occupancy import Certainty
+from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
+from turtlebag.pipeline.slam.threads import in_parts
+from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
+from turtlebag.pipeline.slam.verdict import Verdict
 
 # A way [m] that nobody saw, at a speed that is known from before, may be this long.
 UNSEEN_M = 1.5

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.se2 import SE2
-from datasets.types import Recording
-from pipeline.slam.chain import Chain
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.consistency import Recognised
-from pipeline.slam.factors import Constraint
-from pipeline.slam.loops import Loop
-from pipeline.slam.posing import carried_poses
-from pipeline.slam.relocate import agreed_place, find_place
-from pipeline.slam.track import Track
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.relocate import agreed_place, find_place
+from turtlebag.pipeline.slam.scan_poses import carried_poses
+from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.track_breaks import Chain
 
 QUERY_KEYS, QUERIES = 10, 8
 

@@ -11,29 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.own_body import without_own_body
-from datasets.se2 import SE2
-from datasets.stage_cache import StageCache
-from datasets.types import LidarSpec, Recording, Trajectory
-from pipeline.slam.chain import Chain, joined_chain, witnessed_chain
-from pipeline.slam.closing import Closed, Progress, close_graph, unclosed
-from pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
-from pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
-from pipeline.slam.consistency import Recognised
-from pipeline.slam.course import Maker, track_log
-from pipeline.slam.factors import Constraint
-from pipeline.slam.gyro import with_gyro
-from pipeline.slam.kiss import KissIcp
-from pipeline.slam.loops import Loop, LoopConfig
-from pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
-from pipeline.slam.posing import PosingConfig, pose_all_scans
-from pipeline.slam.recall import RecallConfig
-from pipeline.slam.refine import RefineConfig, refine
-from pipeline.slam.repeats import without_repeats
-from pipeline.slam.selfcheck import SelfCheck, check_map
-from pipeline.slam.sessions import (
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.own_body import without_own_body
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.stage_cache import StageCache
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
+from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
+from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.course import Maker, track_log
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.gyro import with_gyro
+from turtlebag.pipeline.slam.kiss import KissIcp
+from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
+from turtlebag.pipeline.slam.loops import Loop, LoopConfig
+from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
+from turtlebag.pipeline.slam.place_recognition import RecallConfig
+from turtlebag.pipeline.slam.refine import RefineConfig, refine
+from turtlebag.pipeline.slam.repeated_scans import without_repeats
+from turtlebag.pipeline.slam.scan_poses import PosingConfig, pose_all_scans
+from turtlebag.pipeline.slam.selfcheck import SelfCheck, check_map
+from turtlebag.pipeline.slam.sessions import (
     Graph,
     Session,
     border_constraint,
@@ -41,11 +41,11 @@ from pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from pipeline.slam.steps import step_constraints
-from pipeline.slam.track import Track, TrackingConfig
-from pipeline.slam.tracking import Lines
-from pipeline.slam.turns import compared_turns, in_step
-from pipeline.slam.wheels import Wheels
+from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_chain
+from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
+from turtlebag.pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"loops", "recall", "refine", "posing", "grid"}
@@ -56,7 +56,7 @@ Sensors = Annotated[
     Field(description="which witnesses to use; odometry alone draws the map along the wheels"),
 ]
 FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
-"""What `front_end` may be; see `pipeline.slam.front_end`."""
+"""What `front_end` may be; see `turtlebag.pipeline.slam.front_end`."""
 
 
 class SlamConfig(BaseModel):

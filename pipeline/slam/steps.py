@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pipeline.slam.align import CAUCHY, STEP_INFLATION
-from pipeline.slam.factors import Constraint
-from pipeline.slam.track import Track, TrackingConfig
-from pipeline.slam.tracking import STEADY_SHARE
+from turtlebag.pipeline.slam.align import CAUCHY, STEP_INFLATION
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.line_tracking import STEADY_SHARE
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 
 def step_constraints(track: Track, config: TrackingConfig) -> list[Constraint]:

@@ -18,22 +18,22 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.files import require_bounded_zip
-from datasets.outputs import sha256_file
-from datasets.se2 import SE2
-from datasets.types import LidarSpec, Recording
-from datasets.yaml_files import checked
-from pipeline.slam.calibration import Calibration
-from pipeline.slam.chain import Chain
-from pipeline.slam.cloud_parts import among, clouds_maker
-from pipeline.slam.clouds import KNOTS
-from pipeline.slam.consistency import Recognised
-from pipeline.slam.factors import Constraint
-from pipeline.slam.loops import Loop
-from pipeline.slam.sessions import Graph, Session
-from pipeline.slam.slam import LATER, SlamConfig
-from pipeline.slam.track import Track
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import require_bounded_zip
+from turtlebag.datasets.outputs import sha256_file
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.datasets.yaml_files import checked
+from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker
+from turtlebag.pipeline.slam.clouds import KNOTS
+from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.sessions import Graph, Session
+from turtlebag.pipeline.slam.slam import LATER, SlamConfig
+from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.track_breaks import Chain
 
 FILE = "graph.npz"
 FORMAT = 5

@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.se2 import SE2, Array
-from pipeline.slam.clouds import Clouds
-from pipeline.slam.correlative import points_in_map
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.correlative import points_in_map
 
 HALF_KEYS, STRIDE = 8, 6
 LEAST_KEYS, LEAST_POINTS = 6, 200

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2, Array, between
-from pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 # How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from datasets.se2 import Array, compose
-from pipeline.slam.course import Course
-from pipeline.slam.front_end import Placed
+from turtlebag.datasets.se2 import Array, compose
+from turtlebag.pipeline.slam.course import Course
+from turtlebag.pipeline.slam.front_end import Placed
 
 
 class Wheels:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.kernels import njit
-from datasets.ply import write_ply
-from datasets.se2 import Array
-from pipeline.slam.open3d_loader import open3d
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.ply import write_ply
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.open3d_loader import open3d
 
 FREE_SLOT = np.int64(-1)
 FRINGE = 2.5

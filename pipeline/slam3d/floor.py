@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import Array
-from datasets.seeds import stream
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.seeds import stream
 
 MAX_TILT_RAD = 0.5
 NEAR_M = 0.05

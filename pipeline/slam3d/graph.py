@@ -8,9 +8,9 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from datasets import se3
-from datasets.se2 import Array
-from pipeline.slam.factors import Constraint, noise, solved
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.factors import Constraint, noise, solved
 
 # Keeps information matrices positive definite without saying anything.
 FLOOR = 1e-4 * np.eye(6)

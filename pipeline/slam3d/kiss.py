@@ -15,8 +15,8 @@ from kiss_icp.threshold import get_threshold_estimator
 from kiss_icp.voxelization import voxel_down_sample
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets import se3
-from datasets.se2 import Array
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
 
 LEAST_POINTS = 20
 

@@ -15,15 +15,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from datasets import se3
-from datasets.se2 import Array
-from pipeline.slam.factors import Constraint
-from pipeline.slam3d.context import Contexts, descriptor
-from pipeline.slam3d.graph import optimise
-from pipeline.slam3d.open3d_match import MatchConfig, Matcher
-from pipeline.slam3d.places import Keys, around, gathered
-from pipeline.slam3d.refine import observable
-from pipeline.slam3d.surfels import fit, make_surfels
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam3d.graph import optimise
+from turtlebag.pipeline.slam3d.key_clouds import Keys, around, gathered
+from turtlebag.pipeline.slam3d.open3d_match import MatchConfig, Matcher
+from turtlebag.pipeline.slam3d.refine import observable
+from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor
+from turtlebag.pipeline.slam3d.surfels import fit, make_surfels
 
 BATCH = 24
 ACCEPTED = "accepted"

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets import se3
-from datasets.se2 import Array
-from pipeline.slam.open3d_loader import open3d
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.open3d_loader import open3d
 
 DECIMALS = 4
 

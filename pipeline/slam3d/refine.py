@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
-from datasets import se3
-from datasets.se2 import Array
-from pipeline.slam.factors import Constraint
-from pipeline.slam3d.graph import optimise
-from pipeline.slam3d.places import Keys, Places
-from pipeline.slam3d.surfels import fit
-from pipeline.slam3d.tracking import thinned
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam3d.cloud_tracking import thinned
+from turtlebag.pipeline.slam3d.graph import optimise
+from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
+from turtlebag.pipeline.slam3d.surfels import fit
 
 SHRINK = 0.4
 """The gate of each round, of that before."""

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import Array
-from pipeline.slam.factors import Constraint
-from pipeline.slam.verdict import Verdict
-from pipeline.slam3d.graph import residuals
-from pipeline.slam3d.tracking import Track3d
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.verdict import Verdict
+from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
+from turtlebag.pipeline.slam3d.graph import residuals
 
 
 class SelfCheck3dConfig(BaseModel):

@@ -9,23 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from datasets import se3
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.se2 import Array
-from datasets.types import Recording3D, Trajectory
-from pipeline.slam.closing import Progress
-from pipeline.slam.factors import Constraint
-from pipeline.slam.slam import Sensors, no_progress
-from pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished
-from pipeline.slam3d.loops import Loop3d, Loop3dConfig, close_loops
-from pipeline.slam3d.posing import Poser, Posing3dConfig, carried_poses
-from pipeline.slam3d.refine import Refine3dConfig, observable, refine
-from pipeline.slam3d.selfcheck import SelfCheck3d, SelfCheck3dConfig, check_map
-from pipeline.slam3d.setting import Setting, SettingConfig, find_setting
-from pipeline.slam3d.slices import SliceConfig, SliceGrid
-from pipeline.slam3d.sweeps import Sweep, SweepConfig, Sweeps
-from pipeline.slam3d.tracking import Track3d, Tracker, Tracking3dConfig
+from turtlebag.datasets import se3
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Recording3D, Trajectory
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loop_closure import Progress
+from turtlebag.pipeline.slam.slam import Sensors, no_progress
+from turtlebag.pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished
+from turtlebag.pipeline.slam3d.cloud_poses import Poser, Posing3dConfig, carried_poses
+from turtlebag.pipeline.slam3d.cloud_tracking import Track3d, Tracker, Tracking3dConfig
+from turtlebag.pipeline.slam3d.loops import Loop3d, Loop3dConfig, close_loops
+from turtlebag.pipeline.slam3d.refine import Refine3dConfig, observable, refine
+from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, SelfCheck3dConfig, check_map
+from turtlebag.pipeline.slam3d.sensor_setup import Setting, SettingConfig, find_setting
+from turtlebag.pipeline.slam3d.slices import SliceConfig, SliceGrid
+from turtlebag.pipeline.slam3d.sweeps import Sweep, SweepConfig, Sweeps
 
 STEP_INFLATION = 50.0
 """The points of a cloud share their errors: a match is worth far less than the sum of its points."""

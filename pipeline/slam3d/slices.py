@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from datasets.errors import InputError
-from datasets.grid import OccupancyGrid
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.slam.occupancy import MAX_COUNTED, OccupancyConfig, classify, trace, trimmed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, OccupancyConfig, classify, trace, trimmed
 
 
 class SliceConfig(BaseModel):

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import se3
-from datasets.kernels import njit
-from datasets.se2 import Array
-from pipeline.slam3d.sweeps import deskewed
+from turtlebag.datasets import se3
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam3d.sweeps import deskewed
 
 MAX_CELLS = 24_000_000
 NOISE_M = 0.01

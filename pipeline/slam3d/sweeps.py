@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets import se3
-from datasets.kernels import njit
-from datasets.se2 import Array
-from datasets.types import Cloud, Recording3D
+from turtlebag.datasets import se3
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Cloud, Recording3D
 
 KNOTS = 9
 """Samples of the odometry over a sweep: 25 ms apart for a lidar of 5 turns a second."""

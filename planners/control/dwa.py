@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
-from datasets.types import RobotModel, Twist
-from planners.control.interface import Ramped, ramped
-from planners.control.monitor import depth_inside, moved
-from planners.control.pursuit import Pursuit, PursuitConfig
-from planners.costmap import Costmap
-from planners.distance import distance_field
-from planners.footprint import Field32, field_at, footprint_clearance, sample_footprint
-from planners.wavefront import wave
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.interface import Ramped, ramped
+from turtlebag.planners.control.monitor import depth_inside, moved
+from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.distance import distance_field
+from turtlebag.planners.footprint import Field32, field_at, footprint_clearance, sample_footprint
+from turtlebag.planners.wavefront import wave
 
 
 class DwaConfig(BaseModel):
@@ -107,7 +107,7 @@ def resolved(config: DwaConfig, model: RobotModel) -> DwaConfig:
 
 
 class Dwa(Ramped):
-    """A controller (see planners.control.interface)."""
+    """A controller (see turtlebag.planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, pursuit: PursuitConfig, period: float) -> None:
         self.config = config = resolved(config, model)

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2
-from datasets.spans import Seconds
-from datasets.types import Twist, yaw_difference
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.types import Twist, yaw_difference
 
 Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}

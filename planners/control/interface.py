@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from datasets.se2 import SE2
-from datasets.types import RobotModel, Twist
-from planners.costmap import Costmap
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.costmap import Costmap
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.kernels import njit
-from datasets.se2 import Array
-from datasets.types import RobotModel, Twist
-from planners.footprint import Field32, footprint_clearance, sample_footprint
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 
 class MonitorConfig(BaseModel):

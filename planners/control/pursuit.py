@@ -7,13 +7,13 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2
-from datasets.types import RobotModel, Twist
-from planners.control.interface import Ramped, ramped
-from planners.control.profile import braked, curvature_along
-from planners.control.tracking import arc_lengths, point_at, project
-from planners.costmap import Costmap
-from planners.footprint import footprint_clearance, sample_footprint
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.interface import Ramped, ramped
+from turtlebag.planners.control.path_position import arc_lengths, point_at, project
+from turtlebag.planners.control.profile import braked, curvature_along
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
 
 class PursuitConfig(BaseModel):
@@ -49,7 +49,7 @@ class PursuitConfig(BaseModel):
 
 
 class Pursuit(Ramped):
-    """A controller (see planners.control.interface)."""
+    """A controller (see turtlebag.planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: PursuitConfig, period: float) -> None:
         self.config = config

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import Array
-from datasets.types import Scan, Twist
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Scan, Twist
 
 
 class AvoidConfig(BaseModel):

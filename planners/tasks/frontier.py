@@ -10,10 +10,10 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.grid import FREE, UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
-from planners.costmap import EIGHT_NEIGHBOURS, Costmap
-from planners.wavefront import wave
+from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap
+from turtlebag.planners.wavefront import wave
 
 
 class FrontierConfig(BaseModel):

@@ -8,9 +8,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.se2 import SE2
-from datasets.spans import Seconds
-from planners.tasks.waypoints import Waypoint
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.spans import Seconds
+from turtlebag.planners.tasks.waypoints import Waypoint
 
 Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError
-from datasets.se2 import SE2, Array
-from datasets.yaml_files import parsed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import parsed
 
 KEYS = {"waypoints", "keepout"}
 ENTRY_KEYS = ("x", "y", "yaw", "quaternion")
@@ -41,7 +41,7 @@ class WaypointFile:
 
 def tutorial_patrol() -> WaypointFile:
     """The tutorial's eight waypoints."""
-    text = resources.files("planners.tasks").joinpath("patrol.yaml").read_text()
+    text = resources.files("turtlebag.planners.tasks").joinpath("patrol.yaml").read_text()
     return parse_waypoints(parsed(text, where="patrol.yaml"), "patrol.yaml")
 
 

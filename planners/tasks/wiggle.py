@@ -6,8 +6,8 @@ import math
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from datasets.spans import Seconds
-from datasets.types import Twist
+from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.types import Twist
 
 
 class WiggleConfig(BaseModel):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from reports.figures.animation import last_frame
-from reports.figures.style import save_pdf, save_png, standalone, styled, svg_text
+from turtlebag.reports.figures.animation import last_frame
+from turtlebag.reports.figures.style import save_pdf, save_png, standalone, styled, svg_text
 
 
 @dataclass(frozen=True)

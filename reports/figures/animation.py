@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from datasets.grid import UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import LidarSpec, Recording, Trajectory
-from reports.figures.maps import length_text, scale_length, view_box
-from reports.metrics.navigation import truly_reached
+from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.reports.figures.maps import length_text, scale_length, view_box
+from turtlebag.reports.metrics.navigation import truly_reached
 
 WIDTH_PX, HEIGHT_PX, STRIP_PX = 380, 376, 22
 FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500

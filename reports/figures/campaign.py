@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from reports.campaign import interval, is_share, levels_of
-from reports.figures.style import MUTED, SERIES, new_figure
-from reports.numbers import DISPLAY
+from turtlebag.reports.campaign import interval, is_share, levels_of
+from turtlebag.reports.figures.style import MUTED, SERIES, new_figure
+from turtlebag.reports.numbers import DISPLAY
 
 Row = Mapping[str, Any]
 COLUMNS = 3

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from datasets.se2 import Array
-from reports.figures.maps import map_figure
+from turtlebag.datasets.se2 import Array
+from turtlebag.reports.figures.maps import map_figure
 
 MOST_PIXELS = 900
 MARGIN_M = 0.3

@@ -10,12 +10,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import Array
-from datasets.types import Trajectory
-from reports.figures.maps import draw_grid, legend_above, map_figure, show_image, view_box
-from reports.figures.style import MUTED, ODOMETRY, SLAM, new_figure
-from reports.metrics.map import occupied
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.maps import draw_grid, legend_above, map_figure, show_image, view_box
+from turtlebag.reports.figures.style import MUTED, ODOMETRY, SLAM, new_figure
+from turtlebag.reports.metrics.map import occupied
 
 COLOUR_A, COLOUR_B = ODOMETRY, SLAM
 LINE_A: dict[str, Any] = {"color": COLOUR_A, "linewidth": 3.0, "label": "A"}

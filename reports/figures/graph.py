@@ -9,12 +9,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import Array
-from datasets.types import Trajectory
-from reports.figures.maps import ERROR_SCALE_M, draw_grid, map_figure, view_box
-from reports.figures.style import FINE_TO_BAD, MUTED
-from reports.g2o import LoopRecord, PoseGraph
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.maps import ERROR_SCALE_M, draw_grid, map_figure, view_box
+from turtlebag.reports.figures.style import FINE_TO_BAD, MUTED
+from turtlebag.reports.g2o import LoopRecord, PoseGraph
 
 LOOP_GAP = 10
 """Without a record of the loops, edges between keys at least this many apart are drawn."""

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from datasets.grid import UNKNOWN, OccupancyGrid
-from datasets.se2 import SE2
-from datasets.types import Trajectory
-from reports.figures.style import (
+from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.style import (
     FINE_TO_BAD,
     GROUND,
     INK,
@@ -28,7 +28,7 @@ from reports.figures.style import (
     bare,
     new_figure,
 )
-from reports.metrics.map import map_error, occupied
+from turtlebag.reports.metrics.map import map_error, occupied
 
 Box = tuple[float, float, float, float]
 ERROR_SCALE_M = 0.10

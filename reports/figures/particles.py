@@ -9,11 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import Trajectory
-from reports.figures.maps import Box, draw_grid, draw_pose, frame, length_text, scale_length, view_box
-from reports.figures.style import BAD, INK, LINES, PAPER, RULE, WIDTH_IN, new_figure
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.maps import (
+    Box,
+    draw_grid,
+    draw_pose,
+    frame,
+    length_text,
+    scale_length,
+    view_box,
+)
+from turtlebag.reports.figures.style import BAD, INK, LINES, PAPER, RULE, WIDTH_IN, new_figure
 
 LEAST_M = 0.2
 """A view is at least this wide."""

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from reports.figures.style import INK, ODOMETRY, SLAM, WIDTH_IN, new_figure
+from turtlebag.reports.figures.style import INK, ODOMETRY, SLAM, WIDTH_IN, new_figure
 
 PANELS = (
     ("time_ms", "CPU time of a query [ms]", 100.0),

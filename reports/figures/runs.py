@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnchoredText
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from datasets.types import Trajectory
-from reports.figures.maps import (
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.figures.maps import (
     draw_grid,
     draw_path,
     draw_pose,
@@ -26,8 +26,8 @@ from reports.figures.maps import (
     map_figure,
     view_box,
 )
-from reports.figures.style import BAD, FINE_TO_BAD, GOOD, INK, MUTED, ODOMETRY, PAPER, SLAM
-from reports.metrics.navigation import outcome
+from turtlebag.reports.figures.style import BAD, FINE_TO_BAD, GOOD, INK, MUTED, ODOMETRY, PAPER, SLAM
+from turtlebag.reports.metrics.navigation import outcome
 
 # How each goal ended, by the truth: colour, marker, words. Orange is bad, whatever the shape.
 ENDS = {

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
 
-from datasets.se2 import Array, wrap
-from datasets.types import Stamps, Trajectory
-from reports.figures.style import AMCL, BAD, INK, LINES, new_figure
-from reports.metrics.trajectory import PosePairs
+from turtlebag.datasets.se2 import Array, wrap
+from turtlebag.datasets.types import Stamps, Trajectory
+from turtlebag.reports.figures.style import AMCL, BAD, INK, LINES, new_figure
+from turtlebag.reports.metrics.trajectory import PosePairs
 
 Span = tuple[int, int]
 LINEAR_TO = 3.0

@@ -10,9 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from datasets.grid import OccupancyGrid
-from datasets.se2 import SE2, Array
-from reports.figures.style import INK, ODOMETRY, SLAM
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.reports.figures.style import INK, ODOMETRY, SLAM
 
 
 def draw_world(

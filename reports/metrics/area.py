@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from datasets.grid import FREE, OccupancyGrid
-from datasets.kernels import njit
-from datasets.se2 import SE2, Array
+from turtlebag.datasets.grid import FREE, OccupancyGrid
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
 
 Mask = NDArray[np.bool_]
 STANDS_M = 0.2

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.runlog import OWNER
-from datasets.se2 import SE2, Array
-from datasets.types import Stamps, Trajectory, yaw_difference
-from reports.metrics.trajectory import associate, summary
+from turtlebag.datasets.runlog import OWNER
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
+from turtlebag.reports.metrics.trajectory import associate, summary
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from datasets.bags.reader import read_poses
-from datasets.types import Trajectory
-from reports.metrics.trajectory import ate, rpe
+from turtlebag.datasets.bags.reader import read_poses
+from turtlebag.datasets.types import Trajectory
+from turtlebag.reports.metrics.trajectory import ate, rpe
 
 
 def recording_metrics(bag: Path, truth_at_scans: Trajectory) -> dict[str, Any]:

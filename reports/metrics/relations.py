@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.relations import Relations
-from datasets.se2 import Array, wrap
-from datasets.types import Stamps, Trajectory
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.se2 import Array, wrap
+from turtlebag.datasets.types import Stamps, Trajectory
 
 # Relations name scans by stamp, some with fewer decimals than the log.
 MATCH_NS = 1_000_000

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import Array
+from turtlebag.datasets.se2 import Array
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.se2 import SE2, Array
-from datasets.types import Stamps, Trajectory, yaw_difference
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
 
 SLACK_NS = 50_000_000
 

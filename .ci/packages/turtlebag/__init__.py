@@ -1,0 +1,1 @@
+../../../pipeline/turtlebag/__init__.py

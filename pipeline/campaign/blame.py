@@ -1,0 +1,82 @@
+"""The stage `blame`: map a recording, and drive on the map, with parts replaced by the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.trajectories import save_tum
+from turtlebag.pipeline.campaign.parts import PARTS
+from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.setup import Request, prepare
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.terminal.messages import track
+from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.reports.metrics.trajectory import trajectory_metrics
+from turtlebag.reports.stages import Stage, load_stage
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig
+from turtlebag.sim.worlds import load_world
+
+
+def blame(
+    folder_of_record: Path,
+    out: Path,
+    *,
+    replace: str = "none",
+    patrol: bool = False,
+    config: Path | None = None,
+    settings: Sequence[str] = (),
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Write to `out` a map of a record and the errors that are left when parts are replaced by the truth.
+
+    `replace` names the parts, with commas between them, or is "none". With `patrol` the tutorial's patrol is
+    driven on the map too. InputError, with nothing written, for an unknown part or a folder without truth.
+    """
+    watch = Stopwatch()
+    parts = [] if replace == "none" else replace.split(",")
+    for part in parts:
+        if part not in PARTS:
+            raise InputError(f"--replace {part}: known are none, {', '.join(PARTS)}")
+    record = load_stage(folder_of_record)
+    if record.kind != "record" or record.truth is None or record.true_map is None:
+        raise InputError(f"{folder_of_record}: blame needs the output of record, with its truth")
+    resolved = with_sensors(load_config(SlamConfig, config, settings), parts)
+    recording, steps = with_truth(record, parts), true_steps(record.truth.poses, parts)
+    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total), steps=steps)
+    with staged_output(out, force=force, inputs=[folder_of_record]) as folder:
+        save_map(result.grid, folder)
+        save_tum(result.trajectory, folder / "trajectory.tum")
+        errors = trajectory_metrics(result.trajectory, record.truth)
+        left = {"replaced": parts, **errors, "map": map_metrics(result.grid, record.true_map)}
+        if patrol:
+            left["patrol"] = _patrol(record, folder / "map.yaml", parts)
+        write_json(folder / "metrics.json", left)
+        (folder / "config.yaml").write_text(config_text(resolved))
+        write_manifest(
+            folder,
+            stage="blame",
+            command=command,
+            inputs={"source": folder_of_record},
+            seed=record.seed,
+            wall_s=watch.seconds(),
+        )
+    return 0
+
+
+def _patrol(record: Stage, built: Path, parts: list[str]) -> dict[str, Any]:
+    """The tutorial's patrol in the record's world, with its robot, sensors and seed: the run's numbers."""
+    world = load_world(record.fact("world") or "")
+    sim = SimConfig.model_validate(record.config.get("sim", {}))
+    robot = load_robot(record.fact("robot") or world.robot)
+    request = Request(task="patrol", seed=record.seed or 0, map_path=built, initial_pose="start")
+    mission = prepare(request, robot, NavigateConfig(sim=sim), world.keepout)
+    return true_drive(world, mission, record.folder / "truth/map.yaml", parts).metrics

@@ -1,0 +1,113 @@
+"""Arguments that several commands share, and the parsing of their values."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+
+
+def epilog(example: str) -> dict[str, Any]:
+    """What makes an argument parser end its help with an example, in one line that can be copied."""
+    raw = argparse.RawDescriptionHelpFormatter
+    return {"epilog": f"example:\n  {example}", "formatter_class": raw}
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """--out and --force."""
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder to write the results to",
+    )
+    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """--config and --set."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML file with settings")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one setting; may be repeated",
+    )
+
+
+def named_inputs(args: argparse.Namespace) -> list[Path]:
+    """Every file and folder that the arguments name, and that exists: what the command may read."""
+    given = {
+        key: value
+        for key, value in vars(args).items()
+        if key not in ("out", "verb", "action", "command_line")
+    }
+    found = []
+    for value in given.values():
+        for one in value if isinstance(value, list) else [value]:
+            # A word may be the name of something built in; only a file of that name is meant as a file.
+            if isinstance(one, Path) or (isinstance(one, str) and not os.path.isdir(one)):
+                found.append(Path(one))
+    if isinstance(given.get("map"), Path):
+        from turtlebag.datasets.maps import map_files  # heavy, and needed anyway where there is a map
+
+        with suppress(InputError):
+            found += map_files(given["map"]).values()
+    return [path for path in found if os.path.exists(path)]
+
+
+def map_file(text: str) -> Path:
+    """A map's YAML file; of a folder that `map` wrote, the one in it."""
+    path = Path(text)
+    return path / "map.yaml" if path.is_dir() else path
+
+
+def seed(text: str) -> int:
+    """A seed: a non-negative integer."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"a seed is 0 or more, not {value}")
+    return value
+
+
+def pose(text: str, option: str) -> SE2:
+    """`X,Y,YAW`, all finite and none astronomic; InputError names the option."""
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        raise InputError(f"{option} {text}: expected X,Y,YAW (metres and radians)") from None
+    if len(values) != 3:
+        raise InputError(f"{option} {text}: expected three numbers X,Y,YAW, got {len(values)}")
+    for name, value in zip(("x", "y", "yaw"), values, strict=True):
+        if not math.isfinite(value):
+            raise InputError(f"{option} {text}: {name} is not a finite number")
+        if abs(value) > 1e9:
+            raise InputError(f"{option} {text}: {name} is larger than any map")
+    return SE2.from_xyt(*values)
+
+
+def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
+    """--laser, which overrides what the argument `source` says."""
+    parser.add_argument(
+        "--laser",
+        metavar="X,Y,YAW[,upside-down]",
+        help=f"pose of the laser on the robot, its beam at angle 0 along YAW; overrides what {source} says",
+    )
+
+
+def laser(text: str | None) -> tuple[SE2 | None, bool]:
+    """The laser's pose by --laser and whether it hangs upside down; InputError for what is no pose."""
+    if text is None:
+        return None, False
+    upright = text.removesuffix(",upside-down")
+    return pose(upright, "--laser"), upright != text

@@ -1,0 +1,246 @@
+"""`turtlebag bag`: look at bags, repair and convert them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import add_output, epilog
+from turtlebag.pipeline.terminal.messages import log, log_notes, number_of
+
+if TYPE_CHECKING:
+    from turtlebag.datasets.bags.reader import BagInfo
+    from turtlebag.datasets.outputs import Stopwatch
+    from turtlebag.datasets.types import Recording
+
+EXAMPLE = "turtlebag bag info data/record"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The actions and theirs."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+
+    def action(name: str, act: Callable[[argparse.Namespace], int], text: str, example: str) -> _Parser:
+        sub = actions.add_parser(
+            name,
+            help=text,
+            description=f"{text[0].upper()}{text[1:]}.",
+            **epilog(example),
+        )
+        sub.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag folder or bag file")
+        sub.set_defaults(act=act)
+        return sub
+
+    action("info", _info, "show topics, counts, rates and gaps", "turtlebag bag info data/record")
+    action(
+        "doctor",
+        _doctor,
+        "find what is wrong with a bag and what that would break (exit code 1 on errors)",
+        "turtlebag bag doctor my_robot.bag",
+    )
+    sub = action(
+        "play",
+        _play,
+        "show a recording as it was: clock, speeds, scan and path",
+        "turtlebag bag play data/record --rate 4",
+    )
+    sub.add_argument(
+        "--rate",
+        type=float,
+        default=1.0,
+        metavar="R",
+        help="pace, in multiples of the recorded one (default: 1)",
+    )
+    sub = action(
+        "recover",
+        _recover,
+        "save what is intact of a truncated, damaged or unfinished bag",
+        "turtlebag bag recover data/record.partial --out data/record",
+    )
+    add_output(sub)
+    sub = action(
+        "convert",
+        _convert,
+        "write a bag as one of another kind, or a CARMEN log as a bag",
+        "turtlebag bag convert data/record --out record.bag",
+    )
+    add_output(sub)
+    sub.add_argument(
+        "--storage",
+        choices=("mcap", "sqlite3"),
+        help="storage of the rosbag2 folder (default: mcap)",
+    )
+    sub.add_argument(
+        "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out; may be repeated"
+    )
+
+
+_Parser = argparse.ArgumentParser
+STATUS_ROWS = 3
+"""What is said below the drawing of a player takes two lines of a narrow terminal, and the cursor one."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the action."""
+    return int(args.act(args))
+
+
+def _info(args: argparse.Namespace) -> int:
+    from turtlebag.datasets.bags.reader import bag_info
+
+    if _is_log(args.bag):
+        from turtlebag.datasets.recordings import load_recording
+
+        _print_log(load_recording(args.bag))
+    else:
+        _print_info(bag_info(args.bag))
+    return 0
+
+
+def _print_log(log_read: Recording) -> None:
+    lidar, (x, y, yaw) = log_read.lidar, log_read.T_base_lidar.xyt.tolist()
+    first, last = math.degrees(lidar.angles[0]), math.degrees(lidar.angles[-1])
+    print(f"{log_read.source}  (CARMEN log)")
+    print(f"{len(log_read)} scans, {log_read.duration():.2f} s, one every {lidar.scan_time:.3f} s")
+    print(f"{lidar.n_beams} beams from {first:.1f} to {last:.1f} degrees, up to {lidar.range_max:g} m")
+    print(f"laser at x {x:g} m, y {y:g} m, yaw {yaw:g} rad on the robot")
+    log_notes(log_read.notes)
+
+
+def _print_info(info: BagInfo) -> None:
+    print(f"{info.path}  ({info.kind}, {len(info.files)} file{'s' * (len(info.files) != 1)})")
+    print(
+        f"{info.count} messages, {info.duration():.2f} s, "
+        f"from {info.start_ns * 1e-9:.3f} to {info.end_ns * 1e-9:.3f} s"
+    )
+    if info.custom:
+        print(", ".join(f"{key} {value}" for key, value in info.custom.items()))
+    rows = [("topic", "type", "messages", "rate, Hz", "longest gap, s")]
+    for topic in info.topics:
+        rate = f"{topic.rate_hz():.2f}" if topic.count > 1 else "-"
+        gap = f"{topic.longest_gap_ns * 1e-9:.3f}" if topic.count > 1 else "-"
+        rows.append((topic.name, topic.msgtype, str(topic.count), rate, gap))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        words = [cell.ljust(width) for cell, width in zip(row[:2], widths, strict=False)]
+        numbers = [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        print("  ".join([*words, *numbers]))
+    log_notes(info.notes)
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from turtlebag.datasets.bags.doctor import examine
+
+    findings = examine(args.bag)
+    for finding in findings:
+        print(f"{finding.severity}: {finding.check}: {finding.what}")
+        print(f"    breaks: {finding.breaks}")
+    errors = sum(finding.severity == "error" for finding in findings)
+    warnings = number_of(len(findings) - errors, "warning")
+    print(f"{number_of(errors, 'error')}, {warnings}" if findings else "no defect found")
+    return 1 if errors else 0
+
+
+def _play(args: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    from turtlebag.pipeline.terminal.drawing import terminal_size
+    from turtlebag.pipeline.terminal.play import Player, play
+
+    columns, rows = terminal_size()
+    player = Player(args.bag, (max(columns - 1, 1), max(rows - STATUS_ROWS, 1)))
+    log_notes(player.recording.notes)
+    if not sys.stdout.isatty():  # a log line each second instead of a moving picture
+        play(player, lambda frame: print(frame.status), rate=args.rate, every_s=1.0 / max(args.rate, 1e-9))
+        return 0
+    with Live(console=Console(highlight=False), auto_refresh=False) as live:
+        play(
+            player,
+            lambda frame: live.update(Text(f"{frame.drawing}\n{frame.status}"), refresh=True),
+            rate=args.rate,
+            every_s=0.1,
+        )
+    return 0
+
+
+def _recover(args: argparse.Namespace) -> int:
+    from turtlebag.datasets.bags.recover import recover
+    from turtlebag.datasets.outputs import Stopwatch, staged_output
+
+    watch = Stopwatch()
+    with staged_output(args.out, force=args.force) as folder:
+        saved = recover(args.bag, folder / "bag")
+        _manifest(folder, "bag recover", args, watch)
+    log_notes(saved.notes)
+    span = (saved.end_ns - saved.start_ns) * 1e-9
+    log.info(f"saved {number_of(saved.messages, 'message')} over {span:.2f} s -> {args.out}")
+    return 0
+
+
+def _convert(args: argparse.Namespace) -> int:
+    from turtlebag.datasets.bags import convert
+    from turtlebag.datasets.outputs import Stopwatch, staged_file, staged_output
+
+    watch = Stopwatch()
+    if not args.bag.exists():
+        raise InputError(f"{args.bag}: no such file or folder")
+    if args.exclude and _is_log(args.bag):
+        raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to leave out")
+    if args.out.suffix == ".bag":
+        if args.storage is not None:
+            raise InputError(f"--storage {args.storage}: a ROS 1 bag has none; leave it out")
+        with staged_file(args.out, force=args.force) as file:
+            count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
+            convert.require_messages(args.bag, count, notes)
+    else:
+        with staged_output(args.out, force=args.force) as folder:
+            count, notes = _to_folder(args, folder / "bag")
+            convert.require_messages(args.bag, count, notes)
+            _manifest(folder, "bag convert", args, watch)
+    log_notes(notes)
+    log.info(f"{number_of(count, 'message')} -> {args.out}")
+    return 0
+
+
+def _to_folder(args: argparse.Namespace, folder: Path) -> tuple[int, list[str]]:
+    from turtlebag.datasets.bags import convert
+    from turtlebag.datasets.recordings import load_recording
+
+    if args.storage == "sqlite3":
+        return convert.to_sqlite3(_a_bag(args.bag), folder, exclude=args.exclude)
+    if _is_log(args.bag):
+        return convert.carmen_to_mcap(load_recording(args.bag), folder)
+    return convert.to_mcap(args.bag, folder, exclude=args.exclude)
+
+
+def _is_log(path: Path) -> bool:
+    from turtlebag.datasets.bags.source import is_bag
+
+    names = path.name.lower().split(".")
+    return path.is_file() and not is_bag(path) and bool({"clf", "log", "carmen"} & set(names[1:]))
+
+
+def _a_bag(path: Path) -> Path:
+    if _is_log(path):
+        raise InputError(f"{path}: a CARMEN log is converted to rosbag2 with mcap storage only")
+    return path
+
+
+def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:
+    from turtlebag.datasets.outputs import write_manifest
+
+    write_manifest(
+        folder,
+        stage=stage,
+        command=args.command_line,
+        inputs={"bag": args.bag},
+        seed=None,
+        wall_s=watch.seconds(),
+    )

@@ -1,0 +1,55 @@
+"""`turtlebag data`: the public logs of the registry."""
+
+from __future__ import annotations
+
+import argparse
+
+from turtlebag.datasets.registry import DATASETS, MIRROR_VARIABLE, Dataset, fetch
+from turtlebag.pipeline.cli.arguments import epilog
+
+EXAMPLE = "turtlebag data fetch intel"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The actions and theirs."""
+    actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
+    listing = actions.add_parser("list", help="show names, contents, licences and how to cite them")
+    listing.set_defaults(act=_list)
+    fetching = actions.add_parser(
+        "fetch",
+        help=f"get a log from the folder {MIRROR_VARIABLE} or the network, verify it, print its paths",
+        **epilog("turtlebag data fetch intel"),
+    )
+    fetching.add_argument(
+        "names",
+        nargs="+",
+        metavar="NAME",
+        help="name of a log, as `turtlebag data list` shows it",
+    )
+    fetching.set_defaults(act=_fetch)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the action."""
+    return int(args.act(args))
+
+
+def _list(args: argparse.Namespace) -> int:
+    print("\n\n".join(_described(dataset) for dataset in DATASETS.values()))
+    return 0
+
+
+def _described(dataset: Dataset) -> str:
+    files = "\n".join(f"  {file.sha256}  {file.url}" for file in dataset.files)
+    return (
+        f"{dataset.name}: {dataset.title}; {dataset.scans} scans of {dataset.beams} beams, "
+        f"laser {dataset.laser_x_m:g} m ahead, no return {dataset.no_return_m:g} m\n"
+        f"  {dataset.license}; {dataset.source}\n  {dataset.citation}\n{files}"
+    )
+
+
+def _fetch(args: argparse.Namespace) -> int:
+    for name in args.names:
+        for path in fetch(name):
+            print(path)
+    return 0

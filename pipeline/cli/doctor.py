@@ -1,0 +1,118 @@
+"""`turtlebag doctor`: does every package this needs import and do a little work here?"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+
+EXAMPLE = "turtlebag doctor --trial"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument(
+        "--trial",
+        action="store_true",
+        help="also record, map and drive for some seconds (compiles the numeric kernels, once)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a line per check; 0 when all pass, 1 otherwise."""
+    failed = 0
+    checks = {**CHECKS, "trial": _trial} if args.trial else CHECKS
+    for name, check in checks.items():
+        try:
+            detail = check()
+            print(f"ok      {name:<12} {detail}")
+        except Exception as error:
+            failed += 1
+            print(f"MISSING {name:<12} {' '.join(str(error).split())}{_hint(error)}")
+    print("everything works" if not failed else f"{failed} of {len(checks)} checks failed")
+    return 1 if failed else 0
+
+
+def _hint(error: Exception) -> str:
+    """What to do about a missing package or shared library."""
+    if isinstance(error, ModuleNotFoundError):
+        return " -> make -B setup"
+    message = str(error)
+    packages = {"libGL.so": "libgl1", "libEGL": "libegl1", "libX11": "libx11-6", "libudev": "libudev1"}
+    packages |= {"libgomp": "libgomp1", "GLIBC": "(a newer system: glibc 2.35 or later)"}
+    found = [package for part, package in packages.items() if part in message]
+    return f" -> on Debian: apt install {found[0]}" if found else ""
+
+
+def _python() -> str:
+    return sys.version.split()[0]
+
+
+def _gtsam() -> str:
+    import gtsam
+
+    if abs(gtsam.Pose2(1.0, 0.0, 0.0).inverse().x() + 1.0) > 1e-9:
+        raise RuntimeError("gtsam gives wrong numbers with this NumPy")
+    return version("gtsam")
+
+
+def _open3d() -> str:
+    from turtlebag.pipeline.slam.open3d_loader import open3d
+
+    return str(open3d().__version__)
+
+
+def _trial() -> str:
+    from turtlebag.pipeline.setup.short_chain import trial
+
+    return f"recorded, mapped and drove to a goal in {trial():.0f} s"
+
+
+def _imports(module: str, package: str) -> Callable[[], str]:
+    def check() -> str:
+        importlib.import_module(module)
+        return version(package)
+
+    return check
+
+
+def _pybullet() -> str:
+    import pybullet
+
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.disconnect(client)
+    return version("pybullet")
+
+
+CHECKS: dict[str, Callable[[], str]] = {
+    "python": _python,
+    **{
+        package: _imports(module, package)
+        for package, module in {
+            "numpy": "numpy",
+            "scipy": "scipy",
+            "numba": "numba",
+            "pydantic": "pydantic",
+            "pyyaml": "yaml",
+            "rich": "rich",
+            "kiss-icp": "kiss_icp.pybind.kiss_icp_pybind",
+            "rosbags": "rosbags.highlevel",
+            "mcap": "mcap.reader",
+            "zstandard": "zstandard",
+            "lz4": "lz4.frame",
+            "pooch": "pooch",
+            "ompl": "ompl.geometric",
+            "matplotlib": "matplotlib.figure",
+            "pillow": "PIL.Image",
+            "jinja2": "jinja2",
+            "dask": "dask",
+            "distributed": "distributed",
+            "duckdb": "duckdb",
+        }.items()
+    },
+    "gtsam": _gtsam,
+    "open3d": _open3d,
+    "pybullet": _pybullet,
+}

@@ -1,0 +1,63 @@
+"""`turtlebag localise`: AMCL over a bag or log."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser, map_file, pose, seed
+
+EXAMPLE = (
+    "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the verb."""
+    parser.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag or CARMEN log")
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        required=True,
+        metavar="MAP",
+        help="map to localise on: its YAML file, or a folder that map wrote",
+    )
+    parser.add_argument(
+        "--initial-pose",
+        metavar="X,Y,YAW|global",
+        help="where on the map the robot starts; global: search the whole map",
+    )
+    add_laser(parser, "BAG")
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=1,
+        metavar="N",
+        help="seed of the particles (default: 1)",
+    )
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Localise; 0 done, 1 lost at the end or rejected."""
+    from turtlebag.pipeline.stages.localise import load_localise_config, localise
+
+    initial = args.initial_pose
+    if initial is not None and initial != "global":
+        initial = pose(initial, "--initial-pose")
+    placed, upside_down = laser(args.laser)
+    return localise(
+        args.bag,
+        args.map,
+        args.out,
+        initial_pose=initial,
+        T_base_lidar=placed,
+        upside_down=upside_down,
+        truth=args.truth,
+        config=load_localise_config(args.config, args.settings),
+        seed=args.seed,
+        force=args.force,
+        command=args.command_line,
+    )

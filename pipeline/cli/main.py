@@ -1,0 +1,181 @@
+"""The command line: finds the verb's module, runs it, and turns outcomes into exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+from turtlebag.datasets.claims import claimed, release_all
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import signatures
+from turtlebag.pipeline.cli.arguments import epilog, named_inputs
+from turtlebag.pipeline.setup.missing_package import missing_package
+from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
+
+# verb -> (module in turtlebag.pipeline.cli, what `turtlebag --help` says). A module has `EXAMPLE`,
+# `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
+VERBS: dict[str, tuple[str, str]] = {
+    "record": ("record", "drive a simulated robot by a script and record a bag"),
+    "teleop": ("teleop", "drive with the keyboard and record a bag"),
+    "map": ("map", "build a map from a bag or log"),
+    "localise": ("localise", "find where a recorded robot was on a map"),
+    "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid, explore"),
+    "plan": ("plan", "plan a path over a map"),
+    "report": ("report", "make a page of stage outputs"),
+    "compare": ("compare", "show what differs between two outputs of one stage"),
+    "sweep": ("sweep", "run a campaign of many cases on all cores; can be resumed"),
+    "blame": ("blame", "map a recording with parts of the work replaced by the truth"),
+    "verify": ("verify", "recompute a report's numbers from the bags"),
+    "bag": ("bag", "inspect, play, repair and convert bags"),
+    "data": ("data", "list and fetch public logs"),
+    "world": ("world", "list the built-in worlds, or draw one"),
+    "doctor": ("doctor", "check the installation"),
+}
+
+EXIT_OK, EXIT_INPUT = 0, 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        where = self.prog.removeprefix("turtlebag").strip()
+        said = " ".join(message.split())
+        raise InputError(f"{where}{': ' if where else ''}{said} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Prints the version; looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"turtlebag {version('turtlebag')}")
+        parser.exit()
+
+
+def build_parser(verb: str | None) -> argparse.ArgumentParser:
+    """The parser; only `verb`'s own arguments are loaded."""
+    parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name, (module, summary) in VERBS.items():
+        if name != verb:
+            verbs.add_parser(name, help=summary, add_help=False)
+            continue
+        command = importlib.import_module(f"turtlebag.pipeline.cli.{module}")
+        sub = verbs.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            **epilog(command.EXAMPLE),
+        )
+        noise = sub.add_mutually_exclusive_group()
+        quiet, verbose = ("show results and errors only", "show more")
+        noise.add_argument(
+            "-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0, help=quiet
+        )
+        noise.add_argument("-v", "--verbose", action="store_const", const=1, dest="verbosity", help=verbose)
+        command.add_arguments(sub)
+        sub.set_defaults(run=command.run, inputs=getattr(command, "inputs", named_inputs))
+    return parser
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """`--goal -2,0,0` as `--goal=-2,0,0`: argparse would take the value for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1].startswith("--") and re.match(r"-(\d|\.|inf|nan)[^,]*,", word):
+            words[-1] += "=" + word
+        else:
+            words.append(word)
+    return words
+
+
+def _stop(number: int, frame: FrameType | None) -> NoReturn:
+    """End at once on Ctrl-C or a termination, and leave no half output.
+
+    Nothing is raised: an exception would surface inside whatever compiled code is running, which
+    reports it as an error of its own or crashes.
+    """
+    release_all()
+    if sys.stderr.isatty():
+        sys.stderr.write("\x1b[?25h")  # a progress bar hides the cursor
+    print("turtlebag: interrupted", file=sys.stderr, flush=True)
+    os._exit(128 + number)
+
+
+@contextmanager
+def _stopping_cleanly() -> Iterator[None]:
+    """Handle Ctrl-C and termination by `_stop`, unless somebody else handles them already."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    mine = [
+        number
+        for number, handler in before.items()
+        if handler in (signal.default_int_handler, signal.SIG_DFL)
+    ]
+    for number in mine:
+        signal.signal(number, _stop)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, before[number])
+
+
+def _run(args: argparse.Namespace, stdout: Words) -> int:
+    """Run a command that is parsed, holding the claim to its output if it has one."""
+    set_verbosity(args.verbosity)
+    inputs = args.inputs(args)
+    out = getattr(args, "out", None)
+    if out is None:
+        for path in inputs:
+            signatures(path)  # no pipes, no devices
+        return int(args.run(args))
+    stdout.optional = True
+    with claimed(out, force=args.force, inputs=inputs):
+        return int(args.run(args))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    verb = next((word for word in argv if not word.startswith("-")), None)
+    args = argparse.Namespace()
+    with guarded_streams() as stdout:
+        try:
+            with _stopping_cleanly():
+                args = build_parser(verb).parse_args(joined(argv))
+                args.command_line = ["turtlebag", *argv]
+                code = _run(args, stdout)
+            stdout.flush()
+            if stdout.problem:
+                print(f"turtlebag: {stdout.problem}; what was to be said is lost", file=sys.stderr)
+            return code
+        except InputError as error:
+            print(f"turtlebag: {error}", file=sys.stderr)
+            return EXIT_INPUT
+        except ImportError as error:
+            print(missing_package(error), file=sys.stderr)
+            return EXIT_INPUT
+        except BrokenPipeError:
+            return EXIT_OK
+        except OSError as error:  # a full disk, no permission: the system's own words, in one line
+            where = error.filename or getattr(args, "out", None) or verb
+            print(f"turtlebag: {where}: {error.strerror or error}", file=sys.stderr)
+            return EXIT_INPUT
+        except MemoryError:
+            print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
+            return EXIT_INPUT

@@ -1,0 +1,186 @@
+"""`turtlebag navigate`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Literal
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import read_mapping
+from turtlebag.pipeline.cli.arguments import add_config, add_output, map_file, pose, seed
+
+EXAMPLE = (
+    "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
+    "--initial-pose start --seed 1 --out data/runs/patrol"
+)
+
+
+# Not imported from turtlebag.pipeline.navigation.setup: --help need not load a simulator.
+TASKS = ("goal", "patrol", "avoid", "explore")
+# Options that only some tasks take; all others go with every task.
+TAKEN_BY = {
+    "map": ("goal", "patrol"),
+    "initial_pose": ("goal", "patrol"),
+    "wiggle": ("goal", "patrol"),
+    "keepout": ("goal", "patrol"),
+    "timeout": ("goal", "patrol"),
+    "goal": ("goal",),
+    "waypoints": ("patrol",),
+    "laps": ("patrol",),
+    "duration": ("avoid", "explore"),
+    "mode": ("avoid",),
+}
+ON_A_MAP = ("initial_pose", "wiggle", "keepout")
+"""Of these, what a goal without --map has no use for."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument("--task", required=True, choices=TASKS, help="what to do")
+    parser.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="seed of all randomness (default: 0)"
+    )
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        metavar="MAP",
+        help="map to navigate on: its YAML file, or a folder that map wrote",
+    )
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    parser.add_argument(
+        "--initial-pose",
+        metavar="X,Y,YAW|start|global",
+        help="what the robot is told: a pose, its true start, or to find out by itself",
+    )
+    parser.add_argument("--goal", metavar="X,Y,YAW", help="where the task goal is to go: metres and radians")
+    parser.add_argument(
+        "--waypoints",
+        type=Path,
+        metavar="FILE",
+        help="YAML file with the patrol's waypoints (default: the tutorial's)",
+    )
+    parser.add_argument("--laps", type=_count, metavar="N", help="laps of the patrol (default: 1)")
+    parser.add_argument("--timeout", type=_positive, metavar="S", help="simulated seconds for each goal")
+    parser.add_argument(
+        "--duration",
+        type=_positive,
+        metavar="S",
+        help="simulated seconds: how long avoid lasts, and explore at most",
+    )
+    parser.add_argument(
+        "--mode",
+        choices=("guarded", "tutorial"),
+        help="of avoid: guarded (default) knows the robot's shape; tutorial is the tutorial's rule alone",
+    )
+    parser.add_argument(
+        "--wiggle", action="store_true", help="turn to and fro first, until the particle cloud has shrunk"
+    )
+    parser.add_argument(
+        "--takeover",
+        metavar="keyboard|FILE",
+        help="who may take over cmd_vel and hand it back: your keys, or a YAML list of begin, end, v and w",
+    )
+    parser.add_argument(
+        "--keepout",
+        metavar="FILE|none",
+        help="YAML file with outlines to keep out of, under 'keepout' (default: the world's own)",
+    )
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code."""
+    from turtlebag.pipeline.navigation.config import NavigateConfig
+    from turtlebag.pipeline.navigation.setup import Request
+    from turtlebag.pipeline.stages.navigate import navigate
+    from turtlebag.pipeline.stages.settings import load_config
+    from turtlebag.pipeline.terminal.messages import say
+
+    _refuse_unused(args)
+    settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
+    request = Request(
+        task=args.task,
+        seed=args.seed,
+        map_path=args.map,
+        start=None if args.start is None else pose(args.start, "--start"),
+        initial_pose=_initial_pose(args.initial_pose),
+        goal=None if args.goal is None else pose(args.goal, "--goal"),
+        waypoints_path=args.waypoints,
+        laps=args.laps,
+        timeout_s=args.timeout,
+        duration_s=args.duration,
+        wiggle=args.wiggle,
+        takeover="keyboard" if args.takeover == "keyboard" else args.takeover and Path(args.takeover),
+        keepout=_keepout(args.keepout),
+        keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
+    )
+    return navigate(
+        args.world,
+        request,
+        args.out,
+        robot=args.robot,
+        config=load_config(NavigateConfig, args.config, settings),
+        force=args.force,
+        command_line=args.command_line,
+        say=(lambda line: None) if args.verbosity < 0 else say,
+        files={} if args.config is None else {"config": args.config},
+    )
+
+
+def _refuse_unused(args: argparse.Namespace) -> None:
+    """InputError for the first option given that the task would not look at."""
+    given = [name for name in TAKEN_BY if getattr(args, name) not in (None, False)]
+    for name in given:
+        option = f"--{name.replace('_', '-')}"
+        if args.task not in TAKEN_BY[name]:
+            takers = " and ".join(TAKEN_BY[name])
+            raise InputError(f"{option}: not for --task {args.task}, only for {takers}; leave it out")
+        if args.task == "goal" and args.map is None and name in ON_A_MAP:
+            raise InputError(f"{option}: a goal without --map has no use for it; give --map or leave it out")
+
+
+def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
+    if text is None:
+        return None
+    if text == "start":
+        return "start"
+    if text == "global":
+        return "global"
+    try:
+        return pose(text, "--initial-pose")
+    except InputError as error:
+        raise InputError(f"{error}; or the word start or global") from None
+
+
+def _keepout(text: str | None) -> tuple[Array, ...] | None:
+    """None: the world's own; else those of a file, or no outlines at all."""
+    if text is None:
+        return None
+    if text == "none":
+        return ()
+    from turtlebag.planners.tasks.waypoints import parse_polygons
+
+    data = read_mapping(Path(text))
+    return parse_polygons(data.get("keepout"), f"--keepout {text}")
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"must be a positive number, not {text}")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, not {text}")
+    return value

@@ -1,0 +1,66 @@
+"""`turtlebag plan`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import get_args
+
+from turtlebag.pipeline.cli.arguments import add_config, add_output, map_file, pose, seed
+from turtlebag.planners.planner_names import PlannerName
+
+EXAMPLE = (
+    "turtlebag plan --map data/maps/map_world.yaml --robot burger --start=-2,-0.5,0 --goal 1.5,1.5,0 "
+    "--out data/plans/first"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument(
+        "--map",
+        type=map_file,
+        required=True,
+        metavar="MAP",
+        help="map to plan on: its YAML file, or a folder that map wrote",
+    )
+    parser.add_argument(
+        "--robot",
+        default="burger",
+        metavar="R",
+        help="robot: a name or a YAML file (default: burger)",
+    )
+    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="from here: metres and radians")
+    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="to here")
+    names = get_args(PlannerName)
+    parser.add_argument(
+        "--planner",
+        choices=names,
+        metavar="P",
+        help=f"planner of OMPL: {', '.join(names)} (default: {names[0]})",
+    )
+    parser.add_argument("--compare", action="store_true", help="run every planner, to compare them")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the planners (default: 0)")
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code."""
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan
+    from turtlebag.pipeline.stages.settings import load_config
+
+    settings = list(args.settings)
+    if args.planner is not None:
+        settings.append(f"plan.ompl.planner={args.planner}")
+    return plan(
+        args.map,
+        args.robot,
+        pose(args.start, "--start"),
+        pose(args.goal, "--goal"),
+        args.out,
+        seed=args.seed,
+        config=load_config(PlanStageConfig, args.config, settings),
+        compare=args.compare,
+        force=args.force,
+        command_line=args.command_line,
+    )

@@ -1,0 +1,58 @@
+"""turtlebag record."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turtlebag.pipeline.cli.arguments import add_config, add_output, named_inputs, pose, seed
+from turtlebag.pipeline.stages.settings import load_config
+
+EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument(
+        "--teleop",
+        default="tour",
+        metavar="SCRIPT",
+        help="script: a name, a YAML file, or a bag whose /cmd_vel is driven again",
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
+    )
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    add_config(parser)
+    add_output(parser)
+
+
+def inputs(args: argparse.Namespace) -> list[Path]:
+    """World, robot and settings as far as they are files, and the bag whose commands are driven again."""
+    from turtlebag.pipeline.stages.replay import is_recording
+    from turtlebag.sim.teleop import script_names
+
+    replayed = is_recording(args.teleop) and args.teleop not in script_names()
+    return [*named_inputs(args), *([Path(args.teleop)] if replayed else [])]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record a drive."""
+    from turtlebag.pipeline.stages.record import RecordOptions, record
+
+    options = load_config(RecordOptions, args.config, args.settings)
+    return record(
+        args.world,
+        args.robot,
+        args.teleop,
+        args.seed,
+        args.out,
+        sim=options.sim,
+        start=pose(args.start, "--start") if args.start else None,
+        force=args.force,
+        command=args.command_line,
+    )

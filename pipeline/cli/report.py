@@ -1,0 +1,61 @@
+"""turtlebag report: a page of stage outputs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import add_output
+
+EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag report`."""
+    parser.add_argument(
+        "folders",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="outputs of record, map, localise, plan and navigate",
+    )
+    parser.add_argument("--paper", action="store_true", help="also save each figure as PDF and SVG")
+    parser.add_argument(
+        "--index",
+        action="store_true",
+        help="make a sortable table of all outputs below DIR instead of a report",
+    )
+    parser.add_argument(
+        "--no-animation",
+        action="store_true",
+        help="leave out the animations, for a smaller page",
+    )
+    add_output(parser)
+
+
+def inputs(args: argparse.Namespace) -> list[Path]:
+    """What is read: for an index what is found below the folders, among which the index may lie."""
+    return [] if args.index else args.folders
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the page and print where it is."""
+    from turtlebag.pipeline.stages.report import make_index, make_report
+
+    if args.index:
+        for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
+            if given:
+                raise InputError(f"{option}: --index draws no pictures; leave it out")
+        print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
+        return 0
+    page = make_report(
+        args.folders,
+        args.out,
+        force=args.force,
+        animate=not args.no_animation,
+        paper=args.paper,
+        command=args.command_line,
+    )
+    print(page)
+    return 0

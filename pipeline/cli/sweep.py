@@ -1,0 +1,64 @@
+"""turtlebag sweep: a campaign of many runs, and questions to its table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+
+EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag sweep`."""
+    parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write the results to")
+    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler (tcp://...)")
+    parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
+    parser.add_argument(
+        "--query",
+        metavar="SQL",
+        help="run a query on the table `runs` of a finished sweep; FILE is its folder then",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the campaign and print its page's path, or answer a query."""
+    if args.query is not None:
+        for name in ("out", "force", "scheduler", "workers"):
+            if getattr(args, name):
+                raise InputError(f"--{name}: --query runs nothing; leave it out")
+        return _answer(Path(args.campaign), args.query)
+    if args.out is None:
+        raise InputError("sweep: --out DIR is needed")
+    if args.workers is not None and args.workers < 1:
+        raise InputError(f"--workers {args.workers}: at least one is needed")
+    from turtlebag.pipeline.campaign.sweep import sweep
+    from turtlebag.pipeline.cli.main import main
+
+    code = sweep(
+        args.campaign,
+        args.out,
+        main,
+        scheduler=args.scheduler,
+        workers=args.workers,
+        force=args.force,
+        command=args.command_line,
+    )
+    print(args.out / "index.html")
+    return code
+
+
+def _answer(folder: Path, sql: str) -> int:
+    from turtlebag.pipeline.campaign.sweep import TABLE
+    from turtlebag.pipeline.campaign.table import query
+
+    if not (folder / TABLE).is_file():
+        raise InputError(f"{folder}: has no {TABLE}, so it is no finished sweep")
+    names, rows = query(folder / TABLE, sql)
+    print("\t".join(names))
+    for row in rows:
+        print("\t".join("" if value is None else str(value) for value in row))
+    return 0

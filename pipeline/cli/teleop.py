@@ -1,0 +1,74 @@
+"""turtlebag teleop."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from turtlebag.pipeline.cli.arguments import add_config, add_output, pose, seed
+from turtlebag.pipeline.stages.settings import load_config
+
+EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument(
+        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
+    )
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
+    parser.add_argument(
+        "--style",
+        choices=("keys", "turtlebot3"),
+        default="keys",
+        help="keys: W A S D (default); turtlebot3: the keys of its own teleop node",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="pace, in multiples of real time (default: 1)",
+    )
+    add_config(parser)
+    add_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive by keys until Q or Ctrl-C."""
+    from turtlebag.datasets.errors import InputError
+    from turtlebag.pipeline.stages.record import RecordOptions, Scene, record_drive
+    from turtlebag.pipeline.terminal.keyboard import (
+        TABLES,
+        KeyState,
+        View,
+        clock,
+        keyboard_driver,
+        keys_of,
+        redrawn,
+        show,
+    )
+
+    if not args.speed > 0.0:
+        raise InputError(f"--speed {args.speed:g}: must be more than 0")
+    options = load_config(RecordOptions, args.config, args.settings)
+    start = pose(args.start, "--start") if args.start else None
+    scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
+    state = KeyState(scene.robot.limits, args.style)
+    table = TABLES[args.style]
+    show(table + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn(args.view) as redraw:
+        return record_drive(
+            scene,
+            keyboard_driver(state, read_keys, clock(args.speed)),
+            f"keyboard:{args.style}",
+            args.out,
+            watch=View(scene.robot, state, args.view, redraw, keys=table),
+            force=args.force,
+            command=args.command_line,
+        )

@@ -1,0 +1,67 @@
+"""turtlebag verify: compute a report's numbers again."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+
+EXAMPLE = "turtlebag verify data/report"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `turtlebag verify`."""
+    parser.add_argument("report", type=Path, metavar="REPORT", help="folder that report wrote")
+    parser.add_argument(
+        "--only",
+        metavar="KEY",
+        help="show one number, by its name on the page: WORLD/STAGE:PATH",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="leave out the numbers for which map, localise or plan would have to run again",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what differs; exit 1 when anything does."""
+    from turtlebag.pipeline.stages.verify import verify
+
+    found = verify(args.report, None if args.quick else _run_silently)
+    if args.only is not None:
+        matching = [check for check in found.checks if check.key == args.only]
+        if not matching:
+            raise InputError(f"--only {args.only}: no such number here; -v lists them all")
+        found.checks, found.problems = matching, [p for p in found.problems if p.startswith(args.only)]
+    if args.verbosity > 0 or args.only is not None:
+        for check in found.checks:
+            print(f"{'same' if check.agrees else 'DIFFERS':8}{check.key}  {check.found}")
+        if args.only is None:
+            for key in found.unchecked:
+                print(f"{'as told':8}{key}")
+    for problem in found.problems:
+        print(f"DIFFERS {problem}")
+    for note in found.notes:
+        print(note)
+    agreeing = sum(check.agrees for check in found.checks)
+    print(f"{agreeing} of {len(found.checks)} recomputed numbers agree, {found.files} files hashed")
+    if found.unchecked and args.only is None:
+        print(f"{len(found.unchecked)} not recomputed: {', '.join(found.unchecked)}")
+    return 1 if found.problems else 0
+
+
+def _run_silently(words: list[str]) -> int:
+    """Run a command line; what it says is not for the reader of a verification."""
+    from turtlebag.pipeline.cli.main import main
+    from turtlebag.pipeline.terminal.messages import log
+
+    level = log.level
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            return main([*words, "--quiet"])
+    finally:
+        log.setLevel(level)

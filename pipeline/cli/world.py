@@ -1,0 +1,75 @@
+"""turtlebag world."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import epilog
+
+EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
+    actions.add_parser("list", help="show the names of the built-in worlds, robots and teleop scripts")
+    show = actions.add_parser(
+        "show",
+        help="draw a world as a PNG",
+        description="Draw a world as a PNG.",
+        **epilog(EXAMPLE),
+    )
+    show.add_argument("world", metavar="W", help="world: a name or a YAML or SDF file")
+    show.add_argument(
+        "--robot",
+        metavar="R",
+        help="robot at whose lidar height the world is cut (default: the world's own)",
+    )
+    show.add_argument("--out", type=Path, required=True, metavar="PNG", help="picture to write")
+    show.add_argument("--force", action="store_true", help="replace --out if it exists")
+
+
+def run(args: argparse.Namespace) -> int:
+    """List the worlds or draw one."""
+    return _list() if args.action == "list" else _show(args)
+
+
+def _list() -> int:
+    from turtlebag.sim.generators import GENERATORS
+    from turtlebag.sim.robots import robot_names
+    from turtlebag.sim.teleop import script_names
+    from turtlebag.sim.worlds import load_world, world_names
+
+    for name in world_names():
+        world = load_world(name)
+        x, y, yaw = world.spawn.xyt.tolist()
+        print(f"{name}: {len(world.shapes)} solids, spawn {x:g},{y:g},{yaw:g}, robot {world.robot}")
+    print(f"generated: {', '.join(f'{name}:SEED' for name in GENERATORS)}")
+    print(f"robots: {', '.join(robot_names())}")
+    print(f"teleops: {', '.join(script_names())}")
+    return 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    from turtlebag.datasets.outputs import staged_file
+    from turtlebag.reports.figures.world import draw_world
+    from turtlebag.sim.robots import load_robot
+    from turtlebag.sim.worlds import load_world
+
+    if args.out.suffix.lower() != ".png":
+        raise InputError(f"--out {args.out}: the picture is a PNG; give it a name that ends in .png")
+    world = load_world(args.world)
+    robot = load_robot(args.robot or world.robot)
+    z = robot.lidar_height
+    hidden = [
+        (solid.polygon, solid.center, solid.radius)
+        for solid in world.below(robot.height)
+        if not solid.crosses(z)
+    ]
+    title = f"{world.name} at {z:g} m (lidar of {robot.name})"
+    with staged_file(args.out, force=args.force) as file:
+        draw_world(file, title, world.rasterize(z), world.spawn, hidden, world.keepout)
+    print(args.out)
+    return 0

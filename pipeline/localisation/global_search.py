@@ -1,0 +1,168 @@
+"""Finding the robot from nothing: poses drawn from what one scan says about the whole free space.
+
+A cloud of some thousand particles spread over a building has none near the truth to the width of the
+likelihood's peak. So candidates are annealed (Deutscher, Blake, Reid 2000; tempering as in Del Moral,
+Doucet, Jasra 2006): weighed by a flattened likelihood, resampled, shaken, weighed by a steeper one.
+As a source of the recovery's random particles this is sensor resetting (Lenser, Veloso 2000).
+
+Here the paths of the beams count, too: a beam seen through a wall, or one without return that ends at
+a wall, speaks against a pose. The likelihood field alone cannot know that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
+from turtlebag.pipeline.localisation.free_space import FreeSpace
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
+
+# Shaking after each stage: standard deviations [m, m, rad], and the particles left for the next.
+STAGES = ((0.10, 0.10), (0.05, 0.05), (0.03, 0.03))
+STAGE_PARTICLES = 3000
+# Standard deviations of a search about a pose [m, m, rad].
+AROUND = (0.4, 0.4, 0.35)
+# Each weighing is flattened until this share of the candidates still counts.
+LEAST_EFFECTIVE = 0.02
+# Beams are not independent: at the end the likelihood counts with this exponent at most.
+STEEPEST = 0.3
+MOST_HITS, MOST_SILENT, MOST_AGREEING = 40, 30, 120
+# A beam may end this much before the wall that it is said to come from.
+PATH_SLACK_M = 0.2
+# Probability of no return although the map has a wall in reach, and of one where it has none.
+P_MISSED, P_SILENT = 0.1, 0.9
+
+
+class GlobalSearch:
+    """Likelihood of poses with the paths of the beams, and draws from it over the free space."""
+
+    def __init__(self, field: DistanceField, free: FreeSpace, config: AmclConfig, range_max: float) -> None:
+        self.field, self._free = field, free
+        self._candidates = config.global_particles
+        self.range_max = range_max
+        self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
+        x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
+        self._frame = (x, y, yaw, 1.0 / field.resolution)
+
+    def uniform(self, count: int, rng: np.random.Generator) -> Array:
+        """`count` poses, (count, 3), anywhere on the free space."""
+        return self._free.sample(count, rng)
+
+    def log_likelihood(self, poses: Array, beams: Beams) -> Array:
+        """Flattened log likelihood (n,) of poses (n, 3) in the map frame."""
+        return STEEPEST * self._score(poses, beams)
+
+    def agreement(self, pose: Array, beams: Beams) -> float:
+        """Share of the beams, 0..1, that the map explains from a pose (3,): near 1 at the right place."""
+        return float(self.agreements(pose[None], beams)[0])
+
+    def agreements(self, poses: Array, beams: Beams) -> Array:
+        """`agreement` (n,) of each of the poses (n, 3)."""
+        p = path_probabilities(*self._arguments(poses, beams, MOST_AGREEING))
+        if p.shape[1] == 0:
+            return np.zeros(len(poses))
+        hits = min(len(beams), MOST_AGREEING)
+        best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), P_SILENT)
+        return np.asarray(np.mean(p / best, axis=1))
+
+    def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
+        """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
+        if around is None:
+            poses = self._free.sample(self._candidates, rng)
+        else:
+            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
+        for shake_xy, shake_yaw in STAGES:
+            weights = tempered(self._score(poses, beams))
+            poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
+            poses = poses + rng.standard_normal(poses.shape) * (shake_xy, shake_xy, shake_yaw)
+        weights = tempered(self._score(poses, beams))
+        poses = poses[rng.permutation(low_variance(weights, count, rng.random()))]
+        poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        return poses
+
+    def _score(self, poses: Array, beams: Beams) -> Array:
+        p = path_probabilities(*self._arguments(poses, beams, MOST_HITS))
+        return np.log(p).sum(axis=1)
+
+    def _arguments(self, poses: Array, beams: Beams, most: int) -> tuple:
+        hits = spread(len(beams), most)
+        silent = spread(len(beams.silent_origins), most * MOST_SILENT // MOST_HITS)
+        starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
+        ways = np.concatenate(
+            [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
+        )
+        return self.field.distance, self._frame, poses, starts, ways, len(hits), self._noise
+
+
+def tempered(log_likelihood: Array) -> Array:
+    """Normalised weights of the steepest power that leaves enough of the candidates effective."""
+    low, high = 0.0, STEEPEST
+    relative = log_likelihood - log_likelihood.max()
+    for _ in range(12):
+        power = 0.5 * (low + high)
+        weights = np.exp(power * relative)
+        if effective_size(weights / weights.sum()) < LEAST_EFFECTIVE * len(relative):
+            high = power
+        else:
+            low = power
+    weights = np.exp(low * relative)
+    return weights / weights.sum()
+
+
+@njit(cache=True)
+def path_probabilities(
+    distance: FloatGrid,
+    frame: tuple[float, float, float, float],
+    poses: Array,
+    starts: Array,
+    ways: Array,
+    hits: int,
+    noise: tuple[float, float, float],
+) -> Array:
+    """Probability of each beam from each pose, (n, m).
+
+    `starts` and `ways` (m, 2) are in the base frame; the first `hits` beams ended at start + way, the
+    others came back from nowhere along it. `frame`: the field's corner in the map and cells per metre;
+    `noise`: sigma_hit, z_hit, z_rand / range_max.
+    """
+    rows, cols = distance.shape
+    x0, y0, yaw0, per_metre = frame
+    cell = 1.0 / per_metre
+    c0, s0 = np.cos(yaw0), np.sin(yaw0)
+    sigma, z_hit, p_rand = noise
+    out = np.empty((len(poses), len(starts)))
+    for i in range(len(poses)):
+        dx, dy = poses[i, 0] - x0, poses[i, 1] - y0
+        px, py = c0 * dx + s0 * dy, c0 * dy - s0 * dx
+        c, s = np.cos(poses[i, 2] - yaw0), np.sin(poses[i, 2] - yaw0)
+        for j in range(len(starts)):
+            ox, oy = px + c * starts[j, 0] - s * starts[j, 1], py + s * starts[j, 0] + c * starts[j, 1]
+            wx, wy = c * ways[j, 0] - s * ways[j, 1], s * ways[j, 0] + c * ways[j, 1]
+            length = np.hypot(wx, wy)
+            clear = length - PATH_SLACK_M
+            at, blocked = 0.0, False
+            while at < clear:
+                col = int((ox + wx * at / length) * per_metre)
+                row = int((oy + wy * at / length) * per_metre)
+                if col < 0 or row < 0 or col >= cols or row >= rows:
+                    break
+                d = distance[row, col]
+                if d < 0.5 * cell:
+                    blocked = True
+                    break
+                # The nearest centre is at least this far from here, wherever in the cell we are.
+                at += max(d - 0.75 * cell, 0.5 * cell)
+            if j >= hits:
+                out[i, j] = P_MISSED if blocked else P_SILENT
+                continue
+            p = p_rand
+            col, row = int((ox + wx) * per_metre), int((oy + wy) * per_metre)
+            if not blocked and 0 <= col < cols and 0 <= row < rows:
+                d = distance[row, col]
+                p += z_hit * np.exp(-0.5 * (d / sigma) ** 2)
+            out[i, j] = p
+    return out

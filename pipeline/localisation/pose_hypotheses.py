@@ -1,0 +1,148 @@
+"""Places that the scans cannot tell from where the robot takes itself to be, and which of them is right.
+
+A search from nothing ends in one place; in a building that looks alike twice, the other one explains the
+scans as well. Each such place is kept as a hypothesis: a rigid motion of the map onto itself, by which
+whatever the filter says from then on is carried over (multi-hypothesis localisation: Jensfelt,
+Kristensen 2001). Which one is right is decided by the scans on the way, each hypothesis at its best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.pipeline.localisation.beams import Beams
+from turtlebag.pipeline.localisation.distinguishing_views import differences
+from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
+from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.local_search import climb
+
+# Poses drawn by one scan, and the share of them that a place must hold to be looked at.
+DRAWN, LEAST_SHARE = 2000, 0.01
+# A place that explains the scans by less than this worse than the best one is its rival ...
+ALIKE = 0.05
+# ... if it is so far off [m] or turned so much [rad] - nearer ones the filter itself sorts out - and so much
+# of the scans is explained at all: with people all round, nothing can be said ...
+APART_M, APART_RAD, LEAST_FIT = 1.0, 1.0, 0.7
+# ... and one that explains them so much worse, over as many scans, is out of the race.
+WORSE, SCANS = 0.05, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Glimpse:
+    """A scan that the filter used, with odometry at its stamp."""
+
+    beams: Beams
+    T_odom_base: SE2
+
+
+class Rivals:
+    """Finds the places that look like the estimate's, and weighs them against it scan by scan."""
+
+    def __init__(self, search: GlobalSearch, rng: np.random.Generator) -> None:
+        self._search, self._rng = search, rng
+
+    def find(self, glimpses: Sequence[Glimpse], T_map_odom: SE2) -> list[SE2]:
+        """Motions of the map onto itself, T_map_map, to the places that explain the scans about best.
+
+        The first is the identity - the estimate `T_map_odom` itself - unless another place explains the
+        scans clearly better. Only the identity is left where the map explains too little of them anyhow.
+        """
+        here = [T_map_odom @ glimpse.T_odom_base for glimpse in glimpses]
+        found = [SE2.identity()]
+        for glimpse, T_map_base in zip(glimpses, here, strict=True):
+            for pose in self._places(glimpse.beams):
+                T_rival = SE2.from_array(pose) @ T_map_base.inverse()
+                if all(apart(T_rival @ here[-1], known @ here[-1]) for known in found):
+                    found.append(T_rival)
+        fits = [self._polished(T_rival, glimpses, here) for T_rival in found]
+        best = max(fit for fit, _ in fits)
+        if best < LEAST_FIT:
+            return found[:1]
+        kept: list[SE2] = []
+        for k, (fit, T_rival) in enumerate(fits):
+            if fit > best - ALIKE and all(apart(T_rival @ here[-1], other @ here[-1]) for other in kept):
+                kept.append(T_rival if k > 0 else found[0])
+        return kept
+
+    def fits(self, rivals: Sequence[SE2], glimpse: Glimpse, T_map_odom: SE2) -> Array:
+        """Agreement of a scan with the map under each of the rivals (n,), at the best pose near by."""
+        here = [T_map_odom @ glimpse.T_odom_base]
+        return np.array([self._polished(T_rival, [glimpse], here)[0] for T_rival in rivals])
+
+    def differences(self, rivals: Sequence[SE2], T_map_base: SE2) -> Array:
+        """How unlike the most unlike two of some rivals would look from each pose (n,): a share of beams."""
+        return differences(self._search.field, rivals, T_map_base, self._search.range_max)
+
+    def _places(self, beams: Beams) -> list[Array]:
+        """Centres (3,) of the clusters of poses that one scan alone makes likely."""
+        poses = self._search.draw(DRAWN, beams, self._rng)
+        places = []
+        while len(poses) > LEAST_SHARE * DRAWN:
+            weights = np.full(len(poses), 1.0 / len(poses))
+            seed = moments(poses, weights, poses[0], REACH_XY, REACH_YAW)[1]
+            _, centre, _ = settled(poses, weights, seed)
+            near = within(poses, centre)
+            if near.sum() > LEAST_SHARE * DRAWN:
+                places.append(centre)
+            near[0] = True
+            poses = poses[~near]
+        return places
+
+    def _polished(self, T_rival: SE2, glimpses: Sequence[Glimpse], here: Sequence[SE2]) -> tuple[float, SE2]:
+        """Mean agreement of the scans where it is highest near a rival, and the rival there."""
+        last = here[-1]
+        # The scans' poses hang together by odometry: all are moved with the last one.
+        relative = [last.inverse() @ T_map_base for T_map_base in here]
+        best, pose = climb(
+            lambda poses: self._mean_agreement(poses, relative, glimpses), (T_rival @ last).xyt
+        )
+        return best, SE2.from_array(pose) @ last.inverse()
+
+    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], glimpses: Sequence[Glimpse]) -> Array:
+        total = np.zeros(len(poses))
+        for T_last_base, glimpse in zip(relative, glimpses, strict=True):
+            there = np.ascontiguousarray((SE2(poses) @ T_last_base).xyt)
+            total += self._search.agreements(there, glimpse.beams)
+        return total / len(glimpses)
+
+
+class Contest:
+    """Who of the rivals is still in the race, by the agreement of the last `SCANS` scans under each."""
+
+    def __init__(self, rivals: Sequence[SE2]) -> None:
+        self.rivals = list(rivals)
+        self._fits: deque[Array] = deque(maxlen=SCANS)
+
+    @property
+    def decided(self) -> bool:
+        """Whether one is left."""
+        return len(self.rivals) == 1
+
+    def judge(self, fits: Array) -> None:
+        """Take in the agreement (n,) of a scan under each rival; those left far behind are dropped."""
+        self._fits.append(fits)
+        if len(self._fits) < SCANS:
+            return
+        mean = np.mean(self._fits, axis=0)
+        kept = mean > mean.max() - WORSE
+        self.rivals = [rival for rival, stays in zip(self.rivals, kept, strict=True) if stays]
+        self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
+
+
+def apart(one: SE2, other: SE2) -> bool:
+    """Whether two poses are different places."""
+    x, y, yaw = (one.inverse() @ other).xyt.tolist()
+    return math.hypot(x, y) > APART_M or abs(yaw) > APART_RAD
+
+
+def within(poses: Array, centre: Array) -> NDArray[np.bool_]:
+    """Which poses (n, 3) are about a place, (n,) of bool."""
+    near = np.hypot(poses[:, 0] - centre[0], poses[:, 1] - centre[1]) <= REACH_XY
+    return np.asarray(near & (np.abs(wrap(poses[:, 2] - centre[2])) <= REACH_YAW), dtype=np.bool_)

@@ -1,0 +1,99 @@
+"""Noticing that a standing robot has been pushed: its wheels do not turn, but what it sees shifts.
+
+A filter that updates only when the wheels turn (ROS amcl's update_min_d) would not notice; ROS leaves the
+remedy, nomotion_update, to whoever calls it. Here it is called for when most of the view has changed since
+the robot came to rest AND the map explains the scan clearly better from a place a little way off. One who
+walks past changes a part of the view, and no other place explains it better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.localisation.local_search import climb
+
+# Standing: odometry moves less than this [m, rad] from one scan to the other.
+STILL_M, STILL_RAD = 0.01, 0.01
+# A beam has changed beyond the noise of a lidar; a view has when so large a share of the beams has, in so
+# many scans one after the other.
+CHANGED_M, CHANGED_SHARE, CHANGED_SCANS = 0.04, 0.25, 2
+# The place found must be so far off [m, rad], and explain so much more of the scan.
+OFF_M, OFF_RAD, BETTER_BY = 0.025, 0.03, 0.04
+# After a push every scan is held against the map for so long; after a look in vain there is a pause, which
+# doubles [scans].
+ALERT, LONGEST_PAUSE = 5, 32
+# Spread of the cloud for a forced update: as far as the place found, and at least this [m, rad].
+LEAST_XY, LEAST_YAW = 0.05, 0.03
+
+
+class StandingWatch:
+    """Compares the scans of a standing robot with the first of them."""
+
+    def __init__(self) -> None:
+        self._reference: tuple[Array, SE2] | None = None
+        self._changed = self._alert = self._pause = self._next_pause = 0
+
+    def moved(self) -> None:
+        """The wheels have turned: what the filter does anyway is enough."""
+        self._reference = None
+        self._changed = self._alert = self._pause = self._next_pause = 0
+
+    def pushed(
+        self, scan: Scan, T_odom_base: SE2, pose: Array, agreement: Callable[[Array], Array]
+    ) -> Array | None:
+        """By how much to spread the cloud, (3,) standard deviations; None when nothing has happened.
+
+        `pose` (3,) is the estimate, `agreement` says how well the map explains the scan from poses (n, 3).
+        """
+        if not self._worth_a_look(scan, T_odom_base):
+            return None
+        here = float(agreement(pose[None])[0])
+        best, found = climb(agreement, pose)
+        offset = np.abs(found - pose)
+        offset[2] = abs(wrap(offset[2]))
+        xy = float(np.hypot(offset[0], offset[1]))
+        if best < here + BETTER_BY or (xy < OFF_M and offset[2] < OFF_RAD):
+            self._next_pause = min(max(1, 2 * self._next_pause), LONGEST_PAUSE)
+            self._pause = self._next_pause
+            return None
+        self._reference = (scan.ranges.astype(np.float64), T_odom_base)
+        self._alert, self._pause, self._next_pause = ALERT, 0, 0
+        return np.array([max(xy, LEAST_XY), max(xy, LEAST_XY), max(float(offset[2]), LEAST_YAW)])
+
+    def _worth_a_look(self, scan: Scan, T_odom_base: SE2) -> bool:
+        """Whether the view has changed for good, or has lately been found to shift."""
+        ranges = scan.ranges.astype(np.float64)
+        if self._reference is None or not _still(self._reference[1], T_odom_base):
+            self.moved()
+            self._reference = (ranges, T_odom_base)
+            return False
+        if changed_share(ranges, self._reference[0]) > CHANGED_SHARE:
+            self._changed += 1
+        else:
+            self._changed = self._pause = self._next_pause = 0
+        if self._alert > 0:
+            self._alert -= 1
+            return True
+        if self._pause > 0:
+            self._pause -= 1
+            return False
+        return self._changed >= CHANGED_SCANS
+
+
+def changed_share(ranges: Array, before: Array) -> float:
+    """Share of the beams (n,) with a return in either scan that see farther or nearer than before."""
+    seen = np.isfinite(ranges) | np.isfinite(before)
+    if not seen.any():
+        return 0.0
+    with np.errstate(invalid="ignore"):
+        same = np.abs(ranges - before) <= CHANGED_M
+    return 1.0 - float(same[seen].mean())
+
+
+def _still(one: SE2, other: SE2) -> bool:
+    x, y, yaw = (one.inverse() @ other).xyt.tolist()
+    return bool(np.hypot(x, y) < STILL_M and abs(yaw) < STILL_RAD)

@@ -1,0 +1,111 @@
+"""Things that move: which of the points seen now are of such, and when to stand still for them."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import RobotModel
+from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.planners.control.monitor import depth_inside, padded
+
+BEFORE_NS = 350_000_000
+"""Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
+BINS = 360
+SPREAD_BINS = 2
+SHIFT_M = 0.06
+"""A sweep that saw so much farther saw through the place."""
+NEAR_M = 1.5
+COMPANY, COMPANY_M = 3, 0.2
+"""A moving point has so many others near it: one alone is noise."""
+
+
+class WaryConfig(BaseModel):
+    """Metres."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    padding: float = Field(default=0.35, ge=0.0)
+    """Something that moves within so much of the footprint stops the robot, wherever it is going: at
+    0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""
+
+
+class Wary:
+    """Stands still for what moves near by: who walks into a robot sees it, who is run over may not."""
+
+    def __init__(self, model: RobotModel, config: WaryConfig) -> None:
+        self._footprint = padded(model.footprint, config.padding)
+
+    def holds(self, moving_base: Array) -> bool:
+        """Whether one of the moving points (n, 2), in the base frame, is that near."""
+        return any(depth_inside(self._footprint, x, y) > 0.0 for x, y in moving_base)
+
+
+class MovingWatch:
+    """Points that moved: where they are now, a sweep a little older saw through."""
+
+    def __init__(self) -> None:
+        self.points_odom = np.zeros((0, 2))
+        """(n, 2) points of the newest sweep that moved there."""
+        self._profiles: deque[tuple[int, SE2, Array]] = deque(maxlen=16)
+
+    def observe(self, sight: Sight) -> None:
+        """Take in a sweep."""
+        older = [p for p in self._profiles if sight.stamp_ns - p[0] >= BEFORE_NS]
+        self.points_odom = np.zeros((0, 2))
+        if older and sight.stamp_ns - older[-1][0] < 2 * BEFORE_NS:
+            self.points_odom = moved_points(sight, older[-1][1], older[-1][2])
+        T = sight.T_odom_lidar
+        ends = T.inverse() @ np.concatenate([sight.hits_odom, sight.passes_odom])
+        self._profiles.append((sight.stamp_ns, T, profile(ends)))
+
+    def points_base(self, T_odom_base: SE2) -> Array:
+        """They as seen from the base now, (n, 2)."""
+        return T_odom_base.inverse() @ self.points_odom
+
+
+def profile(ends_lidar: Array) -> Array:
+    """Least range by bearing (BINS,), from the ends (n, 2) of a sweep's beams; 0 where none went."""
+    ranges = np.full(BINS, np.inf)
+    if len(ends_lidar):
+        bins = _bins(ends_lidar)
+        np.minimum.at(ranges, bins, np.linalg.norm(ends_lidar, axis=1))
+    ranges[np.isinf(ranges)] = 0.0
+    shifted = [np.roll(ranges, k) for k in range(-SPREAD_BINS, SPREAD_BINS + 1)]
+    return np.asarray(np.min(shifted, axis=0))
+
+
+def moved_points(sight: Sight, T_odom_lidar: SE2, ranges: Array) -> Array:
+    """Hits near the lidar (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
+    hits = sight.hits_odom
+    near = np.linalg.norm(hits - sight.T_odom_lidar.xy, axis=1) < NEAR_M
+    hits = hits[near]
+    if len(hits) == 0:
+        return np.zeros((0, 2))
+    then = T_odom_lidar.inverse() @ hits
+    free = ranges[_bins(then)] > np.linalg.norm(then, axis=1) + SHIFT_M
+    moved = np.ascontiguousarray(hits[free])
+    return moved[in_company(moved, COMPANY, COMPANY_M)]
+
+
+def _bins(points: Array) -> NDArray[np.int64]:
+    bearing = np.arctan2(points[:, 1], points[:, 0])
+    return np.asarray(np.floor((bearing / (2.0 * np.pi) + 0.5) * BINS), dtype=np.int64) % BINS
+
+
+@njit(cache=True)
+def in_company(points: Array, count: int, reach: float) -> NDArray[np.bool_]:
+    """Which points (n, 2) have at least `count` others within reach, (n,) of bool."""
+    n = len(points)
+    out = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        others = -1
+        for j in range(n):
+            dx, dy = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+            others += dx * dx + dy * dy <= reach * reach
+        out[i] = others >= count
+    return out

@@ -1,0 +1,97 @@
+"""What a person at the terminal is told while a run goes on, and of its end.
+
+Where the robot takes a goal to be reached and the truth says otherwise, the words are `believed reached`:
+`reached` alone is what is true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import groupby
+from typing import Any
+
+from turtlebag.pipeline.navigation.takeover import CommandOwner
+from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
+from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
+from turtlebag.planners.tasks.waypoints import Waypoint
+from turtlebag.reports.metrics.navigation import THERE_M, pose_error
+from turtlebag.sim.simulator import Truth
+
+
+class News:
+    """Tells of goals begun and ended and of takeovers, a line each, as they happen.
+
+    `tell` takes a line, the first of which is `opening`; `clock` is told the simulated time at each tick.
+    """
+
+    def __init__(self, opening: str, tell: Callable[[str], None], clock: Simulated) -> None:
+        self._opening, self._tell, self._clock = opening, tell, clock
+        self._heading, self._told = -1, 0
+        self._owner, self._touched = "navigation", False
+
+    def tick(self, stamp_ns: int, owner: CommandOwner, sequence: GoalSequence | None, truth: Truth) -> None:
+        """One control period, after it was decided what to do."""
+        if self._opening:
+            self._tell(self._opening)
+            self._opening = ""
+        if owner.owner != self._owner:
+            self._owner = owner.owner
+            does = "takes over" if owner.owner == "teleop" else "hands back"
+            self._tell(f"{stamp_ns * 1e-9:.1f} s: teleop {does}")
+        doing = owner.state.replace("_", " ")
+        if sequence is not None:
+            self._touched |= truth.contact_visible or truth.contact_low
+            self._goals(sequence, truth)
+            doing = f"goal {sequence.index + 1} of {sequence.total}: {doing}" if sequence.goal else doing
+        self._clock(stamp_ns, doing)
+
+    def _goals(self, sequence: GoalSequence, truth: Truth) -> None:
+        ended = [(o.index + 1, _ended(o, truth, self._touched)) for o in sequence.outcomes[self._told :]]
+        self._told += len(ended)
+        for line, alike in groupby(ended, key=lambda item: item[1]):
+            numbers = [number for number, _ in alike]
+            which = f"goals {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"goal {numbers[0]}"
+            self._tell(f"{which} of {sequence.total}: {line}")
+        if sequence.goal is not None and sequence.index != self._heading:
+            self._heading, self._touched = sequence.index, False
+            place = _place(sequence.waypoint)
+            self._tell(f"goal {sequence.index + 1} of {sequence.total}: heading to {place}")
+
+
+def _place(waypoint: Waypoint) -> str:
+    x, y, _ = waypoint.written
+    return f"({x:g}, {y:g})"
+
+
+def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
+    status, after = outcome.status, f" after {outcome.time_s:.1f} s" if outcome.time_s > 0.0 else ""
+    if status != "reached" or outcome.waypoint.T_map_goal is None:
+        status = "collided" if touched and status in ("timeout", "unreachable") else status
+        return f"{status}{after}: {outcome.reason}"
+    error, _ = pose_error(truth.T_world_base, outcome.waypoint.T_map_goal)
+    if error > THERE_M:
+        return f"believed reached{after}, but the robot is {length(error)} away from it"
+    return f"reached{after}, {length(error)} off"
+
+
+def verdict(metrics: dict[str, Any]) -> str:
+    """How a run went by the truth, in one line, from its metrics."""
+    parts = []
+    if goals := metrics["goals"]:
+        believed = [goal for goal in goals if goal["status"] == "reached"]
+        true = sum(goal["error_m"] <= THERE_M for goal in believed)
+        parts.append(f"{true} of {len(goals)} goals reached")
+        if true < len(believed):
+            parts[-1] += f" (the robot believed {len(believed)})"
+    parts += [_collisions(**metrics["collisions"])]
+    if "area" in metrics:
+        parts.append(f"{metrics['area']['seen_m2']:.1f} m2 of floor seen")
+    parts.append(f"{metrics['distance_m']:.2f} m in {metrics['time_s']:.1f} simulated seconds")
+    return f"{'succeeded' if metrics['true_success'] else 'failed'}: {', '.join(parts)}"
+
+
+def _collisions(visible: int, low: int) -> str:
+    if not visible and not low:
+        return "no collisions"
+    where = f"{visible} with what the lidar sees, {low} with what it cannot see"
+    return f"{number_of(visible + low, 'collision')} ({where})"

@@ -1,0 +1,175 @@
+"""The line tracker: each scan matched with the last key scans, several hypotheses competing.
+
+Odometry can lie (wheels slip, encoders freeze) and scans can be blind (corridors). Each scan is
+therefore aligned from several starts - odometry, constant velocity - and scored by how well it fits
+where the key scans looked; the alignment itself carries odometry as a heavy-tailed prior, which decides
+the directions the scan cannot see and gives way where the scan contradicts it. Wheels that the scans
+keep contradicting lose that say until the scans confirm them. Scans without surfaces (posts, legs)
+are registered by KISS-ICP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Alignment, align
+from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
+from turtlebag.pipeline.slam.correlative import best_pose
+from turtlebag.pipeline.slam.course import Course
+from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.kiss import KissIcp
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
+from turtlebag.pipeline.slam.track import confirms
+
+# Without odometry the last motion is expected to go on, with this share of an odometry step's information.
+STEADY_SHARE = 0.05
+# For so many scans after a gap the motion since is open.
+DOUBTED_SCANS = 12
+# A scan fits when its cost is no more than this above what is usual.
+FITS = 0.25
+# Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
+LOST, LOST_STEP_RAD = 1.0, 0.035
+# What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
+SURPRISE = 0.03
+
+
+@dataclass
+class Doubt:
+    """What went before a gap: the scan, its pose (3,), and for how many scans it is looked back at."""
+
+    scan: int
+    T_map_base: Array
+    left: int = DOUBTED_SCANS
+
+
+class Lines:
+    """Point-to-line alignment; knows the wheels' record and what went before a gap."""
+
+    def __init__(self, course: Course) -> None:
+        self.course = course
+        self.doubt: Doubt | None = None
+        self.wheels = OdometryTrust(course.config.odometry)
+        self._by_points = KissIcp(course)
+        self._usual_cost = 0.3
+
+    def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
+        """As in `FrontEnd`."""
+        course, scan = self.course, self.course.scan
+        if course.clouds.placed_by(scan) == "points":
+            by_points = self._by_points.step(points, odometry_step, wait_s)
+            fit, source = by_points.overlap, by_points.source
+            at = SE2(by_points.T_track_base)
+            found = Alignment(at, by_points.information, fit, by_points.rmse, 1.0 - fit)
+        else:
+            found, source = self._on_surfaces(scan, odometry_step)
+        pose = found.T_map_base.xyt
+        sure, settled = self._judge(scan, found, wait_s)
+        if self.doubt is not None:
+            self.wheels.forget()
+        elif odometry_step is not None:
+            self.wheels.judge(odometry_step, pose, found.information)
+        revised = tuple((k, compose(pose, course.odometry_since(scan, k))) for k in settled)
+        return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised)
+
+    def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
+        """From the odometry, if there is any and it is believed, and from a steady motion."""
+        course = self.course
+        steady = compose(course.pose, course.velocity)
+        expected = course.velocity if odometry_step is None else odometry_step
+        information = course.config.odometry.information(expected)
+        if odometry_step is None:
+            return self._by_lines(scan, [(0, steady)], STEADY_SHARE * information)
+        starts = [(0, compose(course.pose, odometry_step)), (1, steady)]
+        if not self.wheels.believed:
+            return self._by_lines(scan, starts[::-1], STEADY_SHARE * information)
+        return self._by_lines(scan, starts, information)
+
+    def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[bool, range]:
+        """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
+
+        Returns whether the pose found may be built on, and the scans since the gap once it is clear what
+        happened in it: hypotheses took turns for them, and odometry tells where they lie seen from here.
+        """
+        course, settled = self.course, range(0)
+        if course.odometry is None:
+            return True, settled
+        since = self.doubt or Doubt(scan - 1, course.pose)
+        move = between(since.T_map_base, found.T_map_base.xyt)
+        agreed = confirms(course.odometry_since(since.scan), move)
+        fits = found.cost <= self._usual_cost + FITS
+        since.left -= 1
+        if self.doubt is None and abs(wait_s) > GAP_S:
+            self.doubt = since
+        elif since.left <= 0 or (agreed and fits):
+            self.doubt, settled = None, range(since.scan + 1, scan)
+        return self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
+
+    def _by_lines(
+        self, scan: int, starts: list[tuple[int, Array]], information: Array
+    ) -> tuple[Alignment, int]:
+        """The scan on the surfaces of the last key scans; where it fits none, the first start."""
+        guess = starts[0][1]
+        course, config = self.course, self.course.config
+        best = self._best(scan, starts, guess, information)
+        if self.doubt is not None:
+            step = course.odometry_since(self.doubt.scan)
+            carried = compose(self.doubt.T_map_base, step)
+            other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
+            if other is not None and (best is None or other[2] < best[2]):
+                best = other
+        if best is None or best[2] > self._usual_cost + FITS:
+            wide = self._recover(scan, [pose for _, pose in starts])
+            again = self._best(scan, [(3, wide)], guess, information)
+            if again is not None and (best is None or again[2] < best[2] - 0.05):
+                best = again
+        if best is None:
+            return Alignment(SE2(guess), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
+        self._usual_cost += 0.02 * (best[2] - self._usual_cost)
+        return best[0], best[1]
+
+    def _best(
+        self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
+    ) -> tuple[Alignment, int, float] | None:
+        """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
+        course, best = self.course, None
+        usable = course.clouds.lines(scan)
+        if usable < MIN_LINES:
+            return None
+        tried: list[Array] = []
+        keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
+        for source, start in starts:
+            # starts this near each other end at the same pose
+            if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
+                continue
+            tried.append(start)
+            result = align(
+                course.clouds,
+                scan,
+                start,
+                keys,
+                poses,
+                prior=prior,
+                prior_information=information,
+                prior_soft=CAUCHY,
+                most_points=MOST_POINTS,
+            )
+            e = between(prior, result.T_map_base.xyt)
+            surprise = np.log1p(e @ information @ e / CAUCHY**2)
+            # what the key scans could not see is neither hit nor miss
+            fit = result.known * result.cost + (1.0 - result.known) * self._usual_cost
+            cost = fit + SURPRISE * float(surprise)
+            if best is None or cost < best[2]:
+                best = (result, source, cost)
+        return best
+
+    def _recover(self, scan: int, centers: list[Array]) -> Array:
+        """Exhaustive search in a wide window about each centre: the track may be lost."""
+        points = self.course.clouds.of(scan)[::4]
+        found = [
+            best_pose(self.course.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
+        ]
+        return max(found, key=lambda pair: pair[1])[0]

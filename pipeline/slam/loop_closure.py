@@ -1,0 +1,79 @@
+"""From the front end's track to a closed graph: loops by distance, then by place recognition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopFinder, close_loops
+from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
+from turtlebag.pipeline.slam.track_breaks import Chain
+
+Progress = Callable[[Iterable[int], str, int], Iterable[int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """Poses of the key scans with loops closed, the steps (those over mended breaks without a say) and
+    loops that hold them, the records of all candidates, and the breaks nothing mends (keys - 1,)."""
+
+    T_map_keys: SE2
+    steps: list[Constraint]
+    loops: list[Constraint]
+    record: list[Loop]
+    recognised: list[Recognised]
+    unbridged: NDArray[np.bool_]
+
+
+def unclosed(T_map_keys: SE2, chain: Chain, steps: list[Constraint]) -> Closed:
+    """The graph of the steps alone."""
+    return Closed(T_map_keys, steps, [], [], [], chain.broken)
+
+
+def close_graph(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    chain: Chain,
+    steps: list[Constraint],
+    configs: tuple[LoopConfig, RecallConfig],
+    progress: Progress,
+) -> Closed:
+    """Close all loops of a track.
+
+    Distance means something within unbroken parts of the log only. Places recognised beyond its reach
+    join parts and tell the drift; loops by distance are then looked for again, from there.
+    """
+    by_distance, by_looks = configs
+
+    def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
+        batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
+        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known)
+
+    finder = close(T_map_keys, chain.segments(), [])
+    if not by_looks.enabled:
+        return Closed(SE2(finder.poses), steps, finder.loops, finder.record, [], chain.broken)
+    start, reach_m = SE2(finder.poses), by_distance.reach_m
+    found = recall(clouds, keys, start, steps, chain, finder.loops, by_looks, reach_m, finder.matcher)
+    if found.loops or chain.broken.any():
+        steps = relaxed(steps, found.released)
+        finder = close(found.T_map_keys, found.part, found.loops)
+    unbridged = chain.broken & ~found.released & ~_spanned(finder.record, len(keys))
+    return Closed(SE2(finder.poses), steps, finder.loops, finder.record, found.record, unbridged)
+
+
+def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:
+    """Steps with an accepted loop by distance from one side of them to the other, (keys - 1,)."""
+    spans = np.zeros(n_keys, dtype=np.int64)
+    for loop in record:
+        if loop.accepted:
+            spans[min(loop.i, loop.j)] += 1
+            spans[max(loop.i, loop.j)] -= 1
+    return np.asarray(np.cumsum(spans)[:-1] > 0)

@@ -1,0 +1,147 @@
+"""Who saw a motion: the scans, the odometry, both, or neither."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.align import contradiction
+from turtlebag.pipeline.slam.clouds import fastest, way_and_turn
+from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, confirms
+
+# A scan is blind when it sees this share along one direction of what it sees along the other, or less.
+BLIND = 0.01
+# A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
+# its last steps are taken together.
+LIE_SIGMAS, RECENT = 2.5, 5
+# And when it is wrong by this share of the way: wheels whose clock is late are wrong by less at every start.
+GROSS = 0.3
+# So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
+SEVERAL = 3
+
+
+def blind(track: Track) -> NDArray[np.bool_]:
+    """Which scans see one direction only, (n,)."""
+    least = np.linalg.eigvalsh(track.information[:, :2, :2])
+    return np.asarray(least[:, 0] < BLIND * np.maximum(least[:, 1], 1e-9))
+
+
+def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
+    """Whether the odometry says of the motion between two scans what their poses (n,) say."""
+    if recording.T_odom_base is None:
+        return False
+    T_odom = recording.T_odom_base
+    odometry = track.calibration.corrected((T_odom[before].inverse() @ T_odom[after]).xyt)
+    return confirms(odometry, (T_map_base[before].inverse() @ T_map_base[after]).xyt)
+
+
+def too_fast(
+    recording: Recording, track: Track, T_map_base: SE2, before: NDArray[np.int64], after: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether the poses (n,) move faster between scans (k,) and later ones (k,) than the robot ever drives or
+    turns, (k,)."""
+    waits, steps = np.diff(recording.stamps_ns) * 1e-9, _moved(T_map_base, np.arange(len(T_map_base) - 1), 1)
+    seen = (waits > 0.0) & track.usable[1:] & track.usable[:-1]
+    if not seen.any():
+        return np.zeros(len(before), dtype=bool)
+    # stamps jitter: no step counts as shorter than usual
+    least_s = np.median(waits[seen])
+    reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
+    wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+    moved = _moved(T_map_base, before, after - before)
+    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE]
+    return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
+
+
+def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
+    """Way [m] and turn [rad] between poses and later ones, (k, 2)."""
+    return way_and_turn((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)
+
+
+class OdometryTrust:
+    """Whether the odometry is believed where the scans are blind.
+
+    Not once it was caught lying several times, until it says the same as the scans again, or, where these are
+    blind, the same as a steady motion.
+    """
+
+    def __init__(self, noise: OdometryNoise) -> None:
+        self._noise = noise
+        self._odometry = np.zeros(3)
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known of them any more."""
+        self._lies, self._last = 0, deque[tuple[Array, Array]](maxlen=RECENT + 1)
+
+    @property
+    def believed(self) -> bool:
+        """Whether its next step is believed."""
+        return self._lies < SEVERAL
+
+    def judge(
+        self, odometry_step: Array, T_map_base: Array, seen: Array, *, independent: bool = True
+    ) -> None:
+        """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
+
+        A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
+        rest confirm nothing, nor do those that the pose may have been taken from (not `independent`).
+        """
+        self._odometry = compose(self._odometry, odometry_step)
+        self._last.append((self._odometry, T_map_base))
+        if len(self._last) < 2:
+            return
+        told, error = self._apart(-2)
+        surprising = error @ self._along(told) @ error > LIE_SIGMAS**2
+        if independent and not surprising and moves(odometry_step, self._noise):
+            self._lies = 0
+        told, error = self._apart(0)
+        gross = abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0]))
+        if surprising and gross and contradiction(error, self._along(told), seen) > LIE_SIGMAS**2:
+            self._lies += 1
+
+    def _along(self, told: Array) -> Array:
+        """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
+        return np.diag([1.0, 0.0, 0.0]) * self._noise.information(told)
+
+    def _apart(self, since: int) -> tuple[Array, Array]:
+        """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""
+        (odometry, pose), (odometry_now, pose_now) = self._last[since], self._last[-1]
+        told = between(odometry, odometry_now)
+        return told, between(told, between(pose, pose_now))
+
+
+def unwitnessed(
+    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
+) -> Array:
+    """Metres of each step (n,) where the scan is blind and the odometry, which tells them, was not to be
+    believed before or after, or there is none; 0 elsewhere.
+
+    `borders` are the first scans of later logs.
+    """
+    n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
+    unseen, way = blind(track), np.zeros(n)
+    if T_odom is None:
+        way[1:] = _moved(track.T_track_base, np.arange(n - 1), 1)[:, 0] * unseen[1:]
+        return way
+    for order in (np.arange(n), np.arange(n)[::-1]):
+        T = T_odom[order]
+        steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
+        wheels = OdometryTrust(noise)
+        new = np.isin(order[1:], borders if order[0] == 0 else borders - 1)
+        for scan, step, forget in zip(order[1:].tolist(), steps, new, strict=True):
+            if forget:
+                wheels.forget()
+            wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
+            if unseen[scan] and not wheels.believed:
+                way[scan] = np.hypot(step[0], step[1])
+    return way
+
+
+def moves(odometry_step: Array, noise: OdometryNoise) -> bool:
+    """Whether an odometry step (3,) stands out of its noise."""
+    return bool((way_and_turn(odometry_step[None]) > 2.0 * noise.floor).any())

@@ -1,0 +1,324 @@
+"""Place recognition: loops where drift is larger than any gate, or unknown.
+
+Loops by distance (`loops`) are looked for where the robot believes to be. Where the chain of poses is
+broken or has drifted further than that, submaps are recognised by their looks instead. A place is
+believed only when several submaps in a row agree on it (PCM), nothing they see contradicts it when the
+whole stretch is laid there, and no other place does nearly as well: buildings repeat themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
+from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.selfcheck import BAD_SHARE, MOST_PAIRS, NEAR_M, THROUGH_M, WALL_M, denied_shares
+from turtlebag.pipeline.slam.submaps import (
+    MOST_SHIFT,
+    RESOLUTION_M,
+    Submap,
+    laid_on,
+    likeness,
+    make_submap,
+    windows,
+)
+from turtlebag.pipeline.slam.track import sees_everything
+from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts
+
+# Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
+# that only look alike from 6 % up, rooms alike to the centimetre 1 to 3 %).
+RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
+# Submaps looked at from one place are one while their headings differ by less than this cosine says.
+SAME_WAY = 0.7
+
+
+class RecallConfig(BaseModel):
+    """Place recognition."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    enabled: bool = True
+    candidates: int = Field(default=12, gt=0, description="submaps compared with a query, the likest ones")
+    min_likeness: float = Field(default=0.6, gt=0.0, le=1.0, description="of the signatures")
+    min_score: float = Field(default=0.4, gt=0.0, le=1.0, description="of the correlation by FFT")
+    min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
+    min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
+    rival_share: float = Field(
+        default=0.35, gt=0.0, description="of the support for another place: the place is ambiguous"
+    )
+    max_contradicted: float = Field(
+        default=0.05, gt=0.0, description="share of revisits that deny each other with the stretch laid there"
+    )
+    inflation: float = Field(default=50.0, gt=0.0)
+    soft: float = Field(default=2.0, ge=0.0, description="Cauchy width, in standard deviations")
+
+
+@dataclass(frozen=True, eq=False)
+class Recall:
+    """What was recognised: poses with the parts laid together, loops, the record of all candidates, the
+    part of the log each key belongs to (keys,), and the broken steps that now say nothing (keys - 1,)."""
+
+    T_map_keys: SE2
+    loops: list[Constraint]
+    record: list[Recognised]
+    part: NDArray[np.int64]
+    released: NDArray[np.bool_]
+
+
+def recall(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    steps: Sequence[Constraint],
+    chain: Chain,
+    known: Sequence[Constraint],
+    config: RecallConfig,
+    reach_m: float,
+    matcher: LoopMatch,
+) -> Recall:
+    """Recognise places beyond the reach of the loops by distance.
+
+    `known` are those loops, `reach_m` is how far they are looked for, `matcher` what aligns them.
+    """
+    poses = T_map_keys.xyt.copy()
+    drift = drift_of(poses, steps, chain.broken)
+    found = _candidates(clouds, keys, drift, known, config, reach_m, matcher)
+    believed, record = _believed(clouds, keys, found, drift, reach_m, config)
+    part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
+    if not believed:
+        return Recall(T_map_keys, [], record, part, released)
+    segment = chain.segments()
+    for members in believed:
+        poses, segment = _laid_together(poses, segment, members)
+    loops = [_loop(place, config) for members in believed for place in members]
+    free = relaxed(steps, released)
+    # first without kernels: from far away they would take every loop for an outlier
+    firm = [replace(loop, soft=0.0) for loop in loops]
+    closed = optimise(SE2(poses), [*free, *firm])
+    return Recall(optimise(closed, [*free, *loops]), loops, record, part, released)
+
+
+def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
+    """The steps, those over breaks that are bridged otherwise without a say: nothing saw what they claim."""
+    return [
+        replace(c, information=np.zeros((3, 3))) if c.j == c.i + 1 and released[c.i] else c for c in steps
+    ]
+
+
+def _loop(place: Recognised, config: RecallConfig) -> Constraint:
+    information = place.information / config.inflation
+    return Constraint(place.j, place.i, place.T_j_i, information, "loop", config.soft)
+
+
+def _candidates(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    drift: Drift,
+    known: Sequence[Constraint],
+    config: RecallConfig,
+    reach_m: float,
+    matcher: LoopMatch,
+) -> list[Recognised]:
+    """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
+
+    A place that the loops have held together since is asked and looked for once, however often it was passed.
+    """
+    poses, found = drift.T_map_keys, []
+    places = windows(len(keys), drift.broken)
+
+    @cache
+    def submap(middle: int) -> Submap | None:
+        return make_submap(clouds, keys, poses, middle, places[middle])
+
+    first_visits: list[int] = []
+    for i in places:
+        older = np.array(first_visits, dtype=np.int64)
+        off, _ = reach(read_at(drift.from_key(i, known)[older], poses[i]))
+        apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
+        same_way = np.cos(poses[older, 2] - poses[i, 2]) > SAME_WAY
+        if ((apart + off < NEAR_M) & same_way).any():
+            continue
+        first_visits.append(i)
+        far = older[(off > reach_m) & (apart < off + MOST_SHIFT * RESOLUTION_M)]
+        query = submap(i) if len(far) else None
+        if query is None:
+            continue
+        allowed = dict(zip(first_visits, off.tolist(), strict=False))
+        others = [other for j in far.tolist() if (other := submap(j)) is not None]
+        like = likeness(query, others)
+        for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
+            if like[k] < config.min_likeness:
+                break
+            guess = between(poses[others[k].middle], poses[i])
+            for score, start in laid_on(query, others[k]):
+                near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
+                if near and score >= config.min_score:
+                    found.append(_settled(clouds, keys, query, others[k], start, score, config, matcher))
+    return found
+
+
+def _settled(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    query: Submap,
+    other: Submap,
+    start: Array,
+    score: float,
+    config: RecallConfig,
+    matcher: LoopMatch,
+) -> Recognised:
+    """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
+    place, at_place = keys[other.keys[::2]], other.T_middle_keys[::2]
+    middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
+    pose = start
+    for limits in (Limits(0.4, 0.15), ROUGH):
+        result = matcher.match(clouds, middle, there, pose, limits)
+        pose = result.T_map_base.xyt
+        if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
+            return _low_overlap(query, other, score, result)
+    few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
+    overlap = np.mean(
+        [
+            matcher.match(clouds, _alone(int(keys[k])), there, T, Limits(0.12, 0.06, 0)).overlap
+            for k, T in zip(few, at, strict=True)
+        ]
+    )
+    if overlap < config.min_overlap:
+        return _low_overlap(query, other, score, replace(result, overlap=float(overlap)))
+    both = np.vstack([at, at_place[::2]])
+    pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
+    denied = _denied(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
+    information = result.information
+    place_found = Recognised(
+        query.middle, other.middle, pose, score, float(overlap),
+        float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
+    )  # fmt: skip
+    if not sees_everything(information):
+        return place_found.judged("blind in one direction")
+    if not matcher.confirms(clouds, middle, there, pose):
+        return place_found.judged("open3d disagrees")
+    return place_found
+
+
+def _low_overlap(query: Submap, other: Submap, score: float, found: Alignment) -> Recognised:
+    return Recognised(
+        query.middle, other.middle, found.T_map_base.xyt, score, found.overlap, 1.0, found.rmse,
+        found.information, "low overlap",
+    )  # fmt: skip
+
+
+def _alone(scan: int) -> Stretch:
+    return Stretch(scan, np.array([scan]), np.zeros((1, 3)))
+
+
+def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:
+    """Share of points denied in each pair that sees enough of each other, the worse of both ways."""
+    shares = [
+        denied_shares(clouds, keys, poses, way, WALL_M, THROUGH_M)
+        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
+    ]
+    share = np.fmax(*shares)
+    return np.asarray(share[np.isfinite(share)])
+
+
+def _believed(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    found: list[Recognised],
+    drift: Drift,
+    reach_m: float,
+    config: RecallConfig,
+) -> tuple[list[list[Recognised]], list[Recognised]]:
+    """The sets of places that are believed, and the record of all with their verdicts."""
+    good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
+    places = [found[k] for k in good]
+    comparable, agree = consistency(places, drift, reach_m, config.inflation)
+    verdicts = ["too few agree"] * len(places)
+    feasible: list[tuple[list[int], int, float]] = []
+    for members in agreeing_sets(places, agree & comparable):
+        supporters = support(places, members)
+        if supporters < config.min_support - 1:
+            continue
+        denied = _laid_out(clouds, keys, [places[k] for k in members], drift)
+        mean, bad = (denied.mean(), np.mean(denied > BAD_SHARE)) if len(denied) else (1.0, 1.0)
+        if bad > config.max_contradicted:
+            _mark(verdicts, members, "the stretch contradicts the place")
+        else:
+            feasible.append((members, supporters, float(mean)))
+    believed = []
+    for members, supporters, mean in feasible:
+        rival = any(
+            competing(members, other, comparable, agree)
+            and theirs >= config.rival_share * supporters
+            and their_mean <= RIVAL_FACTOR * mean + RIVAL_FLOOR
+            for other, theirs, their_mean in feasible
+            if other is not members
+        )
+        if rival:
+            _mark(verdicts, members, "ambiguous: another place fits as well")
+        elif supporters >= config.min_support:
+            _mark(verdicts, members, "accepted")
+            believed.append([places[k] for k in members])
+    record = list(found)
+    for k, verdict in zip(good, verdicts, strict=True):
+        record[k] = found[k].judged(verdict)
+    return believed, record
+
+
+def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
+    for k in members:
+        verdicts[k] = verdict
+
+
+def _laid_out(clouds: Clouds, keys: NDArray[np.int64], stretch: list[Recognised], drift: Drift) -> Array:
+    """Share of points denied in each revisit, with the whole stretch laid at its place.
+
+    Keys are carried by the nearest recognised one, as far as drift cannot make a wall seem seen through.
+    """
+    n, poses = np.arange(len(keys)), drift.T_map_keys
+    to_i = np.array([_off(drift, n, place.i) for place in stretch])
+    to_j = np.array([_off(drift, n, place.j) for place in stretch])
+    newer = np.flatnonzero((to_i.min(axis=0) < THROUGH_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
+    older = np.flatnonzero((to_j.min(axis=0) < THROUGH_M) & (to_j.min(axis=0) <= to_i.min(axis=0)))
+    moved = poses.copy()
+    for k in newer.tolist():
+        place = stretch[int(np.argmin(to_i[:, k]))]
+        at_place = SE2(poses[place.j]) @ SE2(place.T_j_i)
+        moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
+    near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
+    pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
+    if len(pairs) == 0:
+        return np.zeros(0)
+    pairs = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
+    return _denied(clouds, keys, moved, pairs)
+
+
+def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
+    """How far off keys (n,) may lie as seen from another one [m], (n,)."""
+    gathered = drift.along(keys, np.full(len(keys), other))
+    return reach(read_at(gathered, drift.T_map_keys[keys]))[0]
+
+
+def _laid_together(
+    poses: Array, part: NDArray[np.int64], members: list[Recognised]
+) -> tuple[Array, NDArray[np.int64]]:
+    """Poses with the newer part of a broken chain moved to where its members say, and the parts joined."""
+    best = max(members, key=lambda place: place.overlap)
+    newer, older = part[best.i], part[best.j]
+    if newer == older:
+        return poses, part
+    move = SE2(poses[best.j]) @ SE2(best.T_j_i) @ SE2(poses[best.i]).inverse()
+    moved = np.where((part == newer)[:, None], (move @ SE2(poses)).xyt, poses)
+    return moved, np.where(part == newer, older, part)

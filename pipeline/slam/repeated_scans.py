@@ -1,0 +1,40 @@
+"""Sweeps that a lidar sends again: the robot was not there when they were measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.range_noise import LEAST_M, range_noise
+
+# A robot that has moved so far by its odometry cannot have measured the very same ranges again [m], [rad].
+MOVED = 0.05
+
+
+def without_repeats(recording: Recording, usable_range: float) -> Recording:
+    """The recording without what a lidar that hangs sends: the same ranges, to the last bit, while the robot
+    moves on. Such scans keep their stamps and lose their ranges; a note says how many they are.
+
+    A lidar without noise, such as a simulator's, may well measure the same again; nothing is undone then.
+    """
+    odometry, bits = recording.T_odom_base, np.ascontiguousarray(recording.ranges).view(np.uint32)
+    measured = recording.lidar.returns(recording.ranges).any(axis=1)
+    same = measured & np.concatenate([[False], (bits[1:] == bits[:-1]).all(axis=1)])
+    if odometry is None or not same.any() or _exact(recording, usable_range):
+        return recording
+    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(bits))))
+    moved = np.abs((odometry[first].inverse() @ odometry).xyt)
+    held = same & (moved.max(axis=1) > MOVED)
+    if not held.any():
+        return recording
+    said = f"{held.sum()} scans repeat an earlier one to the last bit while the odometry moves on: not used"
+    ranges = np.where(held[:, None], np.float32(np.nan), recording.ranges)
+    return replace(recording, ranges=ranges, notes=(*recording.notes, said))
+
+
+def _exact(recording: Recording, usable_range: float) -> bool:
+    """Whether the ranges show no more noise than the least that any lidar is taken to have."""
+    noise = range_noise(recording, usable_range)
+    return bool(noise.variance(np.array(1.0)) <= 1.1 * LEAST_M**2)

@@ -1,0 +1,133 @@
+"""A pose for every scan: carried by the refined key scans, then aligned with the nearest of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.align import (
+    FINE_GATE_M,
+    FINE_SIGMA_M,
+    LEAST_OVERLAP,
+    MOST_POINTS,
+    NEIGHBOURS,
+    align_kernel,
+)
+from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
+from turtlebag.pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
+from turtlebag.pipeline.slam.threads import in_parts
+from turtlebag.pipeline.slam.track import Track
+
+ITERATIONS = 5
+# Standard deviation of a pose carried by the key scans [m]; of its yaw half as much [rad].
+CARRIED_M = 0.003
+
+
+class PosingConfig(BaseModel):
+    """Alignment of the scans between key scans."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    enabled: bool = Field(default=True, description="align each with the key scans near it")
+
+
+def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2:
+    """Each scan carried by the key scans before and after it, the correction blended between them.
+
+    Across `gaps` (n, 2), last scan before and first scan after each, nothing is known of the motion: up to
+    there the key before alone carries, from there on the key after.
+    """
+    keys = track.keys
+    scans = np.arange(len(track.T_track_base))
+    before = np.searchsorted(keys, scans, side="right") - 1
+    after = np.minimum(before + 1, len(keys) - 1)
+    T_track = track.T_track_base
+    from_before = T_map_keys[before] @ (T_track[keys[before]].inverse() @ T_track)
+    from_after = T_map_keys[after] @ (T_track[keys[after]].inverse() @ T_track)
+    fraction = (scans - keys[before]) / np.maximum(keys[after] - keys[before], 1)
+    for last, first in gaps.tolist():
+        within = (before == before[last]) & (scans < keys[after[last]])
+        fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
+    return from_before.interpolate(from_after, fraction)
+
+
+def pose_all_scans(
+    clouds: Callable[[], Clouds],
+    clouds_of: Callable[[NDArray[np.int64]], Clouds],
+    track: Track,
+    T_map_keys: SE2,
+    config: PosingConfig,
+    gaps: NDArray[np.int64],
+) -> tuple[SE2, Array]:
+    """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,).
+
+    Key scans keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in
+    `carried_poses`.
+    """
+    carried = carried_poses(track, T_map_keys, gaps)
+    if not config.enabled or len(track.keys) < 2:
+        return carried, track.overlap
+    poses, overlaps = carried.xyt.copy(), track.overlap.copy()
+    count = min(NEIGHBOURS, len(track.keys))
+    _, nearest = scipy.spatial.cKDTree(T_map_keys.xy).query(carried.xy, k=count)
+    near = np.atleast_2d(nearest).reshape(len(poses), count)
+    information = np.diag(np.array([CARRIED_M, CARRIED_M, 0.5 * CARRIED_M]) ** -2.0)
+    is_key = np.zeros(len(poses), dtype=bool)
+    is_key[track.keys] = True
+    scans = np.flatnonzero(~is_key & track.usable)
+
+    by_lines = np.zeros(len(poses), dtype=bool)
+    keys, of_keys = np.arange(len(track.keys)), chosen(clouds(), track.keys)
+
+    def aligned(some: NDArray[np.int64]) -> list[tuple[Array, Array]]:
+        both, numbers = joined_clouds([of_keys, clouds_of(some)]), len(keys) + np.arange(len(some))
+        by_lines[some] = [both.placed_by(k) == "lines" for k in numbers.tolist()]
+        return in_parts(
+            lambda part: _align_each(
+                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt, information
+            ),
+            len(some),
+        )  # fmt: skip
+
+    found = [
+        one for at in range(0, len(scans), SCANS_AT_ONCE) for one in aligned(scans[at : at + SCANS_AT_ONCE])
+    ]
+    if not found:
+        return carried, overlaps
+    new, overlap = (np.concatenate([part[k] for part in found]) for k in (0, 1))
+    shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
+    good = (overlap >= LEAST_OVERLAP) & (shift <= FINE_GATE_M)
+    poses[scans[good]] = new[good]
+    walls = by_lines[scans]
+    overlaps[scans[walls]] = overlap[walls]
+    return SE2(poses), overlaps
+
+
+@njit(cache=True, nogil=True)
+def _align_each(
+    clouds: Clouds,
+    scans: NDArray,
+    poses: Array,
+    keys: NDArray,
+    near: NDArray,
+    key_poses: Array,
+    information: Array,
+) -> tuple[Array, Array]:
+    """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,)."""
+    out, overlap = poses.copy(), np.zeros(len(scans))
+    for k in range(len(scans)):
+        scan = scans[k]
+        stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // MOST_POINTS
+        pose, _, matched, usable, _, _, _ = align_kernel(
+            clouds, scan, stride, poses[k], keys[near[k]], key_poses[near[k]],
+            FINE_GATE_M, FINE_SIGMA_M, ITERATIONS, poses[k], information, 0.0,
+        )  # fmt: skip
+        out[k] = pose
+        if usable > 0:
+            overlap[k] = matched / usable
+    return out, overlap

@@ -1,0 +1,121 @@
+"""How far the chain of key scans can be trusted: what no witness saw may be anything.
+
+Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
+while and the two do not confirm each other, the chain is broken: the robot may be anywhere. Where scans
+are blind along a corridor, drift grows faster than elsewhere. Both say how far off a place may be when
+the robot returns to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP
+from turtlebag.pipeline.slam.clouds import GAP_S
+from turtlebag.pipeline.slam.odometry_trust import agree, blind, too_fast
+from turtlebag.pipeline.slam.track import Track
+
+# A gap is also this many usual periods long.
+GAP_PERIODS = 8.0
+STAMPS_NEAR = 12
+# A match after a gap counts when this share of the scan fits and it is not blind.
+MIN_OVERLAP = 0.5
+# In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
+SHORT_S = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
+    whether its witnesses contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last scan
+    before and the first after each break."""
+
+    broken: NDArray[np.bool_]
+    contradicted: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
+    gaps: NDArray[np.int64]
+
+    def segments(self) -> NDArray[np.int64]:
+        """Number of the unbroken part each key lies in, (keys,)."""
+        return np.concatenate([[0], np.cumsum(self.broken)])
+
+    def bridged(self, unbridged: NDArray[np.bool_]) -> Chain:
+        """The chain with its breaks mended, all but the given ones (keys - 1,)."""
+        broken = self.broken & unbridged
+        return Chain(broken, self.contradicted & broken, self.alone & broken, self.gaps)
+
+
+def joined_chain(a: Chain, b: Chain, scans: int) -> Chain:
+    """The chain of two recordings, one found in the map of the other: their border is no break. `scans`
+    is how many the first one has."""
+    no = np.zeros(1, dtype=bool)
+    return Chain(
+        np.concatenate([a.broken, no, b.broken]),
+        np.concatenate([a.contradicted, no, b.contradicted]),
+        np.concatenate([a.alone, no, b.alone]),
+        np.concatenate([a.gaps, b.gaps + scans]),
+    )
+
+
+def joined_parts(
+    chain: Chain, joins: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) that say
+    nothing because their ends are held together otherwise.
+
+    `joins` are pairs of keys recognised as one place. A broken step that nothing contradicts still joins.
+    """
+    segment = chain.segments()
+    part = np.arange(segment[-1] + 1)
+    for i, j in joins:
+        part[part == part[segment[i]]] = part[segment[j]]
+    released = np.zeros(len(chain.broken), dtype=bool)
+    for step in np.flatnonzero(chain.broken).tolist():
+        one, two = part[segment[step]], part[segment[step + 1]]
+        released[step] = one == two
+        if not chain.contradicted[step]:
+            part[part == two] = one
+    return np.asarray(part[segment]), released
+
+
+def witnessed_chain(recording: Recording, track: Track) -> Chain:
+    """Judge every step between the key scans of a track."""
+    T, keys = track.T_track_base, track.keys
+    unseen = blind(track)
+    broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
+    gaps = []
+    waited = _gaps(recording, track)
+    for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
+        step = int(np.searchsorted(keys, after)) - 1
+        if not 0 <= step < len(keys) - 1:
+            continue
+        agreed = agree(recording, track, before, after, T) and not fast
+        wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
+        seen = track.overlap[after] >= MIN_OVERLAP and (wait < SHORT_S or not unseen[after])
+        if not (agreed and seen):
+            broken[step] = True
+            contradicted[step] |= not agreed
+            alone[step] |= track.overlap[after] < LEAST_OVERLAP
+            gaps.append((before, after))
+    between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
+    return Chain(broken, contradicted, alone, between)
+
+
+def _gaps(recording: Recording, track: Track) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans with surfaces between which nothing was seen for long."""
+    usable = np.flatnonzero(track.usable)
+    stamps = recording.stamps_ns[usable] * 1e-9
+    if len(stamps) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    # stamps out of order make gaps that are none: the latest before against the earliest after
+    padded = np.pad(stamps, STAMPS_NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, STAMPS_NEAR)
+    waits = near[STAMPS_NEAR + 1 : -1].min(axis=1) - near[1 : len(stamps)].max(axis=1)
+    usual = float(np.median(np.abs(np.diff(stamps))))
+    long = np.flatnonzero(waits > max(GAP_S, GAP_PERIODS * usual))
+    return np.stack([usable[long], usable[long + 1]], axis=1)

@@ -1,0 +1,230 @@
+"""The front end: every cloud against those before it.
+
+KISS-ICP from the odometry's prediction (constant velocity where there is none, and both where they
+disagree), then point-to-plane against the surfels of the last key clouds. A cloud that fits nothing keeps
+its prediction and says so by its small overlap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets import se3
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Recording3D
+from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered
+from turtlebag.pipeline.slam3d.kiss import Kiss3dConfig, LidarOdometry3d
+from turtlebag.pipeline.slam3d.sensor_setup import Setting
+from turtlebag.pipeline.slam3d.surfels import Fit, Prior, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.sweeps import Sweep
+
+LEAST_POINTS = 50
+LONGEST_STEP_S = 1.0
+"""Constant velocity is not believed for longer."""
+CLEARLY = 0.02
+"""A pose far from the prediction has to fit better by this share of the points."""
+AT_ONCE = Prior(np.array([0.02, 0.02, 0.1, 0.3, 0.3, 0.03]))
+"""From the prediction: a ground vehicle hardly tilts or lifts between two clouds."""
+IN_TIME = Prior(np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03, 0.01, 0.01, 0.3, 0.15, 0.03, 0.01]))
+"""A sweep starts where the last one ended; in it a ground vehicle may turn and brake, hardly tilt."""
+
+
+class Tracking3dConfig(BaseModel):
+    """The front end."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    believe: Literal["clouds", "odometry"] = Field(
+        default="clouds", description="odometry: clouds are laid along it, matched with nothing"
+    )
+    kiss: Kiss3dConfig = Kiss3dConfig()
+    surfels: bool = Field(default=True, description="refine KISS-ICP's pose against surfels")
+    key_voxels: float = Field(default=1.5, gt=0.0, description="a key cloud after this way, in voxels")
+    key_turn_rad: float = Field(default=0.35, gt=0.0, description="or after this turn")
+    key_points: int = Field(default=5000, gt=100, description="points that are kept of a key cloud")
+    fit_points: int = Field(default=2500, gt=100, description="points of a cloud that are aligned")
+    window: int = Field(default=15, gt=0, description="key clouds that make the local map")
+    gate_voxels: float = Field(default=1.0, gt=0.0, description="largest distance to a surfel, in voxels")
+    kernel_m: float = Field(default=0.04, gt=0.0, description="width of the robust weight")
+    min_overlap: float = Field(default=0.35, gt=0.0, le=1.0, description="less: the cloud is lost")
+    disagree_m: float = Field(default=0.1, gt=0.0, description="predictions apart by this are both tried")
+    disagree_rad: float = Field(default=0.1, gt=0.0)
+
+
+@dataclass(eq=False)
+class Track3d:
+    """What the front end made of a recording of n clouds, m of them keys.
+
+    T (n, 4, 4) poses in the track's frame, which starts at the first odometry pose; `overlap` (n,) with
+    the local map and `usable` (n,), whether the cloud held enough points; `twists` (n, 6) a second, as
+    estimated; for the keys their clouds, the indices of those and the information (6, 6) of each against
+    its predecessors. `T_odom` (n, 4, 4) where there is odometry.
+    """
+
+    T: Array
+    overlap: Array
+    usable: NDArray[np.bool_]
+    twists: Array
+    places: Keys
+    keys: list[int] = field(default_factory=list)
+    information: list[Array] = field(default_factory=list)
+    T_odom: Array | None = None
+
+
+class Tracker:
+    """The state of the front end along a recording."""
+
+    def __init__(
+        self, recording: Recording3D, setting: Setting, max_range: float, config: Tracking3dConfig
+    ) -> None:
+        n = len(recording)
+        self.config, self.voxel = config, setting.voxel
+        self._seconds = (recording.stamps_ns - recording.stamps_ns[0]) * 1e-9
+        self._kiss = LidarOdometry3d(config.kiss, setting.voxel, max_range)
+        T_odom = None if recording.T_odom_base is None else se3.lifted(recording.T_odom_base)
+        start = np.eye(4) if T_odom is None else T_odom[0]
+        self.track = Track3d(
+            np.tile(start, (n, 1, 1)),
+            np.zeros(n),
+            np.zeros(n, dtype=np.bool_),
+            np.zeros((n, 6)),
+            Keys(setting.T_base_lidar[:3, 3].copy()),
+            T_odom=T_odom,
+        )
+        self._surfels: Surfels | None = None
+        self._anchor: Array = start
+        self._twist = np.zeros(6)
+
+    def run(self, sweeps: Iterable[tuple[int, Sweep]]) -> Track3d:
+        """Track all clouds."""
+        for index, sweep in sweeps:
+            self._add(index, sweep)
+        return self.track
+
+    def _add(self, index: int, sweep: Sweep) -> None:
+        track, config = self.track, self.config
+        guesses = self._guesses(index)
+        track.usable[index] = len(sweep.points) >= LEAST_POINTS
+        if not track.usable[index]:
+            track.T[index] = guesses[0]
+            return
+        found, guess = self._best(sweep, guesses)
+        lost = found.overlap < config.min_overlap
+        track.T[index] = guesses[0] if lost else found.T
+        track.overlap[index] = found.overlap
+        self._note_motion(index, None if lost else found.motion)
+        points = sweep.deskewed(self._twist)
+        self._kiss.update(points, track.T[index], guess)
+        if self._is_key(index):
+            self._new_key(index, points, np.zeros((6, 6)) if lost else found.information)
+
+    def _best(self, sweep: Sweep, guesses: list[Array]) -> tuple[Fit, Array]:
+        """The guess that leads to the better fit, and that fit; its motion is a twist a second."""
+        if self._surfels is None or self.config.believe == "odometry":
+            return Fit(guesses[0], np.zeros((6, 6)), 1.0, 0.0), guesses[0]
+        points = sweep.deskewed(self._twist)
+        tried = [(self._registered(sweep, points, guess), guess) for guess in guesses]
+        return max(tried, key=lambda one: self._score(one[0]))
+
+    def _guesses(self, index: int) -> list[Array]:
+        """Predicted poses, the most trusted first."""
+        if index == 0:
+            return [self.track.T[0]]
+        before = self.track.T[index - 1]
+        dt = min(max(self._seconds[index] - self._seconds[index - 1], 0.0), LONGEST_STEP_S)
+        steady = before @ se3.exp(self._twist * dt)
+        T_odom = self.track.T_odom
+        if T_odom is None:
+            return [steady]
+        driven = before @ se3.inverse(T_odom[index - 1]) @ T_odom[index]
+        return [driven, steady] if self._disagree(driven, steady) else [driven]
+
+    def _registered(self, sweep: Sweep, points: Array, guess: Array) -> Fit:
+        config, T = self.config, guess
+        if config.kiss.enabled:
+            T = self._kiss.register(points, guess)
+        if sweep.span is None or not config.surfels:
+            found = self._fit(thinned(points, config.fit_points), T, prior=AT_ONCE)
+            return found if config.surfels else Fit(T, found.information, found.overlap, found.rmse)
+        # Points deskewed by the last sweep's motion mislead where this one's differs: the prediction
+        # leads, and KISS-ICP's answer is tried where it is another one.
+        found = self._fitted_in_time(sweep, sweep.span, guess)
+        if self._disagree(found.T, T):
+            other = self._fitted_in_time(sweep, sweep.span, T)
+            found = other if self._score(other) > self._score(found) + CLEARLY else found
+        return found
+
+    def _score(self, found: Fit) -> float:
+        return found.overlap - 0.1 * found.rmse / self.config.kernel_m
+
+    def _disagree(self, T_a: Array, T_b: Array) -> bool:
+        apart = np.abs(se3.log(se3.inverse(T_a) @ T_b))
+        return bool(apart[:3].max() > self.config.disagree_rad or apart[3:].max() > self.config.disagree_m)
+
+    def _fit(self, points: Array, T: Array, **more: Any) -> Fit:
+        assert self._surfels is not None
+        found = fit(
+            self._surfels,
+            points,
+            se3.inverse(self._anchor) @ T,
+            origin=self.track.places.origin,
+            gate=self.config.gate_voxels * self.voxel,
+            kernel=self.config.kernel_m,
+            **more,
+        )
+        return replace(found, T=self._anchor @ found.T)
+
+    def _fitted_in_time(self, sweep: Sweep, span: tuple[float, float], T: Array) -> Fit:
+        """Pose and motion together: without odometry, how the robot turns within a sweep is not known."""
+        config, (start, end) = self.config, span
+        points, when = thinned(sweep.points, config.fit_points), thinned(sweep.when(), config.fit_points)
+        found = self._fit(
+            points,
+            T @ se3.exp(start * self._twist),
+            when=when,
+            motion=(end - start) * self._twist,
+            prior=IN_TIME,
+            iterations=20,
+        )
+        assert found.motion is not None
+        twist = found.motion / (end - start)
+        return replace(found, T=found.T @ se3.exp(-start * twist), motion=twist)
+
+    def _note_motion(self, index: int, twist: Array | None) -> None:
+        dt = self._seconds[index] - self._seconds[index - 1] if index else 0.0
+        if twist is not None:
+            self._twist = twist
+        elif 0.0 < dt <= LONGEST_STEP_S:
+            self._twist = se3.log(se3.inverse(self.track.T[index - 1]) @ self.track.T[index]) / dt
+        self.track.twists[index] = self._twist
+
+    def _is_key(self, index: int) -> bool:
+        if not self.track.keys:
+            return True
+        since = se3.log(se3.inverse(self.track.T[self.track.keys[-1]]) @ self.track.T[index])
+        config = self.config
+        return bool(
+            np.linalg.norm(since[3:]) > config.key_voxels * self.voxel
+            or np.linalg.norm(since[:3]) > config.key_turn_rad
+        )
+
+    def _new_key(self, index: int, points: Array, information: Array) -> None:
+        track = self.track
+        track.keys.append(index)
+        track.places.clouds.append(thinned(points, self.config.key_points).astype(np.float32))
+        track.information.append(information)
+        window = range(max(0, len(track.keys) - self.config.window), len(track.keys))
+        self._anchor = track.T[index]
+        self._surfels = make_surfels(
+            *gathered(track.places, track.T[track.keys], len(track.keys) - 1, window), self.voxel
+        )
+
+
+def thinned(values: Array, most: int) -> Array:
+    """About `most` of the values (n, ...), evenly spread."""
+    return np.ascontiguousarray(values[:: max(1, len(values) // most)])

@@ -1,0 +1,68 @@
+"""Scan context: what a place looks like from above, whatever the heading.
+
+Kim and Kim (2018), "Scan Context: Egocentric Spatial Descriptor for Place Recognition": the greatest
+height in each ring and sector around the sensor; the rings' means find candidates (they do not turn with
+the robot), the sectors' best shift compares them and tells the heading.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from turtlebag.datasets.se2 import Array
+
+RINGS, SECTORS = 20, 60
+FLOOR_M = -0.5
+"""Heights count from here, so that the floor differs from nothing seen."""
+
+
+def descriptor(points: Array, reach: float) -> Array:
+    """Greatest height over FLOOR_M of points (n, 3) by ring and sector, (RINGS, SECTORS) [m]."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    inside = distance < reach
+    ring = (distance[inside] / reach * RINGS).astype(np.int64)
+    turn = np.arctan2(points[inside, 1], points[inside, 0]) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
+    out = np.zeros(RINGS * SECTORS)
+    np.maximum.at(out, ring * SECTORS + sector, points[inside, 2] - FLOOR_M)
+    return out.reshape(RINGS, SECTORS)
+
+
+def dissimilarity(a: Array, b: Array) -> tuple[float, float]:
+    """Distance 0..1 of two descriptors at the best shift, and the yaw of b's heading seen from a [rad].
+
+    One minus the mean cosine between the columns that hold something in either.
+    """
+    norm_a, norm_b = np.linalg.norm(a, axis=0), np.linalg.norm(b, axis=0)
+    # Correlation over all shifts at once: column s + k of a against column s of b.
+    products = np.fft.irfft(
+        np.fft.rfft(a / np.maximum(norm_a, 1e-9), axis=1)
+        * np.conj(np.fft.rfft(b / np.maximum(norm_b, 1e-9), axis=1)),
+        SECTORS,
+        axis=1,
+    ).sum(axis=0)
+    seen_a, seen_b = norm_a > 0.0, norm_b > 0.0
+    either = np.array([np.count_nonzero(seen_a | np.roll(seen_b, k)) for k in range(SECTORS)])
+    cosines = products / np.maximum(either, 1)
+    best = int(np.argmax(cosines))
+    return float(1.0 - cosines[best]), best * 2.0 * np.pi / SECTORS
+
+
+class Contexts:
+    """Descriptors of places, searched by similarity."""
+
+    def __init__(self, descriptors: list[Array]) -> None:
+        self._all = descriptors
+        self._ring_keys = np.array([one.mean(axis=1) for one in descriptors]).reshape(-1, RINGS)
+
+    def like(self, index: int, allowed: Array, count: int, most: float) -> list[tuple[int, float]]:
+        """The `count` most similar of the `allowed` places, (index, yaw of ours seen from it), best first;
+        none less similar than `most`."""
+        if len(allowed) == 0:
+            return []
+        tree = cKDTree(self._ring_keys[allowed])
+        near = np.atleast_1d(tree.query(self._ring_keys[index], k=min(10 * count, len(allowed)))[1])
+        compared = [(*dissimilarity(self._all[k], self._all[index]), int(k)) for k in allowed[near]]
+        compared.sort(key=lambda one: (one[0], one[2]))
+        return [(k, yaw) for distance, yaw, k in compared[:count] if distance <= most]

@@ -1,0 +1,252 @@
+"""The localise stage: a recording and a map in, where the robot was on that map out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map, map_files
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.types import Recording, Trajectory, seconds
+from turtlebag.datasets.yaml_files import read_mapping
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
+from turtlebag.reports.metrics.navigation import THERE_M
+from turtlebag.reports.metrics.trajectory import associate, summary
+
+
+class LocaliseConfig(BaseModel):
+    """Settings of the stage."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    amcl: AmclConfig = AmclConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Localisation:
+    """What the filter said while the recording went by.
+
+    `trajectory` has one pose a scan, each as known at that scan (never corrected afterwards);
+    `converged`, `updated` (n,) bool and `particles` (n,) say how the filter stood then.
+    """
+
+    trajectory: Trajectory
+    converged: np.ndarray
+    updated: np.ndarray
+    particles: np.ndarray
+    update_s: np.ndarray
+    agreement: float
+    """How much of the last scans the map explains, 0 to 1."""
+    doubt: str | None
+    """Why the last pose is not to be believed; None when it is."""
+
+
+def localise(
+    bag: Path,
+    map_yaml: Path,
+    out: Path,
+    *,
+    initial_pose: SE2 | str | None = None,
+    T_base_lidar: SE2 | None = None,
+    upside_down: bool = False,
+    truth: Path | None = None,
+    config: LocaliseConfig | None = None,
+    seed: int = 1,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
+
+    With a truth, 0 needs `true_success` of the metrics: at the end the robot is where the filter believes.
+    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a truth folder.
+    """
+    watch = Stopwatch()
+    config = config or LocaliseConfig()
+    check_free(out, force=force, kind="folder")
+    grid = load_map(map_yaml)
+    recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
+    recording = in_step(recording, *compared_turns(recording))
+    true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
+    odometry = checked_odometry(recording)
+    if initial_pose is None:
+        result, outcome = None, _rejected("no initial pose")
+    else:
+        result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"))
+        try:
+            outcome = _metrics(result, true_trajectory)
+        except ValueError as error:
+            raise InputError(f"--truth {truth}: {error}") from None
+    log_notes(recording.notes)
+    metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
+    with staged_output(out, force=force) as folder:
+        # Without an estimate the odometry stands in, as in a run without a map.
+        save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
+        write_json(folder / "metrics.json", metrics)
+        (folder / "config.yaml").write_text(config_text(config))
+        inputs = {"bag": bag, **map_files(map_yaml)} | ({"truth": truth} if truth else {})
+        extra = {"update_ms": _milliseconds(result)} if result else {}
+        write_manifest(
+            folder,
+            stage="localise",
+            command=command,
+            inputs=inputs,
+            seed=seed,
+            wall_s=watch.seconds(),
+            extra=extra,
+        )
+    if result is not None:
+        _summarise(metrics, out)
+    return 0 if metrics.get("true_success", metrics["success"]) else 1
+
+
+def _summarise(metrics: dict[str, Any], out: Path) -> None:
+    error, status = metrics["localisation_error_m"], metrics["status"]
+    if metrics["success"] and not metrics.get("true_success", True):
+        status = f"believed localised, but {length(metrics['last_error_m'])} off at the end"
+    known = f", {length(error['rmse'])} RMSE from the truth" if error else ""
+    reason = f" ({metrics['reason']})" if "reason" in metrics else ""
+    log.info(
+        f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
+        f"the map explains {metrics['agreement']:.0%} of the last ones{known} -> {out}"
+    )
+
+
+def checked_odometry(recording: Recording) -> Trajectory:
+    """Odometry at each scan; InputError when the recording has none or it is not finite."""
+    T_odom_base = recording.T_odom_base
+    if T_odom_base is None:
+        raise InputError(f"{recording.source}: has no odometry, which localisation needs")
+    if len(recording) == 0:
+        raise InputError(f"{recording.source}: has no scans")
+    bad = np.flatnonzero(~np.isfinite(T_odom_base.xyt).all(axis=1))
+    if len(bad):
+        raise InputError(f"{recording.source}: odometry of scan {bad[0]} is not finite")
+    return Trajectory(recording.stamps_ns, T_odom_base)
+
+
+def run_amcl(
+    recording: Recording,
+    grid: OccupancyGrid,
+    initial_pose: SE2 | str,
+    config: AmclConfig,
+    rng: np.random.Generator,
+) -> Localisation:
+    """The filter over all scans in file order."""
+    T_odom_base = checked_odometry(recording).poses
+    T_odom_base_end = sweep_ends(recording)
+    amcl = started(grid, recording, initial_pose, config, rng)
+    poses, converged, updated, particles, update_s = [], [], [], [], []
+    for i in track(range(len(recording)), "localising"):
+        watch = Stopwatch()
+        end = None if T_odom_base_end is None else T_odom_base_end[i]
+        updated.append(amcl.update(recording.scan(i), T_odom_base[i], end))
+        update_s.append(watch.seconds())
+        poses.append(amcl.T_map_base(T_odom_base[i]))
+        converged.append(amcl.converged)
+        particles.append(amcl.size)
+    return Localisation(
+        Trajectory(recording.stamps_ns, SE2.stack(poses)),
+        np.array(converged),
+        np.array(updated),
+        np.array(particles),
+        np.array(update_s),
+        amcl.agreement,
+        doubt(amcl),
+    )
+
+
+def doubt(amcl: Amcl) -> str | None:
+    """Why the filter's pose is not to be believed now; None when it is."""
+    if not amcl.agrees:
+        return "the last scans disagree with the map"
+    return None if amcl.converged else "the particles have not come together"
+
+
+def started(
+    grid: OccupancyGrid,
+    recording: Recording,
+    initial_pose: SE2 | str,
+    config: AmclConfig,
+    rng: np.random.Generator,
+) -> Amcl:
+    """The filter with its first cloud; InputError when the map has nothing to localise on."""
+    try:
+        amcl = Amcl(grid, recording.lidar, recording.T_base_lidar, config, rng)
+        if isinstance(initial_pose, SE2):
+            amcl.initialise(initial_pose)
+        else:
+            amcl.initialise_globally()
+    except ValueError as error:
+        raise InputError(f"cannot localise: {error}") from None
+    return amcl
+
+
+def sweep_ends(recording: Recording) -> SE2 | None:
+    """Odometry at the end of each sweep, (n_scans,); None for a lidar that does not turn."""
+    lidar, odometry = recording.lidar, recording.odometry
+    if lidar.time_increment == 0.0 or odometry is None or np.any(np.diff(odometry.stamps_ns) <= 0):
+        return None
+    return odometry.at(recording.stamps_ns + round(lidar.n_beams * lidar.time_increment * 1e9))
+
+
+def load_localise_config(path: Path | None, settings: Sequence[str]) -> LocaliseConfig:
+    """Ours, or the amcl part of a Nav2 parameter file (what it ignores is logged)."""
+    if path is None or not is_nav2(data := read_mapping(path)):
+        return load_config(LocaliseConfig, path, settings)
+    foreign = read_nav2(data, where=str(path))
+    if foreign.ignored:
+        log.info("%s: ignored %s", path, ", ".join(foreign.ignored))
+    return load_config(
+        LocaliseConfig, None, [f"amcl.{k}={v}" for k, v in foreign.known.items()] + list(settings)
+    )
+
+
+def _rejected(reason: str) -> dict[str, Any]:
+    log.error("rejected: %s", reason)
+    return {"success": False, "status": "rejected", "reason": reason, "localisation_error_m": None}
+
+
+def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:
+    first = int(np.argmax(result.converged)) if result.converged.any() else None
+    stamps = result.trajectory.stamps_ns
+    metrics: dict[str, Any] = {
+        "success": result.doubt is None,
+        "status": "localised" if result.doubt is None else "lost",
+        **({} if result.doubt is None else {"reason": result.doubt}),
+        "agreement": result.agreement,
+        "updates": int(result.updated.sum()),
+        "particles": {"median": float(np.median(result.particles)), "max": int(result.particles.max())},
+        "converged": {
+            "first_s": None if first is None else seconds(int(stamps[first] - stamps[0])),
+            "share": float(result.converged.mean()),
+        },
+        "localisation_error_m": None,
+    }
+    if truth is not None:
+        pairs = associate(result.trajectory, truth)
+        metrics["localisation_error_m"] = summary(pairs.position_errors())
+        metrics["localisation_error_rad"] = summary(pairs.yaw_errors())
+        metrics["last_error_m"] = float(pairs.position_errors()[-1])
+        metrics["true_success"] = metrics["success"] and metrics["last_error_m"] <= THERE_M
+    return metrics
+
+
+def _milliseconds(result: Localisation) -> dict[str, float]:
+    times = 1e3 * result.update_s[result.updated]
+    return {"median": round(float(np.median(times)), 3), "p95": round(float(np.percentile(times, 95)), 3)}

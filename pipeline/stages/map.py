@@ -1,0 +1,177 @@
+"""Stage `map`: a bag or log in, map files and metrics out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from turtlebag.datasets.bags.mapping_input import NoScans
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import require_same, signatures
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, sha256_tree, staged_output, write_json, write_manifest
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.stage_cache import StageCache
+from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.explain import loop_record, write_explanation
+from turtlebag.pipeline.slam.pose_graph import write_g2o
+from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
+from turtlebag.pipeline.slam.stored import FILE as GRAPH
+from turtlebag.pipeline.slam.stored import load_session, require_same_front_end, save_session
+from turtlebag.pipeline.stages.map_references import References
+from turtlebag.pipeline.stages.map_summary import summary, tell_map
+from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.terminal.messages import log, log_notes, track
+
+TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
+"""Names of our own files in the folder of a map."""
+
+
+def build_map(
+    source: Path,
+    out: Path,
+    *,
+    truth: Path | None = None,
+    relations: Path | None = None,
+    config: Path | None = None,
+    settings: Sequence[str] = (),
+    laser: SE2 | None = None,
+    upside_down: bool = False,
+    also: Sequence[Path] = (),
+    continued: Path | None = None,
+    topic: str | None = None,
+    named: str | None = None,
+    explain: bool = False,
+    force: bool = False,
+    command: Sequence[str] = (),
+    cache: StageCache | None = None,
+) -> int:
+    """Map `source` into the folder `out`; returns the exit code.
+
+    `topic` names the scans of a bag, LaserScan or PointCloud2; without it /scan or the only LaserScan
+    topic is mapped in 2D, and where there is none the point clouds in 3D.
+
+    `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
+    metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
+    of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
+    which the map is saved too, as `map_saver -f` would. `laser` and
+    `upside_down` override how the input says the laser sits on the robot. InputError when anything given
+    cannot be used, before anything is written. With `cache` only the steps are done whose inputs it does
+    not know.
+    """
+    check_free(out, force=force, kind="folder")
+    _require_name(named)
+    settled = _settings(config, settings)
+    references = References(truth, relations)
+    watch = Stopwatch()
+    cache = cache or StageCache()
+    earlier = None if continued is None else load_session(continued)
+    try:
+        recordings = [_recording(path, (laser, upside_down), topic, cache) for path in (source, *also)]
+    except NoScans as error:
+        if not error.clouds:
+            raise
+        from turtlebag.pipeline.stages.map3d import build_map_3d
+
+        planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
+        for option in (option for option, given in planar.items() if given):
+            raise InputError(f"{option}: only for planar scans, and {source} is mapped in 3D") from None
+        return build_map_3d(
+            source, topic, out, references, config, settings, named, explain, force, command, watch
+        )
+    resolved = settled()
+    notes = [note for one in recordings for note in _notes(one, several=bool(also))]
+    if continued is not None and earlier is not None:
+        notes += require_same_front_end(continued, earlier[1], resolved)
+    log_notes(notes)
+    if earlier is not None:
+        result = continue_slam(earlier[0], recordings, resolved, _progress, cache=cache)
+    else:
+        result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
+    cache.trim()
+    recording = result.session.recording
+    read = {note for one in recordings for note in one.notes}
+    log_notes(note for note in recording.notes if note not in read)
+    slam_s = watch.seconds()
+    metrics = {**summary(recording, result), **references.metrics(result.trajectory, result.grid)}
+    with staged_output(out, force=force) as folder:
+        for name in ("map", *([] if named is None else [named])):
+            save_map(result.grid, folder, name)
+        save_tum(result.trajectory, folder / "trajectory.tum")
+        write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
+        write_json(folder / "metrics.json", metrics)
+        (folder / "config.yaml").write_text(config_text(resolved))
+        write_json(folder / "graph.json", loop_record(result))
+        save_session(folder / GRAPH, result.session, resolved)
+        if explain:
+            write_explanation(folder, result, resolved)
+        write_manifest(
+            folder,
+            stage="map",
+            command=command,
+            inputs={
+                "source": source,
+                **{f"also_{k}": path for k, path in enumerate(also, start=1)},
+                **({} if continued is None else {"continued": continued / GRAPH}),
+                **references.inputs(),
+            },
+            seed=None,
+            wall_s=watch.seconds(),
+            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
+            | ({"from_cache": cache.found} if cache.found else {})
+            | {"parts": chosen_parts(resolved)},
+        )
+    if cache.found:
+        log.info(f"from the cache: {', '.join(cache.found)}; made anew: {', '.join(cache.made) or 'nothing'}")
+    tell_map(metrics, out, slam_s)
+    return 0
+
+
+def _require_name(named: str | None) -> None:
+    """InputError when a map cannot be saved by this name beside our own files."""
+    if named is not None and (not re.fullmatch(r"[\w][\w.-]*", named) or named in TAKEN):
+        raise InputError(
+            f"--name {named}: give letters, digits, - and _, without folder or ending, and none of "
+            f"{', '.join(TAKEN)}"
+        )
+
+
+def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
+    """A recording's notes; among several, each says which it is of."""
+    return (f"{recording.source}: {note}" if several else note for note in recording.notes)
+
+
+def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:
+    """Read the settings before anything else. What is wrong with them for planar scans is an error only
+    once the input turns out to be planar: the returned function gives the settings or raises it."""
+    try:
+        resolved = load_config(SlamConfig, config, settings)
+    except InputError as error:
+        problem = error
+
+        def refuse() -> SlamConfig:
+            raise problem
+
+        return refuse
+    return lambda: resolved
+
+
+def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, cache: StageCache) -> Recording:
+    """An input, from the cache when its bytes were read before; InputError when they change meanwhile."""
+    before = signatures(path)
+    content = sha256_tree(path) if cache.on and path.exists() else {}
+
+    def read() -> Recording:
+        recording = load_recording(path, T_base_lidar=laser[0], upside_down=laser[1], topic=topic)
+        require_same(path, before)  # before it is kept under the hash of what was there at first
+        return recording
+
+    return cache.step("reading", [str(path), content, *laser, topic], read)[0]
+
+
+def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
+    return track(items, text, total)

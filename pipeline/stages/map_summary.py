@@ -1,0 +1,68 @@
+"""What `map` writes and says of a map that needs no truth: how good it is, and where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from turtlebag.datasets.types import Recording, Recording3D
+from turtlebag.pipeline.slam.turn_comparison import delay_metrics
+from turtlebag.pipeline.terminal.messages import length, log
+
+if TYPE_CHECKING:
+    from turtlebag.pipeline.slam.slam import SlamResult
+    from turtlebag.pipeline.slam3d.slam3d import Slam3dResult
+
+SHOWN = (".yaml", ".pgm", ".ply", ".tum")
+"""What people open; the other files beside them are named in the documentation."""
+
+
+def tell_map(metrics: Mapping[str, Any], out: Path, seconds: float) -> None:
+    """The verdict, the errors where they are known and the files, in as many lines."""
+    for reason in metrics["self_check"]["reasons"]:
+        log.warning(f"doubtful map: {reason}")
+    for line in map_lines(metrics, out, seconds):
+        log.info(line)
+
+
+def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator[str]:
+    """The lines of a map's metrics and of the folder it was written to."""
+    loops, verdict = metrics["loops"], metrics["self_check"]["verdict"]
+    yield (
+        f"{verdict} map of {metrics['scans']} scans ({metrics['keyframes']} key scans, "
+        f"{loops['accepted']} of {loops['proposed']} loop candidates accepted) in {seconds:.1f} s"
+    )
+    if "ate_m" in metrics:
+        worst = length(metrics["ate_m"]["max"])
+        yield f"trajectory error (ATE): {length(metrics['ate_m']['rmse'])} RMSE, {worst} at most"
+    if "map" in metrics:
+        error = metrics["map"]["occupied_error_m"]
+        within = error["within_one_cell"]
+        if within is not None and error["mean"] is not None:
+            yield f"wall error: {length(error['mean'])} on average, {within:.1%} of the cells within one cell"
+    if "relations" in metrics:
+        relations = metrics["relations"]
+        yield (
+            f"relations: {relations['n']}, {relations['trans_m']['mean']:.3f} m and "
+            f"{relations['rot_deg']['mean']:.2f} degrees off on average"
+        )
+    names = sorted(path.name for path in out.iterdir() if path.suffix in SHOWN and path.stem != "config")
+    yield f"{out}: {', '.join(names)}"
+
+
+def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
+    """Metrics that need no reference, the same of planar maps and of maps in 3D."""
+    accepted = sum(loop.accepted for loop in result.loops)
+    return {
+        "scans": len(recording),
+        "keyframes": len(result.keys),
+        "loops": {
+            "proposed": len(result.loops),
+            "accepted": accepted,
+            "rejected": len(result.loops) - accepted,
+        },
+        "log_s": recording.duration(),
+        **delay_metrics(recording),
+        "self_check": result.check.as_metrics(),
+    }

@@ -1,0 +1,200 @@
+"""The stage `navigate`: a task driven in closed loop with the simulator, recorded and measured."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import map_files, save_map
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
+from turtlebag.datasets.trajectories import save_tum
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.episode import Episode, drive
+from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Request, prepare
+from turtlebag.pipeline.navigation.status_lines import News, verdict
+from turtlebag.pipeline.navigation.takeover import Source, script_text
+from turtlebag.pipeline.stages.record import deferred_interrupt, own_files
+from turtlebag.pipeline.stages.settings import config_text
+from turtlebag.pipeline.terminal.messages import log, say, simulated_time
+from turtlebag.planners.costmap import polygon_mask
+from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.simulator import Simulator
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
+
+
+def navigate(
+    world: str,
+    request: Request,
+    out: Path,
+    *,
+    robot: str | None = None,
+    config: NavigateConfig | None = None,
+    force: bool = False,
+    command_line: Sequence[str] = (),
+    say: Callable[[str], None] = say,
+    files: Mapping[str, Path] | None = None,
+) -> int:
+    """Run a task and write the run outputs to `out`; 0 when it truly succeeded, 1 when it did not.
+
+    What counts is the truth, `true_success` of the metrics: a robot that believes that it has reached its
+    goal and stands elsewhere has failed. Interrupted at the keyboard of a takeover, 130 or 143: what was
+    driven until then cannot be driven again, and is kept.
+
+    `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
+    besides those of the request, the world and the robot.
+
+    Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
+    """
+    check_free(out, force=force, kind="folder")
+    arena = load_world(world)
+    return navigate_in(
+        arena,
+        load_robot(robot or arena.robot),
+        request,
+        out,
+        config=config,
+        force=force,
+        command_line=command_line,
+        say=say,
+        files={**own_files(world, robot), **(files or {})},
+    )
+
+
+def navigate_in(
+    arena: World,
+    robot: RobotSpec,
+    request: Request,
+    out: Path,
+    *,
+    config: NavigateConfig | None = None,
+    force: bool = False,
+    command_line: Sequence[str] = (),
+    say: Callable[[str], None] = say,
+    files: Mapping[str, Path] | None = None,
+) -> int:
+    """`navigate` with a world and a robot that are at hand already."""
+    check_free(out, force=force, kind="folder")
+    watch = Stopwatch()
+    mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
+    _refuse_outlines_off(mission)
+    text = config_text(mission.config)
+    custom = {
+        "seed": str(request.seed),
+        "config_sha256": sha256_text(text),
+        "world": arena.name,
+        "task": request.task,
+    }
+    by_hand = request.takeover == "keyboard"
+    at_once: nullcontext[list[int]] = nullcontext([])
+    with (
+        deferred_interrupt() if by_hand else at_once as interrupted,
+        Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
+        staged_output(out, force=force, save_bag=True) as folder,
+    ):
+        with (
+            BagWriter(folder / "bag", custom=custom) as bag,
+            _takeovers(mission) as takeovers,
+            simulated_time(_length_s(mission)) as clock,
+        ):
+            news = News(_opening(arena, mission), log.info, clock)
+            episode = drive(simulator, mission, bag, say, takeovers, news=news, interrupted=interrupted)
+        metrics, loop_s = episode.metrics, watch.seconds()
+        save_tum(episode.estimate, folder / "trajectory.tum")
+        episode.log.save(folder / "runlog.csv")
+        if episode.grid is not None:
+            save_map(episode.grid, folder)
+        if episode.asked:
+            (folder / "takeover.yaml").write_text(script_text(episode.asked))
+        _save_truth(episode, simulator, folder / "truth")
+        write_json(folder / "metrics.json", metrics)
+        (folder / "config.yaml").write_text(text)
+        write_manifest(
+            folder,
+            stage="navigate",
+            command=command_line,
+            inputs={**_inputs(request), **(files or {})},
+            seed=request.seed,
+            wall_s=watch.seconds(),
+            extra={
+                "world": arena.name,
+                "robot": mission.robot.name,
+                "task": request.task,
+                "out": str(out),
+                "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
+            },
+        )
+    for when, x, y, yaw in mission.config.sim.faults.kidnap:
+        if when <= metrics["time_s"]:
+            log.info(f"carried off at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
+    if interrupted:
+        log.warning("interrupted: what was driven until then is kept")
+    log.info(f"{verdict(metrics)} -> {out}")
+    return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
+
+
+def _opening(arena: World, mission: Mission) -> str:
+    """What is going to be done, in one line."""
+    request, laps = mission.request, mission.config.sequence.laps
+    tasks = {
+        "goal": "drive to a goal",
+        "patrol": f"patrol of {len(mission.waypoints)} goals" + (f", {laps} laps" if laps > 1 else ""),
+        "avoid": "drive about and avoid what is in the way",
+        "explore": "explore and map",
+    }
+    return f"{tasks[request.task]}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+
+
+def _length_s(mission: Mission) -> float | None:
+    """How long the run will take [simulated s], where that is known beforehand."""
+    if mission.request.task != "avoid":
+        return None
+    return mission.request.duration_s or DEFAULT_DURATION_S
+
+
+@contextmanager
+def _takeovers(mission: Mission) -> Iterator[Source | None]:
+    """The keyboard, if it may take over; the terminal is as before afterwards."""
+    if mission.request.takeover != "keyboard":
+        yield None
+        return
+    from turtlebag.pipeline.terminal.keyboard import TakeoverKeys, clock, keys_of, redrawn, show
+
+    show(TakeoverKeys.TABLE + "\n")
+    with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
+        yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), redraw)
+
+
+def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
+    """`truth/`: the trajectory, and the world's map at the lidar's height."""
+    folder.mkdir()
+    save_tum(episode.truth, folder / "trajectory.tum")
+    save_map(simulator.world.rasterize(simulator.robot.lidar_height), folder)
+
+
+def _inputs(request: Request) -> dict[str, Path]:
+    inputs = {} if request.map_path is None else map_files(request.map_path)
+    if isinstance(request.takeover, Path):
+        inputs["takeover"] = request.takeover
+    if request.waypoints_path is not None:
+        inputs["waypoints"] = request.waypoints_path
+    if request.keepout_path is not None:
+        inputs["keepout"] = request.keepout_path
+    return inputs
+
+
+def _refuse_outlines_off(mission: Mission) -> None:
+    """InputError for an outline of --keepout that covers no cell of the map: it would keep out of nothing."""
+    if mission.costmap is None or mission.request.keepout_path is None:
+        return
+    for number, outline in enumerate(mission.request.keepout or (), start=1):
+        if not polygon_mask(mission.costmap, outline).any():
+            raise InputError(
+                f"--keepout {mission.request.keepout_path}: keepout {number}: is off the map "
+                f"{mission.request.map_path}; correct its corners or leave it out"
+            )

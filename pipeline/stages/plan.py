@@ -1,0 +1,165 @@
+"""The stage `plan`: one path over a map, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from turtlebag.datasets.maps import load_map, map_files
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.navigation.pose_check import require_free
+from turtlebag.pipeline.stages.settings import config_text
+from turtlebag.pipeline.terminal.messages import log
+from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from turtlebag.planners.footprint import path_clearance, sample_footprint
+from turtlebag.planners.global_plan import NoPath, Plan, PlanConfig, plan_path
+from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
+from turtlebag.sim.robots import RobotSpec, load_robot
+
+
+class PlanStageConfig(BaseModel):
+    """Settings of the stage."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    costmap: CostmapConfig = CostmapConfig()
+    plan: PlanConfig = PlanConfig()
+
+
+def plan(
+    map_path: Path,
+    robot: str,
+    T_map_start: SE2,
+    T_map_goal: SE2,
+    out: Path,
+    *,
+    seed: int = 0,
+    config: PlanStageConfig | None = None,
+    compare: bool = False,
+    force: bool = False,
+    command_line: Sequence[str] = (),
+) -> int:
+    """Plan from start to goal; 0 with a path, 1 without, both with complete outputs.
+
+    With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
+    metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
+    """
+    check_free(out, force=force, kind="folder")
+    watch = Stopwatch()
+    config = config or PlanStageConfig()
+    spec = load_robot(robot)
+    costmap = costmap_from_grid(load_map(map_path), config.costmap)
+    for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
+        require_free(option, pose, costmap, spec.model, map_path)
+    found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
+    metrics = plan_metrics(costmap, spec, found, reason, config)
+    others: dict[str, Plan | None] = {}
+    times: dict[str, float] = {config.plan.ompl.planner: planning_s}
+    if compare:
+        metrics["planners"] = []
+        for other in rivals(config):
+            name: str = other.plan.ompl.planner
+            others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
+            metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
+            log.info("%s", _line(metrics["planners"][-1], times[name]))
+    with staged_output(out, force=force) as folder:
+        _write_path(folder / "path.csv", found)
+        for name, other_found in others.items():
+            _write_path(folder / f"path-{name}.csv", other_found)
+        write_json(folder / "metrics.json", metrics)
+        (folder / "config.yaml").write_text(config_text(config))
+        write_manifest(
+            folder,
+            stage="plan",
+            command=command_line,
+            inputs=map_files(map_path),
+            seed=seed,
+            wall_s=watch.seconds(),
+            extra={
+                "robot": spec.name,
+                "out": str(out),
+                "planning_s": round(planning_s, 6),
+                **({"planners_s": {n: round(s, 6) for n, s in times.items()}} if compare else {}),
+            },
+        )
+    if found is None:
+        log.info(f"no path: {reason}")
+        return 1
+    log.info(f"path of {found.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out}")
+    return 0
+
+
+def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
+    """The same settings with every planner that the space allows, the chosen one among them."""
+    out = []
+    for planner in get_args(PlannerName):
+        try:
+            ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
+        except ValidationError:
+            continue  # this planner cannot work in this space
+        out.append(config.model_copy(update={"plan": config.plan.model_copy(update={"ompl": ompl})}))
+    return out
+
+
+def _line(metrics: dict[str, Any], seconds: float) -> str:
+    if not metrics["success"]:
+        return f"{metrics['planner']}: {metrics['reason']}"
+    return (
+        f"{metrics['planner']}: {metrics['length_m']:.2f} m, {metrics['min_clearance_m']:.2f} m clear, "
+        f"{seconds * 1e3:.0f} ms"
+    )
+
+
+def _search(
+    costmap: Costmap, spec: RobotSpec, start: SE2, goal: SE2, config: PlanStageConfig, seed: int
+) -> tuple[Plan | None, str, float]:
+    watch = Stopwatch()
+    plan_seed = int(stream(seed, "plan").integers(2**31))
+    try:
+        found = plan_path(costmap, spec.model, start, goal, config.plan, plan_seed)
+    except NoPath as error:
+        return None, str(error), watch.seconds()
+    return found, "", watch.seconds()
+
+
+def plan_metrics(
+    costmap: Costmap, spec: RobotSpec, found: Plan | None, reason: str, config: PlanStageConfig
+) -> dict[str, Any]:
+    """Length, clearance of the footprint along the path, and what found it."""
+    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.ompl.planner}
+    metrics["space"] = config.plan.ompl.space
+    if found is None:
+        return {**metrics, "reason": reason}
+    poses = np.ascontiguousarray((costmap.T_grid_map @ found.poses).xyt)
+    samples = sample_footprint(spec.model, costmap.resolution / 2.0)
+    clearance = path_clearance(
+        costmap.clearance,
+        costmap.resolution,
+        samples.points,
+        samples.inscribed,
+        samples.circumscribed,
+        poses,
+        float(poses[0, 0]),
+        float(poses[0, 1]),
+        np.inf,
+    )
+    return {
+        **metrics,
+        "length_m": found.length,
+        "min_clearance_m": float(clearance),
+        "margin_m": found.margin,
+        "poses": len(found.poses),
+        "attempts": found.attempts,
+    }
+
+
+def _write_path(path: Path, found: Plan | None) -> None:
+    rows = [] if found is None else found.poses.xyt.tolist()
+    lines = [f"{x:.6f},{y:.6f},{yaw:.6f}\n" for x, y, yaw in rows]
+    path.write_text("x,y,yaw\n" + "".join(lines))

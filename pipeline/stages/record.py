@@ -1,0 +1,250 @@
+"""Stage `record`: a scripted drive through a world, as a bag with the truth beside it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
+from turtlebag.pipeline.stages.replay import is_recording, load_commands
+from turtlebag.pipeline.stages.settings import config_text
+from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
+from turtlebag.sim.driver import Stuck
+from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
+from turtlebag.sim.simulator import SimConfig, Simulator, Truth
+from turtlebag.sim.teleop import commands, load_script, script_names
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
+
+
+class RecordOptions(BaseModel):
+    """What --config and --set may change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    sim: SimConfig = SimConfig()
+
+
+class RecordConfig(BaseModel):
+    """The resolved settings of a recording."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    world: str
+    robot: str
+    teleop: str
+    seed: int
+    start: tuple[float, float, float] | None = None
+    sim: SimConfig = SimConfig()
+
+
+def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
+    """World and robot as a manifest's inputs, as far as they are files of the user's own."""
+    named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
+    return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+
+
+@dataclass
+class TruthLog:
+    """True base pose at the stamp of each scan, for `truth/trajectory.tum`."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    poses: list[SE2] = field(default_factory=list)
+
+    def add(self, observation: Observation, simulator: Simulator) -> None:
+        """Note the pose when the observation carries a scan."""
+        if observation.scan is not None:
+            self.stamps_ns.append(observation.scan.stamp_ns)
+            self.poses.append(simulator.scan_truth)
+
+    def save(self, folder: Path, world: World, robot: RobotSpec) -> None:
+        """Write `truth/`: the trajectory and the world's map at the height of the lidar plane."""
+        folder.mkdir()
+        poses = SE2.stack(self.poses) if self.poses else SE2.identity(0)
+        save_tum(Trajectory(np.array(self.stamps_ns, dtype=np.int64), poses), folder / "trajectory.tum")
+        save_map(world.rasterize(robot.lidar_height), folder)
+
+
+def record(
+    world: str,
+    robot: str | None,
+    teleop: str,
+    seed: int,
+    out: Path,
+    *,
+    sim: SimConfig | None = None,
+    start: SE2 | None = None,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
+
+    0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
+    complete and kept.
+    """
+    scene = Scene.load(world, robot, seed, sim, start)
+    own = teleop not in script_names() and Path(teleop).exists()
+    inputs = {"teleop": Path(teleop)} if own else {}
+    if own and is_recording(teleop):
+        replayed = load_commands(Path(teleop))
+        driver, label = replayed.commands(), replayed.label
+    else:
+        driver, label = commands(load_script(teleop), scene.world, scene.robot, seed), teleop
+    return record_drive(scene, driver, label, out, inputs=inputs, force=force, command=command)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is simulated: a robot in a world, where it starts, the settings and the seed."""
+
+    world_name: str
+    robot_name: str
+    world: World
+    robot: RobotSpec
+    sim: SimConfig
+    start: SE2 | None
+    seed: int
+
+    @staticmethod
+    def load(world: str, robot: str | None, seed: int, sim: SimConfig | None, start: SE2 | None) -> Scene:
+        """Look the names up; InputError for unknown ones."""
+        loaded = load_world(world)
+        name = robot or loaded.robot
+        spec = load_robot(name)
+        return Scene(world, name, loaded, spec, (sim or SimConfig()).resolved(spec), start, seed)
+
+    def files(self) -> dict[str, Path]:
+        """World and robot as far as they are files of the user's own."""
+        return own_files(self.world_name, self.robot_name)
+
+    def config(self, teleop: str) -> RecordConfig:
+        """The resolved settings, to be saved."""
+        start = None if self.start is None else tuple(self.start.xyt.tolist())
+        return RecordConfig(
+            world=self.world_name,
+            robot=self.robot_name,
+            teleop=teleop,
+            seed=self.seed,
+            start=start,
+            sim=self.sim,
+        )
+
+
+def record_drive(
+    scene: Scene,
+    driver: Generator[Twist, Truth, None],
+    teleop: str,
+    out: Path,
+    *,
+    inputs: Mapping[str, Path] | None = None,
+    watch: Callable[[Observation], None] | None = None,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> int:
+    """Record what a driver does (sim.teleop: a generator of commands that is sent the truth).
+
+    `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
+    """
+    timer = Stopwatch()
+    check_free(out, force=force, kind="folder")
+    config = scene.config(teleop)
+    # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
+    with deferred_interrupt() as interrupted, staged_output(out, force=force, save_bag=True) as folder:
+        (folder / "config.yaml").write_text(config_text(config))
+        truth = TruthLog()
+        # Without the driver's name: a bag that is driven again from its own commands is the same bag.
+        custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
+        with (
+            Simulator(scene.world, scene.robot, scene.sim, scene.seed) as simulator,
+            BagWriter(folder / "bag", custom=custom) as bag,
+            simulated_time() as clock,
+        ):
+            duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, clock, interrupted)
+        truth.save(folder / "truth", scene.world, scene.robot)
+        wall = timer.seconds()
+        write_manifest(
+            folder,
+            stage="record",
+            command=command,
+            inputs={**scene.files(), **(inputs or {})},
+            seed=scene.seed,
+            wall_s=wall,
+            extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
+        )
+    if interrupted:
+        log.warning("interrupted: what was recorded until then is kept")
+    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out}")
+    if stuck:
+        log.error("the drive ended early: %s", stuck)
+    return 128 + interrupted[0] if interrupted else int(stuck is not None)
+
+
+def _drive(
+    simulator: Simulator,
+    start: SE2 | None,
+    driver: Generator[Twist, Truth, None],
+    bag: BagWriter,
+    truth: TruthLog,
+    watch: Callable[[Observation], None] | None,
+    clock: Simulated,
+    interrupted: list[int],
+) -> tuple[float, str | None]:
+    """Run the driver to its end or to an interrupt: the simulated time [s], and where it got stuck."""
+    observation = simulator.reset(start)
+    bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
+    next(driver)
+    stuck = None
+    while True:
+        bag.observation(observation)
+        if observation.cloud is not None:
+            bag.cloud(observation.stamp_ns, *observation.cloud, "lidar_3d")
+        truth.add(observation, simulator)
+        if watch is not None:
+            watch(observation)
+        clock(observation.stamp_ns, "")
+        now = simulator.truth
+        bag.truth(now.stamp_ns, now.T_world_base, now.twist)
+        if interrupted:
+            break
+        try:
+            command = driver.send(now)
+        except StopIteration:
+            break
+        except Stuck as error:
+            stuck = str(error)
+            break
+        bag.command(observation.stamp_ns, command)
+        observation = simulator.step(command)
+    bag.command(observation.stamp_ns, Twist())
+    return seconds(observation.stamp_ns), stuck
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[list[int]]:
+    """Ctrl-C or SIGTERM within is put in the list instead of raising: no message is cut in the middle."""
+    received: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    try:
+        before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not in the main thread: signals are not ours to catch
+        yield received
+        return
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,52 @@
+"""Driving again what a bag commanded: its /cmd_vel as a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.outputs import sha256_text
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Stamps, Twist
+from turtlebag.sim.simulator import Truth
+
+SUFFIXES = (".mcap", ".db3", ".bag", ".gz", ".bz2")
+
+
+def is_recording(teleop: str) -> bool:
+    """Whether a --teleop argument means a bag or a recording's folder."""
+    return Path(teleop).is_dir() or teleop.endswith(SUFFIXES)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Commands (n,) of a bag: stamps from its first command on [ns], speeds [m/s, rad/s]."""
+
+    stamps_ns: Stamps
+    v: Array
+    w: Array
+
+    @property
+    def label(self) -> str:
+        """What config.yaml calls it: by its content, wherever it lies."""
+        content = (self.stamps_ns.tolist(), self.v.tolist(), self.w.tolist())
+        return f"replay:{sha256_text(repr(content))[:16]}"
+
+    def commands(self) -> Generator[Twist, Truth, None]:
+        """Each command from its stamp on until the next; ends with the last one's."""
+        stamps = self.stamps_ns
+        truth = yield Twist()
+        while truth.stamp_ns < stamps[-1]:
+            now = max(int(np.searchsorted(stamps, truth.stamp_ns, side="right")) - 1, 0)
+            truth = yield Twist(float(self.v[now]), float(self.w[now]))
+
+
+def load_commands(path: Path) -> Replay:
+    """The /cmd_vel of any bag, in order of time; InputError when there is none."""
+    stamps, v, w = read_commands(path)
+    order = np.argsort(stamps, kind="stable")
+    return Replay(stamps[order] - stamps[order[0]], v[order], w[order])

@@ -1,0 +1,129 @@
+"""A stage run again from what it read: for the numbers its files alone do not hold.
+
+The report knows data files only; running a stage is the pipeline's. The recorded command is used with its
+inputs where they lie now and with the very settings of its `config.yaml`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_file
+from turtlebag.pipeline.terminal.messages import log
+from turtlebag.planners.tasks.waypoints import load_waypoints, tutorial_patrol
+from turtlebag.reports.metrics.area import area_metrics
+from turtlebag.reports.provenance import rename
+from turtlebag.reports.stages import Group, Stage, read_json
+from turtlebag.sim.robots import load_robot
+
+Run = Callable[[list[str]], int]
+"""Runs a command line, without its `turtlebag`, saying nothing; gives the exit code."""
+AGAIN = ("map", "localise", "plan")
+"""Stages that are functions of files alone; a drive is judged by its bag."""
+
+
+@dataclass(frozen=True)
+class Remade:
+    """A stage's metrics when run again, and which of its data files came out with other bytes."""
+
+    metrics: dict[str, Any]
+    other_bytes: list[str]
+
+
+def places_of(groups: Sequence[Group]) -> dict[str, str]:
+    """Where the outputs named in the recorded commands lie now."""
+    stages = [stage for group in groups for stage in group.stages]
+    return {out.rstrip("/"): str(stage.folder) for stage in stages if (out := stage.option("out"))}
+
+
+def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
+    """Run a stage again; None when it cannot be: another kind, or what it read is gone or not the same."""
+    if stage.kind not in AGAIN or len(stage.command) < 2 or not stage.has("config.yaml"):
+        return None
+    log.debug("running %s again", stage.folder)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "again"
+        run(command_again(stage, places, out))
+        if not (out / "manifest.json").is_file():
+            return None
+        again = read_json(out / "manifest.json")
+        if _read(again) != _read(stage.manifest):
+            return None
+        changed = [
+            path
+            for path, digest in stage.outputs.items()
+            if not (out / path).is_file() or sha256_file(out / path) != digest
+        ]
+        return Remade(read_json(out / "metrics.json"), changed)
+
+
+def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
+    """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
+    words: list[str] = []
+    following = iter(stage.command[1:])
+    for word in following:
+        option, equals, _ = word.partition("=")
+        if option in ("--out", "--config", "--set"):
+            if not equals:
+                next(following, None)
+        elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
+            words.append(rename(word, dict(places)))
+    anew = ["--no-cache"] if stage.kind == "map" and "--no-cache" not in words else []
+    return [*words, *anew, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
+
+
+def _read(manifest: Mapping[str, Any]) -> list[str]:
+    """Hashes of everything a stage read, sorted."""
+    inputs = manifest.get("inputs", {}).values()
+    return sorted(digest for entry in inputs for digest in entry["sha256"].values())
+
+
+def goals_never_pursued(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
+    """`goals` of a run as it was asked for them, for those it never set out to: no bag holds such a goal."""
+    goals = stage.metrics.get("goals") or []
+    asked = _asked(stage, places)
+    if not asked:
+        return {}
+    pursued = set() if stage.runlog is None else set(stage.runlog.goal_index.tolist())
+    return {
+        "goals": [
+            {}
+            if number in pursued
+            else dict(zip("xy", asked[number % len(asked)], strict=False))
+            | {"yaw": asked[number % len(asked)][2], "time_s": 0.0}
+            for number in range(len(goals))
+        ]
+    }
+
+
+def _asked(stage: Stage, places: Mapping[str, str]) -> list[tuple[float, float, float]]:
+    """The goals of the command line or its waypoints file, x, y, yaw."""
+    try:
+        if (goal := stage.option("goal")) is not None:
+            x, y, yaw = (float(part) for part in goal.split(","))
+            return [(x, y, yaw)]
+        if stage.fact("task") != "patrol":
+            return []
+        file = stage.option("waypoints")
+        found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, dict(places))))
+    except (InputError, ValueError):
+        return []
+    return [waypoint.written for waypoint in found.waypoints]
+
+
+def floor_seen_again(stage: Stage) -> dict[str, Any]:
+    """The `area` of a run's metrics from its true poses at the scans and its true map, where it has one."""
+    name, grid, truth = stage.fact("robot"), stage.true_map, stage.truth
+    if "area" not in stage.metrics or name is None or grid is None or truth is None:
+        return {}
+    try:
+        robot = load_robot(name)
+    except InputError:
+        return {}
+    reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
+    return {"area": area_metrics(grid, truth.poses, robot.T_base_lidar, reach, radius)}

@@ -1,0 +1,279 @@
+"""Verify a report: hashes of everything it rests on, and every number computed again."""
+
+from __future__ import annotations
+
+import difflib
+import html
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from turtlebag.datasets.bags.reader import read_poses
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_file
+from turtlebag.pipeline.stages.run_again import (
+    Remade,
+    Run,
+    floor_seen_again,
+    goals_never_pursued,
+    places_of,
+    remade,
+)
+from turtlebag.reports.content import build_chapter, stage_metrics
+from turtlebag.reports.figures.album import Album
+from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.numbers import leaves, shown
+from turtlebag.reports.page import render
+from turtlebag.reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
+from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
+from turtlebag.reports.stages import Group, Stage, changed_files, load_stage, read_json, read_manifest
+from turtlebag.sim.robots import load_robot
+
+PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
+
+
+@dataclass
+class Verification:
+    """What was found: every check, every problem in one line each, what could not be checked, and
+    stages that came out equal in numbers but not in bytes when run again.
+    """
+
+    checks: list[Check] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    unchecked: list[str] = field(default_factory=list)
+    files: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+def stage_folders(report: Path) -> list[Path]:
+    """Where the report's stages are: where the manifest says, or beside a report that was moved with them."""
+    manifest = read_manifest(_file(report, "manifest.json"))
+    if manifest.get("stage") != "report":
+        raise InputError(f"{report}: is a {manifest.get('stage')} output, not a report")
+    folders = []
+    for label, entry in manifest.get("inputs", {}).items():
+        relative = manifest.get("folders", {}).get(label, "")
+        for candidate in (report / relative, Path(entry["path"])):
+            if (candidate / "manifest.json").is_file():
+                folders.append(candidate)
+                break
+        else:
+            raise InputError(f"{report}: its input {label} is neither at {entry['path']} nor beside it")
+    return folders
+
+
+def _file(folder: Path, name: str) -> Path:
+    if not (folder / name).is_file():
+        raise InputError(f"{folder}: has no {name}, so it is not a report")
+    return folder / name
+
+
+def verify(report: Path, run: Run | None = None) -> Verification:
+    """Check a report folder; InputError when it or its inputs cannot be read at all.
+
+    With `run`, stages whose numbers their files alone do not hold are run again from what they read.
+    """
+    found = Verification()
+    groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
+    reported = read_json(_file(report, "metrics.json"))
+    _check_report_files(report, groups, found)
+    places = places_of(groups)
+
+    def again(stage: Stage) -> Remade | None:
+        return None if run is None else remade(stage, places, run)
+
+    for group in groups:
+        for stage in group.stages:
+            chapter = reported.get(group.name)
+            metrics = chapter.get(stage.label) if isinstance(chapter, dict) else None
+            if not isinstance(metrics, dict):
+                found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
+                continue
+            _check_stage(stage, group, metrics, places, again, found)
+    _check_page(_file(report, "index.html"), found)
+    _check_texts(_file(report, "index.html"), groups, found)
+    return found
+
+
+def _check_report_files(report: Path, groups: list[Group], found: Verification) -> None:
+    manifest = read_manifest(report / "manifest.json")
+    for path, digest in manifest.get("outputs", {}).items():
+        found.files += 1
+        if not (report / path).is_file() or sha256_file(report / path) != digest:
+            found.problems.append(f"{report.name}/{path}: changed since the report was made")
+    for group in groups:
+        for stage in group.stages:
+            name = f"{group.name}/{stage.label}"
+            then = manifest.get("inputs", {}).get(name, {}).get("sha256", {})
+            for path, digest in then.items():
+                if stage.outputs.get(path) != digest:
+                    found.problems.append(f"{name}/{path}: made again since the report")
+
+
+def _check_stage(
+    stage: Stage,
+    group: Group,
+    metrics: dict[str, Any],
+    places: dict[str, str],
+    again: Callable[[Stage], Remade | None],
+    found: Verification,
+) -> None:
+    name = f"{group.name}/{stage.label}"
+    found.files += len(stage.outputs)
+    found.problems += [f"{name}/{path}: not what its manifest says" for path in changed_files(stage)]
+    disagreement = truth_disagreement(stage)
+    if disagreement is not None and disagreement > TRUTH_AGREES_M:
+        apart = shown(disagreement, "cm")
+        found.problems.append(f"{name}/truth/trajectory.tum: {apart} from the bag's /ground_truth/odom")
+    if stage.kind == "navigate":
+        _check_clearance(stage, name, found)
+    for path, value in leaves(stage_metrics(stage)):
+        if dict(leaves(metrics)).get(path) != value:
+            found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
+    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics, places)
+    left = _unknown(name, metrics, done)
+    if left and (anew := again(stage)) is not None:
+        if anew.other_bytes:
+            found.notes.append(f"{name}: run again, other bytes in {', '.join(anew.other_bytes)}")
+        done += [check for check in _checks(name, metrics, anew.metrics) if check.key in left]
+        left = _unknown(name, metrics, done)
+    found.checks += done
+    found.unchecked += left
+    for check in done:
+        if not check.agrees:
+            found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
+
+
+def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]:
+    """Keys of the numbers no check is about."""
+    known = {check.key for check in done}
+    return [
+        f"{name}:{path}"
+        for path, value in leaves(metrics)
+        if f"{name}:{path}" not in known and isinstance(value, (int, float)) and not isinstance(value, bool)
+    ]
+
+
+def _computed_here(stage: Stage, name: str, metrics: dict[str, Any], places: dict[str, str]) -> list[Check]:
+    """Numbers that need more than the report knows: the robot, and what was asked for."""
+    if stage.kind != "navigate":
+        return []
+    asked = goals_never_pursued(stage, places)
+    return _checks(name, metrics, floor_seen_again(stage)) + _checks(name, metrics, asked)
+
+
+def _checks(name: str, told: dict[str, Any], found: dict[str, Any]) -> list[Check]:
+    reported = dict(leaves(told))
+    return [
+        Check(f"{name}:{path}", reported[path], value) for path, value in leaves(found) if path in reported
+    ]
+
+
+def clearance_on_map(stage: Stage) -> float | None:
+    """Least distance [m] from the footprint's outline to an occupied cell of the true map, along the
+    bag's true path; None where the robot or the map is not known.
+
+    The map holds what crosses the lidar plane only: the clearance that counts low things is at most this.
+    """
+    name, grid = stage.fact("robot"), stage.true_map
+    if name is None or grid is None:
+        return None
+    try:
+        footprint = load_robot(name).model.footprint
+    except InputError:
+        return None
+    corners = np.concatenate([footprint, footprint[:1]])
+    share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
+    outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)
+    poses = read_poses(stage.folder / "bag", "/ground_truth/odom").poses[::3]
+    cells = grid.cell_of(poses[:, None] @ outline)
+    cells = np.clip(cells, 0, np.array(grid.shape) - 1)
+    room = ndimage.distance_transform_edt(~occupied(grid)) * grid.resolution
+    return float(room[cells[..., 0], cells[..., 1]].min())
+
+
+def _check_clearance(stage: Stage, name: str, found: Verification) -> None:
+    reported, grid = stage.metrics.get("min_clearance_m"), stage.true_map
+    room = clearance_on_map(stage)
+    if room is None or grid is None or not isinstance(reported, (int, float)):
+        return
+    if reported > room + 2.0 * grid.resolution:
+        found.problems.append(
+            f"{name}:min_clearance_m: reported {reported:.3f}, but the true map leaves only {room:.3f} m"
+        )
+
+
+def _check_page(page: Path, found: Verification) -> None:
+    """The numbers printed on the page against what was computed."""
+    known = {check.key: check.found for check in found.checks if check.agrees}
+    for key, value, text in page_numbers(page):
+        unit = _unit(key)
+        if key in known and unit is not None and shown(known[key], unit) != text:
+            found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
+
+
+def _check_texts(page: Path, groups: list[Group], found: Verification) -> None:
+    """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
+    text = page.read_text()
+    computed = {check.key: check.found for check in found.checks if not check.agrees}
+    album = Album(None, animate='class="animation"' in text)
+    chapters = []
+    for group in groups:
+        measured = {
+            stage.label: replaced(stage_metrics(stage), computed, f"{group.name}/{stage.label}:")
+            for stage in group.stages
+        }
+        chapters.append(build_chapter(group, album, measured))
+    said, expected = words_of(text), words_of(render(chapters, groups))
+    changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
+    for kind, a0, a1, b0, b1 in changes:
+        if kind != "equal":
+            one, other = (" / ".join(part) or "nothing" for part in (said[a0:a1], expected[b0:b1]))
+            found.problems.append(f"{page.name}: says {one[:200]}; computed {other[:200]}")
+
+
+def replaced(node: Any, values: dict[str, Any], key: str) -> Any:
+    """Nested metrics with the leaves whose dotted keys are in `values` taken from there."""
+    if isinstance(node, dict):
+        return {
+            name: replaced(item, values, f"{key}{name}" if key.endswith(":") else f"{key}.{name}")
+            for name, item in node.items()
+        }
+    if isinstance(node, list):
+        return [replaced(item, values, f"{key}.{index}") for index, item in enumerate(node)]
+    return values.get(key, node)
+
+
+def words_of(page: str) -> list[str]:
+    """What a page says, line by line: tags, figures and white space left out."""
+    body = page.partition("<body>")[2].partition("<script>")[0]
+    body = re.sub(r"<svg\b.*?</svg>", "", body, flags=re.DOTALL)
+    lines = (" ".join(line.split()) for line in html.unescape(re.sub(r"<[^>]*>", "", body)).splitlines())
+    return [line for line in lines if line]
+
+
+def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
+    """(key, stored value, shown text) of each number on a page."""
+    for match in PAGE_NUMBER.finditer(page.read_text()):
+        key, value, text = (html.unescape(part) for part in match.groups())
+        yield key, value, text
+
+
+def _unit(key: str) -> str | None:
+    path = key.partition(":")[2]
+    last = path.rpartition(".")[2]
+    if path.startswith("goals."):
+        return GOAL_UNITS.get(last)
+    if path.startswith("planners."):
+        return PLANNER_UNITS.get(last)
+    for specs in SPECS.values():
+        for spec in specs:
+            if spec.path == path:
+                return spec.unit
+    return None

@@ -1,0 +1,266 @@
+"""Keyboard teleop: keys to speeds, at the pace of a clock, with a view of what the robot sees."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Literal
+
+import numpy as np
+
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.terminal.drawing import Canvas, fitted, in_place, terminal_size
+from turtlebag.pipeline.terminal.messages import lines_by, quiet
+from turtlebag.sim.robots import Limits, RobotSpec
+from turtlebag.sim.simulator import CONTROL_HZ, Truth
+
+STEP_V, STEP_W = 0.01, 0.1
+RAMP = 0.5
+"""TurtleBot3's own node moves its output to the target by this share of a key's step, ten times a second."""
+STOPPING_STEPS = 30
+VIEW_EVERY = 6
+CELL_M = 0.05
+
+Style = Literal["keys", "turtlebot3"]
+
+TABLES: dict[Style, str] = {
+    "keys": (
+        "  W forward, S back    0.01 m/s   X or space  stop\n"
+        "  A left,    D right   0.1 rad/s  Q           end the recording"
+    ),
+    "turtlebot3": (
+        "  w / x  linear  +/- 0.01 m/s     space or s  stop at once\n"
+        "  a / d  angular +/- 0.1 rad/s    q           end the recording\n"
+        "  (the speed follows by half a step, ten times a second)"
+    ),
+}
+
+
+class KeyState:
+    """Speeds that keys have asked for, within a robot's limits."""
+
+    def __init__(self, limits: Limits, style: Style) -> None:
+        self._limits, self._style = limits, style
+        self._v = self._w = 0.0
+        self._out_v = self._out_w = 0.0
+        self.ended = False
+
+    def press(self, key: str) -> None:
+        """Take one key; unknown ones do nothing."""
+        key = key.lower()
+        back, stops = ("s", "x ") if self._style == "keys" else ("x", "s ")
+        if key in ("q", "\x03", "\x04"):
+            self.ended = True
+        elif key in stops:
+            self._v = self._w = self._out_v = self._out_w = 0.0
+        else:
+            v = {"w": STEP_V, back: -STEP_V}.get(key, 0.0)
+            w = {"a": STEP_W, "d": -STEP_W}.get(key, 0.0)
+            # Whole steps, so that as many back lead to exactly zero.
+            self._v = _clip(round((self._v + v) / STEP_V) * STEP_V if v else self._v, self._limits.max_v)
+            self._w = _clip(round((self._w + w) / STEP_W) * STEP_W if w else self._w, self._limits.max_w)
+
+    def tick(self) -> None:
+        """A tenth of a second has passed: the TurtleBot3 style moves its output on."""
+        self._out_v = _toward(self._out_v, self._v, RAMP * STEP_V)
+        self._out_w = _toward(self._out_w, self._w, RAMP * STEP_W)
+
+    @property
+    def command(self) -> Twist:
+        """What is sent to the robot now."""
+        return Twist(self._v, self._w) if self._style == "keys" else Twist(self._out_v, self._out_w)
+
+
+def _clip(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
+
+
+def _toward(value: float, target: float, step: float) -> float:
+    return max(min(target, value + step), value - step)
+
+
+def keyboard_driver(
+    state: KeyState, read_keys: Callable[[], str], wait: Callable[[int], None]
+) -> Generator[Twist, Truth, None]:
+    """A driver for record_drive: asks for keys at each control step, until the end key; then stops.
+
+    `read_keys` gives what was typed since it was asked last; `wait` is told the number of the step
+    and returns when that is due. What the driver is sent, the truth, it does not look at.
+    """
+    yield Twist()
+    step = 0
+    while not state.ended:
+        wait(step)
+        for key in read_keys():
+            state.press(key)
+        if step % (CONTROL_HZ // 10) == 0:
+            state.tick()
+        step += 1
+        yield Twist() if state.ended else state.command
+    for _ in range(STOPPING_STEPS):
+        yield Twist()
+
+
+class TakeoverKeys:
+    """Takeovers by keyboard (see turtlebag.pipeline.navigation.takeover): any driving key begins one."""
+
+    TABLE = TABLES["keys"].replace("end the recording", "hand back") + "\n  (any of them but Q takes over)"
+
+    def __init__(
+        self,
+        limits: Limits,
+        read_keys: Callable[[], str],
+        wait: Callable[[int], None],
+        write: Callable[[str], None],
+    ) -> None:
+        self._limits, self._read_keys, self._wait, self._write = limits, read_keys, wait, write
+        self._keys: KeyState | None = None
+        self._step = 0
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """What the keys ask for at this tick; None while navigation drives."""
+        self._wait(self._step)
+        for key in self._read_keys().lower():
+            if key in "q\n\r\x04":
+                self._keys = None
+            elif key in "wasdx ":
+                self._keys = self._keys or KeyState(self._limits, "keys")
+                self._keys.press(key)
+        wanted = None if self._keys is None else self._keys.command
+        if self._step % VIEW_EVERY == 0:
+            whose = "navigation" if wanted is None else f"teleop {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s"
+            self._write(f"\r{stamp_ns * 1e-9:7.1f} s  cmd_vel: {whose}\x1b[K")
+        self._step += 1
+        return wanted
+
+
+class View:
+    """Speeds in a line and, if wanted, the map as it grows, the scan and the robot, by odometry alone.
+
+    `size` tells the columns and rows of the terminal, which a frame with a drawing fills: the drawing, `keys`
+    (what they do) and the speeds.
+    """
+
+    def __init__(
+        self,
+        robot: RobotSpec,
+        state: KeyState,
+        drawing: bool,
+        write: Callable[[str], None],
+        *,
+        keys: str = "",
+        size: Callable[[], tuple[int, int]] = terminal_size,
+    ) -> None:
+        self._T_base_lidar, self._state, self._write = robot.T_base_lidar, state, write
+        self._drawing, self._seen = drawing, np.zeros((0, 2), dtype=np.int64)
+        self._keys, self._size, self._drawn = keys.splitlines(), size, (0, 0)
+        self._height = 2.0 * min(robot.lidar.range_max, 5.0)
+        self._count = 0
+
+    def __call__(self, observation: Observation) -> None:
+        """Take an observation; draw a few times a second."""
+        scan, T_odom_base = observation.scan, observation.odometry.T_odom_base
+        if scan is not None and self._drawing:
+            points = T_odom_base @ (self._T_base_lidar @ scan.points_lidar())
+            cells = np.floor(points / CELL_M).astype(np.int64)
+            self._seen = np.unique(np.vstack([self._seen, cells]), axis=0)
+        if self._count % VIEW_EVERY == 0:
+            self._write(self.frame(observation))
+        self._count += 1
+
+    def frame(self, observation: Observation) -> str:
+        """The text of one frame."""
+        wanted, odometry = self._state.command, observation.odometry
+        x, y, yaw = odometry.T_odom_base.xyt.tolist()
+        columns, rows = size = self._size()
+        line = fitted(
+            (
+                f"{observation.stamp_ns * 1e-9:7.1f} s",
+                f"command {wanted.v:+.2f} m/s {wanted.w:+.1f} rad/s",
+                f"at {x:+.2f}, {y:+.2f}",
+                f"odometry {odometry.twist.v:+.2f} m/s {odometry.twist.w:+.2f} rad/s",
+            ),
+            columns - 1,
+        )
+        if not self._drawing:
+            return "\r" + line + "\x1b[K"
+        canvas = Canvas(max(columns - 1, 1), max(rows - len(self._keys) - 1, 1), (x, y), self._height)
+        canvas.dots(self.map_points)
+        canvas.robot(x, y, yaw)
+        anew, self._drawn = size != self._drawn, size
+        return in_place([*canvas.text().split("\n"), *self._keys, line], size, anew=anew)
+
+    @property
+    def map_points(self) -> Array:
+        """Middles of all 5 cm cells that a beam has hit so far, (n, 2) in the odom frame."""
+        return (self._seen.astype(np.float64) + 0.5) * CELL_M
+
+
+@contextmanager
+def keys_of(stream: int) -> Iterator[Callable[[], str]]:
+    """A function that gives the keys typed on a terminal since its last call, without waiting for Enter.
+
+    The terminal is as before afterwards, whatever happens. From a pipe or file it gives one key at
+    each call, and the end key at its end.
+    """
+    if not os.isatty(stream):
+        # An empty read is the end of the pipe.
+        yield lambda: (os.read(stream, 1).decode(errors="ignore") or "q") if _ready(stream) else ""
+        return
+    before = termios.tcgetattr(stream)
+    tty.setcbreak(stream)
+    try:
+        yield lambda: os.read(stream, 64).decode(errors="ignore") if _ready(stream) else ""
+    finally:
+        termios.tcsetattr(stream, termios.TCSADRAIN, before)
+
+
+def _ready(stream: int) -> bool:
+    return bool(select.select([stream], [], [], 0.0)[0])
+
+
+def clock(speed: float) -> Callable[[int], None]:
+    """A function that returns when a control step is due, at `speed` times real time."""
+    begun = time.monotonic()
+
+    def wait(step: int) -> None:
+        left = begun + step / (CONTROL_HZ * speed) - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+    return wait
+
+
+@contextmanager
+def redrawn(drawing: bool = False) -> Iterator[Callable[[str], None]]:
+    """Writes the frames of a status line or drawing to the terminal; nothing to a file or with -q.
+
+    Lines of others go above the status line or below the drawing; afterwards a new line begins.
+    """
+
+    def redraw(frame: str) -> None:
+        if sys.stderr.isatty():
+            show(frame)
+
+    above, ended = ("\n{}", "\n") if drawing else ("\r\x1b[K{}\n", "\r\x1b[K")
+    try:
+        with (
+            lines_by(lambda line: redraw(above.replace("{}", line))) if sys.stderr.isatty() else nullcontext()
+        ):
+            yield redraw
+    finally:
+        redraw(ended)
+
+
+def show(text: str) -> None:
+    """Write to the terminal (stderr), at once; nothing when -q was given."""
+    if not quiet():
+        sys.stderr.write(text)
+        sys.stderr.flush()

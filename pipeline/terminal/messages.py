@@ -1,0 +1,212 @@
+"""What the terminal shows: progress and one-line messages on stderr, results on stdout."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
+from turtlebag.datasets.errors import InputError
+
+Item = TypeVar("Item")
+log = logging.getLogger("turtlebag")
+_above: list[Callable[[str], None]] = []
+"""Writes a line above the bar or status line that is on the terminal now, if any."""
+
+
+class _LineHandler(logging.Handler):
+    """Messages on stderr, above the bar where there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one message as one line."""
+        try:
+            if not _written_above(record.getMessage()):
+                print(record.getMessage(), file=sys.stderr, flush=True)
+        except Exception:
+            self.handleError(record)
+
+
+def _written_above(line: str) -> bool:
+    """Whether there is a bar or status line, and the line was written above it."""
+    for write in _above[-1:]:
+        write(line)
+    return bool(_above)
+
+
+@contextmanager
+def lines_by(write: Callable[[str], None]) -> Iterator[None]:
+    """Something is redrawn on the terminal meanwhile; `write` puts a line above it."""
+    _above.append(write)
+    try:
+        yield
+    finally:
+        _above.remove(write)
+
+
+def set_verbosity(level: int) -> None:
+    """-1 quiet, 0 normal, 1 verbose."""
+    logging.basicConfig(handlers=[_LineHandler()], force=True)
+    # Where there is no home it warns, twice, of the temporary folder that it finds by itself.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    log.setLevel({-1: logging.ERROR, 0: logging.INFO}.get(level, logging.DEBUG))
+
+
+def quiet() -> bool:
+    """Whether -q was given."""
+    return log.level >= logging.ERROR
+
+
+def log_notes(notes: Iterable[str]) -> None:
+    """What was repaired or left out on reading, each note once."""
+    for note in dict.fromkeys(notes):
+        log.warning(f"note: {note}")
+
+
+def say(line: str) -> None:
+    """A line of the result, on stdout as it comes; above the bar when both share a terminal."""
+    if not (sys.stdout.isatty() and _written_above(line)):
+        print(line, flush=True)
+
+
+def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
+    """Yield the items behind a progress bar; silent when stderr is not a terminal or -q was given."""
+    if not _shown():
+        yield from items
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with _bar(*columns) as bar:
+        yield from bar.track(items, total=total, description=description)
+
+
+Simulated = Callable[[int, str], None]
+"""Told the stamp [ns] that the simulation has come to, and in a word or two what goes on."""
+
+
+@contextmanager
+def simulated_time(total_s: float | None = None) -> Iterator[Simulated]:
+    """A bar of simulated time, with its pace; silent when stderr is not a terminal or -q was given.
+
+    Without `total_s`, the end is not known: the bar then only shows that something moves.
+    """
+    if not _shown():
+        yield lambda stamp_ns, doing: None
+        return
+    from rich.progress import BarColumn, TextColumn
+
+    clock = "{task.completed:.0f} s" + ("" if total_s is None else " of {task.total:.0f} s")
+    columns = (
+        TextColumn(f"{clock} simulated"),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[pace]}"),
+        TextColumn("{task.description}"),
+    )
+    with _bar(*columns) as bar:
+        task = bar.add_task("", total=total_s, pace="")
+
+        def tell(stamp_ns: int, doing: str) -> None:
+            seconds = stamp_ns * 1e-9
+            elapsed = bar.tasks[0].elapsed or 0.0
+            pace = f"{seconds / elapsed:.0f} x real time" if elapsed > 1.0 else ""
+            bar.update(task, completed=seconds, description=doing, pace=pace)
+
+        yield tell
+
+
+@contextmanager
+def drawing() -> Iterator[Callable[[str], None]]:
+    """A bar of figures, told the title of each before it is drawn; silent as the others."""
+    if not _shown():
+        yield lambda title: None
+        return
+    from rich.progress import BarColumn, TextColumn
+
+    columns = (TextColumn("figure {task.completed:.0f}"), BarColumn(), TextColumn("{task.description}"))
+    with _bar(*columns) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda title: bar.update(task, advance=1, description=title)
+
+
+def _shown() -> bool:
+    return not quiet() and sys.stderr.isatty() and not _above
+
+
+@contextmanager
+def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
+    """One bar on stderr, gone when done. What is printed is not redirected: stdout may be a file."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    bar = Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
+    with bar, lines_by(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)):
+        yield bar
+
+
+def length(metres: float) -> str:
+    """A distance for people."""
+    return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def number_of(count: int, what: str) -> str:
+    """`1 error`, `2 errors`."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+class Words:
+    """A text stream whose trouble is noted: from then on nothing more is written to it.
+
+    With `optional` that is all; else the first trouble is raised, as BrokenPipeError when the reader has gone
+    away, as InputError otherwise.
+    """
+
+    def __init__(self, stream: TextIO, name: str, *, optional: bool) -> None:
+        self._stream, self._name, self.optional = stream, name, optional
+        self.problem: str | None = None
+
+    def write(self, text: str) -> int:
+        """Write, if that still goes."""
+        self._attempt(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Hand what was written to the system, if that still goes."""
+        self._attempt(self._stream.flush)
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        if self.problem is not None:
+            return
+        try:
+            action()
+        except OSError as error:
+            gone = isinstance(error, BrokenPipeError)
+            self.problem = "" if gone else f"{self._name}: {error.strerror}"
+            with suppress(OSError):  # what is left in the stream would fail again when Python ends
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            if not self.optional:
+                raise error if gone else InputError(self.problem) from None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def guarded_streams() -> Iterator[Words]:
+    """Put `Words` in the place of stdout, which is yielded, and of stderr."""
+    before = sys.stdout, sys.stderr
+    out, err = Words(sys.stdout, "stdout", optional=False), Words(sys.stderr, "stderr", optional=True)
+    sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
+    try:
+        yield out
+    finally:
+        out.optional = True
+        out.flush()
+        err.flush()
+        sys.stdout, sys.stderr = before

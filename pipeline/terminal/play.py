@@ -1,0 +1,128 @@
+"""Showing a recording as it was: clock, speeds, the scan and the path driven so far."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Stamps
+from turtlebag.pipeline.terminal.drawing import Canvas, Size
+
+_WIDEST_M = 12.0
+_SPEED_WINDOW_NS = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What is shown at one instant: seconds since the start, a line of facts, a drawing."""
+
+    time_s: float
+    status: str
+    drawing: str
+
+
+class Player:
+    """A recording that can be looked at at any instant; drawn in so many columns and rows."""
+
+    def __init__(self, path: Path, size: Size = (78, 21)) -> None:
+        self._size = size
+        self.recording = recording = load_recording(path)
+        self._commands = _commands_of(path)
+        # Logs with stamps that go back keep their file order: time is the latest stamp so far.
+        self._times = np.maximum.accumulate(recording.stamps_ns)
+        self.start_ns, self.end_ns = int(self._times[0]), int(self._times[-1])
+        self._height_m = 2.0 * min(recording.lidar.range_max, _WIDEST_M)
+
+    def frame(self, stamp_ns: int) -> Frame:
+        """The picture at a stamp."""
+        index = max(int(np.searchsorted(self._times, stamp_ns, side="right")) - 1, 0)
+        pose, scan = self._pose(stamp_ns, index), self.recording.scan(index)
+        scan_pose = (
+            SE2.identity() if self.recording.T_odom_base is None else self.recording.T_odom_base[index]
+        )
+        x, y, yaw = pose.xyt.tolist()
+        canvas = Canvas(*self._size, (x, y), self._height_m)
+        canvas.dots(scan_pose @ (self.recording.T_base_lidar @ scan.points_lidar()))
+        canvas.dots(self._path(index))
+        canvas.robot(x, y, yaw)
+        seconds = (stamp_ns - self.start_ns) * 1e-9
+        facts = [f"{seconds:8.2f} s of {(self.end_ns - self.start_ns) * 1e-9:.2f}"]
+        if self.recording.T_odom_base is not None:
+            v, w = self._speed(stamp_ns, index)
+            facts.append(f"odom x {x:+.2f} y {y:+.2f} yaw {math.degrees(yaw):+4.0f} deg")
+            facts.append(f"v {v:+.2f} m/s w {w:+.2f} rad/s")
+        facts += [*self._command(stamp_ns), f"nearest {_nearest(scan.ranges):.2f} m"]
+        return Frame(seconds, "  ".join(facts), canvas.text())
+
+    def _pose(self, stamp_ns: int, index: int) -> SE2:
+        recording = self.recording
+        if recording.odometry is not None:
+            return recording.odometry.at(np.array([stamp_ns]))[0]
+        return SE2.identity() if recording.T_odom_base is None else recording.T_odom_base[index]
+
+    def _path(self, index: int) -> Array:
+        poses = self.recording.T_odom_base
+        return np.zeros((0, 2)) if poses is None else poses.xy[: index + 1]
+
+    def _speed(self, stamp_ns: int, index: int) -> tuple[float, float]:
+        """Forward and yaw speed by the odometry of the last moments."""
+        recording = self.recording
+        if recording.odometry is not None:
+            a = recording.odometry.at(np.array([stamp_ns - _SPEED_WINDOW_NS]))[0]
+            b, seconds = self._pose(stamp_ns, index), _SPEED_WINDOW_NS * 1e-9
+        elif recording.T_odom_base is not None and index > 0:
+            a, b = recording.T_odom_base[index - 1], recording.T_odom_base[index]
+            seconds = float(self._times[index] - self._times[index - 1]) * 1e-9
+        else:
+            return 0.0, 0.0
+        dx, _, turn = (a.inverse() @ b).xyt.tolist()
+        return (dx / seconds, turn / seconds) if seconds > 0.0 else (0.0, 0.0)
+
+    def _command(self, stamp_ns: int) -> list[str]:
+        if self._commands is None:
+            return []
+        stamps, v, w = self._commands
+        index = int(np.searchsorted(stamps, stamp_ns, side="right")) - 1
+        return [f"cmd {v[index]:+.2f} {w[index]:+.2f}"] if index >= 0 else []
+
+
+def _commands_of(path: Path) -> tuple[Stamps, Array, Array] | None:
+    try:
+        return read_commands(path)
+    except InputError:
+        return None
+
+
+def _nearest(ranges: NDArray[np.float32]) -> float:
+    valid = ranges[np.isfinite(ranges)]
+    return float(valid.min()) if valid.size else math.inf
+
+
+def frames(player: Player, *, rate: float, every_s: float) -> Iterator[Frame]:
+    """Frames each `every_s` seconds of wall time at `rate` times the recorded speed, and the last one."""
+    if not (rate > 0.0 and math.isfinite(rate)):
+        raise InputError(f"--rate {rate:g}: must be a positive number")
+    step = max(round(every_s * rate * 1e9), 1)
+    for stamp in range(player.start_ns, player.end_ns, step):
+        yield player.frame(stamp)
+    yield player.frame(player.end_ns)
+
+
+def play(player: Player, show: Callable[[Frame], None], *, rate: float, every_s: float) -> None:
+    """Show the frames when they are due; late ones are not waited for."""
+    start = time.perf_counter()
+    for frame in frames(player, rate=rate, every_s=every_s):
+        ahead = frame.time_s / rate - (time.perf_counter() - start)
+        if ahead > 0.0:
+            time.sleep(ahead)
+        show(frame)

@@ -1,0 +1,1 @@
+"""TurtleBag: reproducible graph-SLAM and navigation for TurtleBot3 bags, without ROS."""

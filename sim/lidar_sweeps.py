@@ -1,0 +1,83 @@
+"""Turns of a planar lidar's head: they begin and end when they like, between control steps too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import Array
+from turtlebag.sim.lidar import Lidar
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Turn:
+    """A whole turn: its stamp, ranges (n_beams,), and where the base truly was at the stamp, (3,)."""
+
+    stamp_ns: int
+    ranges: NDArray[np.float32]
+    pose_at_stamp: Array
+
+
+class Sweep:
+    """Collects the poses of the control steps and measures whenever a turn is complete.
+
+    The first turn begins at step 0, each further one where the last one ended.
+    """
+
+    def __init__(self, lidar: Lidar, steps: int, control_hz: int) -> None:
+        self._lidar, self._steps, self._hz = lidar, steps, control_hz
+        self._poses: list[Array] = []
+        self._first = 0
+        self._carried = False
+        self._begin_turn(0.0)
+
+    def steps_before(self, step: int) -> int:
+        """How many whole control steps of the turn under way were over at this one."""
+        return step - self._first
+
+    def add(self, step: int, pose: Array) -> Turn | None:
+        """The base pose (3,) in the world at a control step; the turn that is complete by then, if one is."""
+        self._poses.append(pose)
+        if step < self._end:
+            return None
+        rows = np.array(self._poses)
+        begin, late = self._begin - self._first, self._delay_s * self._hz
+        turn = None
+        # Measured even when there will be no scan, so that what is drawn does not depend on it.
+        ranges = self._lidar.measure(rows, begin, self._end - self._first)
+        if not self._carried:
+            stamp = round((self._begin + late) * 10**9 / self._hz)
+            turn = Turn(stamp, ranges, _between(rows, begin + late))
+        self._carried = False
+        self._begin_turn(self._end)
+        first = math.floor(self._begin)
+        self._poses = self._poses[first - self._first :]
+        self._first = first
+        return turn
+
+    def put_down(self, pose: Array) -> None:
+        """The robot was carried to this pose: of the turn under way there is no scan."""
+        self._poses = [pose.copy() for _ in self._poses]
+        self._carried = True
+
+    def _begin_turn(self, begin: float) -> None:
+        share, self._delay_s = self._lidar.turn()
+        self._begin = begin
+        # No more than one turn ends within a control step.
+        self._end = begin + max(self._steps * share, 1.0)
+
+
+def _between(rows: Array, place: float) -> Array:
+    """The pose at a row with a fraction: straight in position and the shorter way in yaw."""
+    low = min(int(place), len(rows) - 1)
+    if place == low:
+        return np.asarray(rows[low])
+    high = min(low + 1, len(rows) - 1)
+    step = rows[high] - rows[low]
+    step[2] = (step[2] + math.pi) % (2.0 * math.pi) - math.pi
+    between = rows[low] + (place - low) * step
+    between[2] = (between[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return np.asarray(between)

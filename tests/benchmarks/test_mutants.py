@@ -1,0 +1,142 @@
+"""The mutation run: what it draws, and that it tells the ends of a run apart."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants import report
+from benchmarks.mutants_draw import FOLDERS, draw, mutants_by_line
+from benchmarks.mutants_run import Tree
+from benchmarks.mutants_tests import SUBJECTS, chosen
+
+ROOT = Path(__file__).parents[2]
+SOURCE = '''
+def area(a: float, b: float = 2.0) -> float:
+    """a * b"""
+    if len("x") < 2 and not a > b:
+        raise ValueError(f"{a} - {b}")
+    return a * b - area.least(b, a)
+
+LIMIT = 3.0
+'''
+
+
+def edits(source):
+    return {
+        mutant.key.partition(" => ")[2]
+        for line in mutants_by_line(source, "planners/a.py")
+        for mutant in line
+    }
+
+
+def test_mistakes_are_made_in_what_functions_do_and_not_in_words_types_or_settings():
+    found = edits(SOURCE)
+    assert found >= {
+        "return a / b - area.least(b, a)",
+        "return a * b + area.least(b, a)",
+        "return a * b - area.least(a, b)",
+        "return a - area.least(b, a)",
+        'if len("x") <= 2 and not a > b:',
+        'if len("x") >= 2 and not a > b:',
+        'if len("x") < 2 or not a > b:',
+        'if len("x") < 2 and a > b:',
+        'if len("x") < 2 and not a <= b:',
+        'if len("x") < 3 and not a > b:',
+    }
+    assert not any(word in edit for edit in found for word in ("raise", "LIMIT", '"""', "float"))
+
+
+def test_the_same_seed_draws_the_same_mutants_and_kernels_get_their_share(tmp_path):
+    deleting = [f"datasets/{name}.py" for name in ("outputs", "claims", "output_rules")]
+    for name in ("planners/footprint.py", "planners/costmap.py", "datasets/se2.py", *deleting):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    drawn = draw(tmp_path, 5, 20)
+    assert draw(tmp_path, 5, 10) == drawn[:10]
+    assert {mutant.key for mutant in drawn} != {mutant.key for mutant in draw(tmp_path, 6, 20)}
+    assert sum(mutant.kernel for mutant in drawn) == 6
+    # what deletes folders, or says which, is left alone
+    assert not any(mutant.path in deleting for mutant in drawn)
+    for mutant in drawn:
+        source = (ROOT / mutant.path).read_text()
+        pairs = zip(source.splitlines(), mutant.applied(source).splitlines(), strict=True)
+        assert sum(before != after for before, after in pairs) == 1
+
+
+def test_every_subject_has_its_test_files():
+    assert set(SUBJECTS) == set(FOLDERS)
+    for names in SUBJECTS.values():
+        for name in names:
+            assert list((ROOT / "tests").rglob(f"test_{name}.py")), name
+
+
+def test_the_quickest_tests_of_the_subject_that_run_the_function_are_asked_first():
+    def row(seconds, *functions, subjects=("planners",), passed=True, near=True):
+        more = {"subjects": subjects, "passed": passed, "imports": {"planners.a"} if near else set()}
+        return {"seconds": seconds, "functions": functions, **more}
+
+    name = "planners/a.py:f"
+    table = {
+        "slow": row(5.0, name),
+        "quick": row(0.1, name, "planners/a.py:g"),
+        "beside": row(0.1, name, near=False),
+        "other": row(0.1, "planners/a.py:g"),
+        "broken": row(0.1, name, passed=False),
+        "elsewhere": row(0.1, name, subjects=("datasets",)),
+        "endless": row(60.0, name),
+    }
+    assert chosen(table, "planners/a.py", "f") == ["quick", "slow", "beside"]
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """A tree of one function and its test, below git."""
+    root = tmp_path / "root"
+    for folder in (*FOLDERS, "tests"):
+        (root / folder).mkdir(parents=True)
+    (root / "planners/__init__.py").touch()
+    (root / "planners/a.py").write_text(
+        "def double(x: int) -> int:\n    n = 0\n    while x > 0:\n        n, x = n + 2, x - 1\n    return n\n"
+    )
+    (root / "tests/test_a.py").write_text(
+        "from turtlebag.planners.a import double\n\ndef test_double():\n    assert double(3) == 6\n"
+    )
+    (root / "pyproject.toml").write_text("[tool.pytest.ini_options]\n")
+    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
+    return Tree(root, tmp_path / "home")
+
+
+def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
+    monkeypatch.setattr("benchmarks.mutants_run.GRACE_S", 5.0)
+    source = (tree.path / "planners/a.py").read_text()
+    lines = mutants_by_line(source, "planners/a.py")
+    by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}
+    verdicts = {
+        edit: tree.judge(by_edit[edit], ["tests/test_a.py::test_double"], 0.0)
+        for edit in ("n, x = n + 3, x - 1", "n, x = n + 2, x + 1", "while x >= 0:", "while x > 0:")
+        if edit in by_edit
+    }
+    assert verdicts["n, x = n + 3, x - 1"].verdict == "failed"
+    assert verdicts["n, x = n + 3, x - 1"].by == "tests/test_a.py::test_double"
+    assert verdicts["n, x = n + 2, x + 1"].verdict == "timeout"
+    assert tree.run(["tests/test_a.py::test_double"], cpu_s=30.0).verdict == "survived"
+    assert (tree.path / "planners/a.py").read_text() == source
+
+
+def test_the_score_leaves_out_what_changes_nothing():
+    def row(key, verdict):
+        return {
+            "key": f"planners/a.py:f: {key}",
+            "kind": "name",
+            "kernel": False,
+            "tests": 3,
+            "verdict": verdict,
+        }
+
+    rows = [row("a", "failed"), row("b", "timeout"), row("c", "survived"), row("d", "survived")]
+    text = report(rows, {"planners/a.py:f: d": "the same number"})
+    assert text.startswith("2 of 3 caught: 67% (95 % interval 21% to 94%)")
+    assert "1 of 4 drawn change nothing" in text
+    assert "survived   3 tests: planners/a.py:f: c" in text

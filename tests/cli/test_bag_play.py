@@ -1,0 +1,69 @@
+"""`bag play`: the picture shows what was recorded, at the pace asked for."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from bag_samples import pose, stamp, write_drive
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.terminal.drawing import Canvas
+from turtlebag.pipeline.terminal.play import Player, frames, play
+
+
+@pytest.fixture(scope="module")
+def player(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive") / "bag"
+    write_drive(folder, seconds=6)
+    return Player(folder)
+
+
+def test_a_canvas_puts_dots_where_the_points_are():
+    canvas = Canvas(2, 1, (0.0, 0.0), 4.0)  # one dot a metre, x -2..2, y -2..2
+    canvas.dots(np.array([[-1.5, 1.5], [1.5, -1.5], [50.0, 0.0], [np.nan, 0.0]]))
+    assert canvas.text() == chr(0x2800 + 0x01) + chr(0x2800 + 0x80)
+    canvas.robot(-1.0, 0.0, math.pi / 2)
+    assert canvas.text()[0] == "↑"
+
+
+def test_clock_speed_command_and_pose(player):
+    frame = player.frame(stamp(90))
+    x, y, yaw = pose(90).xyt.tolist()
+    assert frame.time_s == pytest.approx(3.0)
+    assert f"x {x:+.2f} y {y:+.2f} yaw {math.degrees(yaw):+4.0f}" in frame.status
+    moved = (pose(84).inverse() @ pose(90)).xyt / 0.2
+    assert f"v {moved[0]:+.2f} m/s w +0.10 rad/s" in frame.status
+    assert "cmd +0.20 +0.10" in frame.status
+
+
+def test_the_drawing_holds_the_robot_in_the_middle_and_its_scan(player):
+    lines = player.frame(stamp(90)).drawing.splitlines()
+    assert len(lines) == 21
+    assert {len(line) for line in lines} == {78}
+    assert lines[10][39] in "→↗"
+    braille = [ord(character) - 0x2800 for character in "".join(lines) if ord(character) > 0x2800]
+    assert sum(bin(dots).count("1") for dots in braille) > 200
+
+
+def test_frames_span_the_recording_at_the_rate(player):
+    shown = list(frames(player, rate=2.0, every_s=0.25))
+    assert [frame.time_s for frame in shown] == pytest.approx(np.append(np.arange(0.0, 5.8, 0.5), 5.8))
+    with pytest.raises(InputError, match="--rate"):
+        next(frames(player, rate=0.0, every_s=0.1))
+
+
+def test_playing_takes_the_time_it_should(player):
+    shown = []
+    start = time.perf_counter()
+    play(player, shown.append, rate=20.0, every_s=0.05)
+    assert time.perf_counter() - start >= 5.8 / 20.0
+    assert len(shown) == 7
+
+
+def test_without_a_terminal_a_line_a_second(player, capsys):
+    assert main(["bag", "play", player.recording.source, "--rate", "100"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 7
+    assert lines[3].startswith("    3.00 s of 5.80")

@@ -1,0 +1,104 @@
+"""Configuration is typed: a typo is an error that names the key."""
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.yaml_files import read_mapping
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.stages.settings import config_text, load_config
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    voxel: float = Field(0.2, gt=0)
+
+
+class Outer(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    inner: Inner = Inner()
+    name: str = "a"
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        *(
+            f"{key}=1e300"
+            for key in (
+                "sequence.initial_wait",
+                "sequence.timeout",
+                "sequence.pause",
+                "relocalise.settled",
+                "relocalise.look",
+                "relocalise.trust",
+                "relocalise.roam",
+                "relocalise.tell_apart",
+                "recovery.stuck_time",
+                "wiggle.least",
+                "wiggle.most",
+                "goal_checker.hold",
+                "plan.replan_period",
+                "mapless.replan_period",
+                "live.decay",
+                "live.period",
+                "guard.memory",
+                "guard.restless",
+                "explore.look_after",
+                "amcl.likelihood_max_dist",
+                "sim.faults.command_delay",
+            )
+        ),
+        "recovery.ladder=[{kind: wait, amount: 1e300}]",
+        "recovery.back_up_v=1e-300",
+        "recovery.rotate_w=1e-300",
+        "amcl.likelihood_max_dist=.inf",
+        "amcl.laser_min_range=.nan",
+    ],
+)
+def test_times_and_lengths_beyond_any_run_are_refused(setting):
+    with pytest.raises(InputError, match=setting.partition("=")[0]):
+        load_config(NavigateConfig, settings=[setting])
+
+
+def test_settings_override_the_file_and_the_file_the_defaults(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text("inner: {voxel: 0.3}\nname: b\n")
+    assert load_config(Outer) == Outer()
+    assert load_config(Outer, path).inner.voxel == 0.3
+    assert load_config(Outer, path, ["inner.voxel=0.4"]) == Outer(inner=Inner(voxel=0.4), name="b")
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("inner.voxle=1", "inner.voxle: unknown key"),
+        ("inner.voxel=-1", "inner.voxel"),
+        ("inner.voxel", "expected key=value"),
+        ("name.x.y=1", "name"),
+        ("inner.voxel=[", "not valid YAML"),
+    ],
+)
+def test_a_wrong_setting_names_its_key_in_one_line(setting, message):
+    with pytest.raises(InputError, match=message) as caught:
+        load_config(Outer, settings=[setting])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("a: [", "line 1: not valid YAML"), ("- 1", "found a list"), ("x: 1", "x: unknown key")],
+)
+def test_a_wrong_file_names_itself(tmp_path, text, message):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        load_config(Outer, path)
+    assert str(path) in str(caught.value)
+
+
+def test_resolved_configuration_reads_back(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text(config_text(Outer(name="z")))
+    assert load_config(Outer, path) == Outer(name="z")
+    assert read_mapping(path)["name"] == "z"

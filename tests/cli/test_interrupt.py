@@ -1,0 +1,83 @@
+"""Ctrl-C at any moment: exit code 130, one line, and no half output."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+GROW = (
+    "import time, pathlib, sys\n"
+    "from turtlebag.datasets.outputs import staged_output\n"
+    "from turtlebag.pipeline.cli import doctor\n"
+    "def grow():\n"
+    "    with staged_output(pathlib.Path(sys.argv[1])) as folder:\n"
+    "        (folder / 'half').write_text('x')\n"
+    "        print('growing', flush=True)\n"
+    "        time.sleep(60)\n"
+    "doctor.CHECKS = {'grow': grow}\n"
+    "from turtlebag.pipeline.cli.main import main\n"
+    "sys.exit(main(['doctor']))\n"
+)
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_stage_leaves_nothing(tmp_path, stop):
+    process = subprocess.Popen(
+        [sys.executable, "-c", GROW, str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "growing\n"
+    process.send_signal(stop)
+    _, complaint = process.communicate(timeout=20)
+    assert process.returncode == 128 + stop
+    assert complaint == "turtlebag: interrupted\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mapping_is_interrupted_inside_compiled_code_without_a_crash(tmp_path):
+    script = tmp_path / "kernel.py"
+    script.write_text(
+        "import sys, numpy as np\nfrom numba import njit\nfrom turtlebag.pipeline.cli import doctor\n"
+        "@njit\ndef kernel(x):\n    return x + 1.0\n"
+        "def spin():\n"
+        "    x = kernel(np.zeros(3))\n    print('ready', flush=True)\n"
+        "    while True:\n        x = kernel(x)\n"
+        "doctor.CHECKS = {'spin': spin}\n"
+        "from turtlebag.pipeline.cli.main import main\nsys.exit(main(['doctor']))\n"
+    )
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, str(script)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=30)
+        assert (process.returncode, complaint) == (130, "turtlebag: interrupted\n")
+
+
+def test_an_interrupt_while_the_program_still_loads_shows_no_traceback():
+    code = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'turtlebag.pipeline.cli.main':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from turtlebag.pipeline.__main__ import run\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stderr) == (130, "")

@@ -1,0 +1,191 @@
+"""Keyboard teleop: steps and limits of the keys, stopping, the bag, the view."""
+
+import os
+import re
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.record import Scene, record_drive
+from turtlebag.pipeline.terminal.keyboard import TABLES, KeyState, View, keyboard_driver, keys_of
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.worlds import load_world
+
+BURGER = load_robot("burger")
+
+
+def pressed(keys, style="keys"):
+    state = KeyState(BURGER.limits, style)
+    for key in keys:
+        state.press(key)
+    return state
+
+
+def test_keys_move_by_their_steps():
+    assert pressed("wwwa").command == Twist(pytest.approx(0.03), pytest.approx(0.1))
+    assert pressed("WwsDd").command == Twist(pytest.approx(0.01), pytest.approx(-0.2))
+    assert pressed("wwss").command == Twist(0.0, 0.0)
+    for stop in "x X".replace(" ", "") + " ":
+        assert pressed("wwwaa" + stop).command == Twist(0.0, 0.0)
+
+
+def test_limits_of_the_robot_are_kept():
+    assert pressed("w" * 100 + "a" * 100).command == Twist(0.22, 2.84)
+    assert pressed("s" * 100 + "d" * 100).command == Twist(-0.22, -2.84)
+
+
+def test_turtlebot3_style_follows_its_target_by_half_steps():
+    state = pressed("wwa", "turtlebot3")
+    assert state.command == Twist(0.0, 0.0)
+    state.tick()
+    assert state.command == Twist(pytest.approx(0.005), pytest.approx(0.05))
+    for _ in range(10):
+        state.tick()
+    assert state.command == Twist(pytest.approx(0.02), pytest.approx(0.1))
+    state.press("x")  # in this style: slower
+    for _ in range(10):
+        state.tick()
+    assert state.command.v == pytest.approx(0.01)
+    state.press("s")  # stop at once
+    assert state.command == Twist(0.0, 0.0)
+
+
+def test_a_keyboard_drive_is_a_bag_like_any_other_and_ends_standing(tmp_path):
+    scene = Scene.load("empty", None, 1, None, None)
+    state = KeyState(scene.robot.limits, "keys")
+    typed = iter(["w" * 10, "", "aaa"] + [""] * 40 + ["q"])
+    frames = []
+    driver = keyboard_driver(state, lambda: next(typed), lambda step: None)
+    view = View(scene.robot, state, False, frames.append)
+    assert record_drive(scene, driver, "keyboard:keys", tmp_path / "rec", watch=view) == 0
+    _, v, w = read_commands(tmp_path / "rec")
+    assert v.max() == pytest.approx(0.1)
+    assert w.max() == pytest.approx(0.3)
+    assert (v[-1], w[-1]) == (0.0, 0.0)
+    assert np.all(v[-25:] == 0.0)
+    assert any("+0.10 m/s" in frame for frame in frames)
+
+
+def test_the_view_draws_a_map_that_grows():
+    world = load_world("turtlebot3_world")
+    state = KeyState(BURGER.limits, "keys")
+    frames = []
+    view = View(BURGER, state, True, frames.append)
+    with Simulator(world, BURGER, SimConfig(), 1) as simulator:
+        view(simulator.reset())
+        for _ in range(9):
+            view(simulator.step(Twist(0.2, 0.0)))
+        first = len(view.map_points)
+        for _ in range(60):
+            view(simulator.step(Twist(0.2, 0.5)))
+    assert len(view.map_points) > first > 50
+    assert sum(ord(c) - 0x2800 > 0 for c in frames[-1] if 0x2800 <= ord(c) < 0x2900) > 20
+    assert any(arrow in frames[-1] for arrow in "→↗↑↖←↙↓↘")
+
+
+class Screen:
+    """What a terminal shows of what is written to it, and how often it scrolled."""
+
+    def __init__(self, columns, rows):
+        self.columns, self.rows, self.scrolled = columns, rows, 0
+        self.lines, self.row, self.column = [[" "] * columns for _ in range(rows)], 0, 0
+
+    def feed(self, text):
+        for part in re.findall(r"\x1b\[\d*[A-Z]|[^\x1b]", text):
+            if part == "\x1b[H":
+                self.row = self.column = 0
+            elif part == "\x1b[K":
+                self.lines[self.row][self.column :] = [" "] * (self.columns - self.column)
+            elif part in ("\x1b[J", "\x1b[2J"):
+                first = 0 if part == "\x1b[2J" else self.row + 1
+                self.lines[first:] = [[" "] * self.columns for _ in self.lines[first:]]
+            elif part == "\r":
+                self.column = 0
+            elif part == "\n" or self.column == self.columns:
+                self._newline()
+                if part != "\n":
+                    self._put(part)
+            else:
+                self._put(part)
+
+    def _put(self, character):
+        self.lines[self.row][self.column] = character
+        self.column += 1
+
+    def _newline(self):
+        self.column = 0
+        self.row += 1
+        if self.row == self.rows:
+            self.scrolled += 1
+            self.row, self.lines = self.rows - 1, [*self.lines[1:], [" "] * self.columns]
+
+    def text(self):
+        return ["".join(line).rstrip() for line in self.lines]
+
+
+@pytest.mark.parametrize("size", [(80, 24), (66, 18), (132, 43), (20, 5)])
+@pytest.mark.parametrize("style", ["keys", "turtlebot3"])
+def test_the_view_fills_its_terminal_in_place_and_keeps_the_keys(size, style):
+    screen, state, table = Screen(*size), KeyState(BURGER.limits, style), TABLES[style]
+    view = View(BURGER, state, True, screen.feed, keys=table, size=lambda: size)
+    with Simulator(load_world("turtlebot3_world"), BURGER, SimConfig(), 1) as simulator:
+        view(simulator.reset())
+        for _ in range(12):
+            view(simulator.step(Twist(0.2, 0.0)))
+    assert screen.scrolled == 0
+    *picture, status = screen.text()
+    keys = [line[: size[0] - 1] for line in table.splitlines()]
+    assert picture[-len(keys) :] == keys
+    assert status.startswith("    0.4 s")
+    assert any("\u2801" <= c <= "\u28ff" for line in picture[: -len(keys)] for c in line)
+
+
+@pytest.mark.parametrize("columns", [80, 66, 12])
+def test_the_line_of_speeds_stays_in_its_line(columns):
+    screen, state = Screen(columns, 3), KeyState(BURGER.limits, "keys")
+    view = View(BURGER, state, False, screen.feed, size=lambda: (columns, 3))
+    with Simulator(load_world("empty"), BURGER, SimConfig(), 1) as simulator:
+        view(simulator.reset())
+        for _ in range(12):
+            view(simulator.step(Twist(0.2, 0.0)))
+    assert screen.scrolled == 0
+    assert screen.text()[0].startswith("    0.4 s")
+    assert screen.text()[1:] == ["", ""]
+    assert all(len(line) < 66 for table in TABLES.values() for line in table.splitlines())
+
+
+def test_keys_from_a_pipe_are_given_one_by_one_and_end():
+    reader, writer = os.pipe()
+    os.write(writer, b"wa")
+    os.close(writer)
+    with keys_of(reader) as read_keys:
+        assert [read_keys() for _ in range(3)] == ["w", "a", "q"]
+    os.close(reader)
+
+
+@pytest.mark.parametrize("view", [(), ("--view",)])
+def test_quiet_driving_shows_nothing(tmp_path, monkeypatch, capsys, view):
+    with open(os.devnull) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        drive = ["teleop", "-q", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec"), *view]
+        assert main(drive) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_command_records_from_piped_keys_and_refuses_a_wrong_world(tmp_path, monkeypatch, capsys):
+    reader, writer = os.pipe()
+    os.write(writer, b"w" * 20)
+    os.close(writer)
+    with os.fdopen(reader) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        arguments = ["teleop", "--world", "empty", "--speed", "50", "--out", str(tmp_path / "rec")]
+        assert main(arguments) == 0
+    _, v, _ = read_commands(tmp_path / "rec")
+    assert v.max() == pytest.approx(0.2)
+    assert "W forward" in capsys.readouterr().err
+    assert main(["teleop", "--world", "nowhere", "--out", str(tmp_path / "other")]) == 2
+    assert not (tmp_path / "other").exists()

@@ -1,0 +1,140 @@
+"""What a person meets at the terminal: messages in whole lines, bars above which they go, closing lines."""
+
+import io
+import subprocess
+import sys
+from contextlib import redirect_stderr
+
+import pytest
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.cli.main import VERBS, main
+from turtlebag.pipeline.stages.map_summary import map_lines
+from turtlebag.pipeline.terminal import messages as console
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def normal():
+    console.set_verbosity(0)
+    yield
+    console.set_verbosity(0)
+
+
+@pytest.mark.parametrize("words", [[], ["navigate"], ["bag"], ["bag", "info"], ["mpa"], ["map", "--ot", "x"]])
+def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, words):
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith("turtlebag: ")
+    assert not error.startswith("turtlebag: turtlebag")
+
+
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == "turtlebag 0.1.0\n"
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_help_of_a_verb_has_an_example(capsys, verb):
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    assert "example:\n  turtlebag " + verb in capsys.readouterr().out
+
+
+def test_a_message_during_a_bar_has_its_own_line_above_it(normal):
+    with redirect_stderr(Terminal()) as terminal, console.simulated_time(10.0) as clock:
+        clock(4 * 10**9, "follow")
+        console.log.info("goal 1 of 2: reached")
+    written = terminal.getvalue()
+    assert written.count("goal 1 of 2: reached\n") == 1
+    assert "4 s of 10 s simulated" in written
+    assert "follow" in written
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+def test_without_a_terminal_or_quietly_no_bar_is_drawn(normal, stream):
+    console.set_verbosity(-1 if stream is Terminal else 0)
+    with redirect_stderr(stream()) as written:
+        with console.simulated_time() as clock, console.drawing() as told:
+            clock(10**9, "follow")
+            told("a figure")
+        assert list(console.track(range(3), "some")) == [0, 1, 2]
+    assert written.getvalue() == ""
+
+
+def test_results_go_to_stdout_though_a_bar_is_shown(normal, capsys):
+    with redirect_stderr(Terminal()) as terminal, console.simulated_time() as clock:
+        clock(10**9, "")
+        console.say("a decision")
+    assert capsys.readouterr().out == "a decision\n"
+    assert "a decision" not in terminal.getvalue()
+
+
+def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
+    for name in ("map.pgm", "map.yaml", "map_house.pgm", "map_house.yaml", "config.yaml", "metrics.json"):
+        (tmp_path / name).touch()
+    metrics = {
+        "scans": 1123,
+        "keyframes": 143,
+        "loops": {"proposed": 34, "accepted": 33, "rejected": 1},
+        "self_check": {"verdict": "good", "reasons": []},
+    }
+    errors = {
+        "ate_m": {"rmse": 0.0022, "max": 0.007},
+        "map": {"occupied_error_m": {"mean": 0.0076, "p95": 0.05, "within_one_cell": 1.0}},
+    }
+    files = f"{tmp_path}: map.pgm, map.yaml, map_house.pgm, map_house.yaml"
+    first = "good map of 1123 scans (143 key scans, 33 of 34 loop candidates accepted) in 91.0 s"
+    assert list(map_lines(metrics, tmp_path, 91.0)) == [first, files]
+    assert list(map_lines({**metrics, **errors}, tmp_path, 91.0)) == [
+        first,
+        "trajectory error (ATE): 0.2 cm RMSE, 0.7 cm at most",
+        "wall error: 0.8 cm on average, 100.0% of the cells within one cell",
+        files,
+    ]
+
+
+@pytest.mark.parametrize("name", ["a/b", "../x", "config", "map", "", ".x"])
+def test_a_name_for_a_map_that_would_be_another_file_is_refused(tmp_path, capsys, name):
+    (tmp_path / "in").mkdir()
+    assert main(["map", str(tmp_path / "in"), "--name", name, "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.startswith(f"turtlebag: --name {name}: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+HEAVY = {"numba", "scipy", "gtsam", "pybullet", "ompl", "open3d", "matplotlib", "rosbags", "PIL", "duckdb"}
+
+
+def loaded_after(code):
+    """The heavy packages that are imported when some code has run."""
+    code += "\nimport sys\nprint('LOADED', *{name.partition('.')[0] for name in sys.modules})"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    return set(done.stdout.rpartition("LOADED")[2].split()) & HEAVY
+
+
+def test_the_help_of_every_verb_loads_nothing_heavy():
+    words = "from turtlebag.pipeline.cli.main import VERBS, build_parser\n"
+    assert loaded_after(words + "for verb in VERBS: build_parser(verb)") == set()
+
+
+def test_looking_at_a_bag_loads_what_reads_it_and_no_more(tmp_path):
+    with BagWriter(tmp_path / "bag", custom={"seed": "1"}) as bag:
+        bag.command(10**9, Twist(0.1, 0.0))
+    look = f"assert main(['bag', 'info', {str(tmp_path / 'bag')!r}]) == 0"
+    assert loaded_after("from turtlebag.pipeline.cli.main import main\n" + look) == set()
+
+
+def test_a_drive_loads_no_pose_graph_and_no_plots():
+    modules = "import turtlebag.pipeline.stages.navigate, turtlebag.pipeline.navigation.setup"
+    assert not loaded_after(modules) & {"gtsam", "open3d", "matplotlib", "duckdb"}

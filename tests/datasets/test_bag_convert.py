@@ -1,0 +1,142 @@
+"""Conversions keep every message."""
+
+import bz2
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_samples import write_drive
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from turtlebag.datasets.bags.convert import carmen_to_mcap, to_mcap, to_ros1_bag, to_sqlite3
+from turtlebag.datasets.bags.copying import into_mcap
+from turtlebag.datasets.bags.folder import BagFolder
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.topics import definition
+from turtlebag.datasets.recordings import load_recording
+
+RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive") / "bag"
+    write_drive(folder, seconds=5, navigation=True)
+    return folder
+
+
+def contents(path):
+    """Every message, ordered by what a reader can rely on."""
+    return sorted((m.topic.name, m.log_time_ns, m.topic.msgtype, m.data) for m in open_bag(path).messages())
+
+
+def test_ros1_and_back_keeps_every_byte(drive, tmp_path):
+    count, notes = to_ros1_bag(drive, tmp_path / "a.bag")
+    assert notes == []
+    to_mcap(tmp_path / "a.bag", tmp_path / "back")
+    expected = contents(drive)
+    assert count == len(expected)
+    assert contents(tmp_path / "back") == expected
+
+
+def test_sqlite3_and_back_keeps_every_byte(drive, tmp_path):
+    to_sqlite3(drive, tmp_path / "a")
+    to_mcap(tmp_path / "a", tmp_path / "back")
+    assert contents(tmp_path / "a") == contents(drive) == contents(tmp_path / "back")
+
+
+def test_others_read_the_converted_bags(drive, tmp_path):
+    to_ros1_bag(drive, tmp_path / "a.bag")
+    to_sqlite3(drive, tmp_path / "a")
+    for path in (tmp_path / "a.bag", tmp_path / "a"):
+        with AnyReader([path]) as reader:
+            assert reader.message_count == len(contents(drive))
+            scans = [c for c in reader.connections if c.topic == "/scan"]
+            _, _, raw = next(reader.messages(scans))
+            scan = reader.deserialize(raw, scans[0].msgtype)
+        np.testing.assert_array_equal(scan.ranges, load_recording(drive).ranges[0])
+    with AnyReader([tmp_path / "a.bag"]) as reader:
+        latched = {c.topic for c in reader.connections if c.ext.latching}
+        digests = {c.msgtype: c.digest for c in reader.connections}
+    ros1 = get_typestore(Stores.ROS1_NOETIC)
+    assert digests.pop("tf2_msgs/msg/TFMessage") == "94810edda583a504dfda3829e70d7eec"
+    assert digests == {msgtype: ros1.generate_msgdef(msgtype)[1] for msgtype in digests}
+    assert latched == {"/map", "/tf_static", "/cmd_vel_owner"}
+
+
+def test_latching_and_quality_of_service_survive(drive, tmp_path):
+    to_mcap(drive, tmp_path / "copy")
+    a, b = ((folder / "metadata.yaml").read_text() for folder in (drive, tmp_path / "copy"))
+    assert a == b
+    assert "seed: '7'" in b
+    to_sqlite3(drive, tmp_path / "a")
+    assert open_bag(tmp_path / "a").custom_data() == {"seed": "7"}
+
+
+def test_recordings_of_all_kinds_are_the_same(drive, tmp_path):
+    to_ros1_bag(drive, tmp_path / "a.bag")
+    to_sqlite3(drive, tmp_path / "a")
+    packed = tmp_path / "a.bag.bz2"
+    packed.write_bytes(bz2.compress((tmp_path / "a.bag").read_bytes()))
+    expected = load_recording(drive)
+    for path in (tmp_path / "a.bag", tmp_path / "a", packed):
+        recording = load_recording(path)
+        np.testing.assert_array_equal(recording.ranges, expected.ranges)
+        np.testing.assert_array_equal(recording.T_odom_base.xyt, expected.T_odom_base.xyt)
+        np.testing.assert_array_equal(recording.T_base_lidar.xyt, expected.T_base_lidar.xyt)
+        assert recording.stamps_ns.tolist() == expected.stamps_ns.tolist()
+
+
+def test_a_topic_can_be_left_out(drive, tmp_path):
+    to_mcap(drive, tmp_path / "copy", exclude=["/ground_truth/odom"])
+    assert contents(tmp_path / "copy") == [m for m in contents(drive) if m[0] != "/ground_truth/odom"]
+
+
+@pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
+def test_a_carmen_log_is_the_same_recording_as_a_bag(tmp_path):
+    log = load_recording(RADISH / "fr079.clf.bz2")
+    carmen_to_mcap(log, tmp_path / "bag")
+    bag = load_recording(tmp_path / "bag")
+    np.testing.assert_array_equal(bag.ranges, log.ranges)
+    assert bag.stamps_ns.tolist() == log.stamps_ns.tolist()
+    np.testing.assert_allclose(bag.T_odom_base.xyt, log.T_odom_base.xyt, atol=1e-12)
+    np.testing.assert_allclose(bag.T_base_lidar.xyt, log.T_base_lidar.xyt)
+    np.testing.assert_allclose(bag.lidar.angles, log.lidar.angles, atol=1e-6)
+
+
+@pytest.mark.parametrize("convert", [to_mcap, to_sqlite3, to_ros1_bag])
+def test_the_files_of_a_split_bag_share_their_topics(drive, tmp_path, convert):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for index in range(2):
+        (folder / f"bag_{index}.mcap").write_bytes((drive / "bag_0.mcap").read_bytes())
+    out = tmp_path / ("out.bag" if convert is to_ros1_bag else "out")
+    count, _ = convert(folder, out)
+    assert count == 2 * len(contents(drive))
+    with AnyReader([out]) as reader:
+        names = [connection.topic for connection in reader.connections]
+        assert len(names) == len(set(names))
+        assert reader.message_count == count
+
+
+def test_what_cannot_be_translated_is_left_out_and_named(drive, tmp_path):
+    with BagFolder(tmp_path / "bag", custom={}) as bag:
+        copier = into_mcap(bag)
+        for message in open_bag(drive).messages():
+            copier.write(message)
+        text, type_hash = definition("sensor_msgs/msg/LaserScan")
+        scan = bag.add_topic("/scan2", "sensor_msgs/msg/LaserScan", text, type_hash=type_hash)
+        bag.write(scan, 1, b"\x00\x01\x00\x00short")
+        strange = bag.add_topic("/strange", "my_msgs/msg/Strange", "my_msgs/Missing field")
+        bag.write(strange, 2, b"\x00\x01\x00\x00")
+        json = bag.add_topic("/json", "Thing", "{}", form="jsonschema", encoding="json")
+        bag.write(json, 3, b"{}")
+    count, notes = to_ros1_bag(tmp_path / "bag", tmp_path / "a.bag")
+    assert count == len(contents(drive))
+    assert any("/scan2: 1 damaged" in note for note in notes)
+    assert any("/strange" in note for note in notes)
+    assert any("/json" in note for note in notes)
+    count, notes = to_sqlite3(tmp_path / "bag", tmp_path / "a")
+    assert count == len(contents(drive)) + 2
+    assert [note for note in notes if "/json" in note]

@@ -1,0 +1,128 @@
+"""Crashes, cuts and flipped bytes: what is read is right, what is lost is said, little is lost."""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_samples import write_drive
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from turtlebag.datasets.bags.recover import recover
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.recordings import load_recording
+
+ROOT = Path(__file__).parents[2]
+spec = importlib.util.spec_from_file_location("bags_damage", ROOT / "benchmarks" / "bags_damage.py")
+bags_damage = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(bags_damage)
+campaign, messages_of = bags_damage.campaign, bags_damage.messages_of
+
+CHILD = """
+import mmap, sys, time
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+from bag_samples import LINKS, observation, pose, stamp
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.types import Twist
+file = open(sys.argv[3], "r+b")
+progress = mmap.mmap(file.fileno(), 8)
+samples = [observation(step) for step in range(1, 301)]
+with BagWriter(Path(sys.argv[2]), custom={}) as writer:
+    writer.static_transforms(0, LINKS)
+    for sample in samples:
+        writer.observation(sample)
+        progress[:] = sample.stamp_ns.to_bytes(8, "little")
+        time.sleep(0.001)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drive") / "bag"
+    write_drive(folder, seconds=6)
+    return folder
+
+
+@pytest.mark.parametrize("after_s", [0.02, 0.13, 0.3])
+def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(tmp_path, after_s):
+    progress, folder = tmp_path / "progress", tmp_path / "bag"
+    progress.write_bytes(bytes(8))
+    arguments = [sys.executable, "-c", CHILD, str(Path(__file__).parents[2]), str(folder), str(progress)]
+    child = subprocess.Popen(arguments)
+    while not any(progress.read_bytes()):
+        assert child.poll() is None
+        time.sleep(0.005)
+    time.sleep(after_s)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    written = int.from_bytes(progress.read_bytes(), "little")
+    assert not (folder / "metadata.yaml").exists()
+    with (folder / "bag_0.mcap").open("rb") as file, pytest.raises(McapError):
+        make_reader(file).get_summary()
+    if written > 2_000_000_000:
+        saved = recover(folder, tmp_path / "saved")
+        assert written - saved.end_ns < 2_000_000_000
+        assert load_recording(folder).notes[0].startswith("metadata.yaml is missing")
+        expected = messages_of(folder)
+        assert messages_of(tmp_path / "saved") == expected
+
+
+def test_random_cuts_and_flips_never_give_wrong_data_or_silence(drive, tmp_path):
+    outcomes = campaign(drive, 15, 0, tmp_path)
+    assert len(outcomes) == 6
+    for name, counter in outcomes.items():
+        assert sum(counter.values()) == 15
+        assert not [outcome for outcome in counter if outcome.startswith("BAD")], (name, counter)
+    assert outcomes["mcap flip, recover"] == {"recovered": 15}
+
+
+def test_formats_without_checksums_end_in_data_or_one_error(drive, tmp_path):
+    for counter in bags_damage.other_formats(drive, 6, 0, tmp_path).values():
+        assert not [outcome for outcome in counter if outcome.startswith("BAD")]
+
+
+def test_recovery_steps_over_a_damaged_chunk(drive, tmp_path):
+    content = bytearray((drive / "bag_0.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    whole, before = messages_of(drive), messages_of(path)
+    saved = recover(path, tmp_path / "saved")
+    times = np.array([time for _, time, _ in messages_of(tmp_path / "saved")])
+    assert len(before) < len(times) < len(whole)
+    assert times[-1] == whole[-1][1]
+    assert np.diff(times).max() < 2_000_000_000
+    assert any("damaged at byte" in note for note in saved.notes)
+
+
+def test_a_damaged_first_chunk_costs_only_itself(drive, tmp_path):
+    content = bytearray((drive / "bag_0.mcap").read_bytes())
+    content[2000] ^= 1
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    assert recover(path, tmp_path / "saved").messages > 0.7 * len(messages_of(drive))
+
+
+def test_recovery_keeps_what_was_noted_of_the_recording(drive, tmp_path):
+    content = (drive / "bag_0.mcap").read_bytes()
+    (tmp_path / "a.mcap").write_bytes(content[: len(content) // 2])
+    recover(tmp_path / "a.mcap", tmp_path / "saved")
+    assert open_bag(tmp_path / "saved").custom_data() == {"seed": "7", "recovered": "true"}
+
+
+def test_the_warning_says_where_and_what_to_do(drive, tmp_path):
+    content = (drive / "bag_0.mcap").read_bytes()
+    (tmp_path / "a.mcap").write_bytes(content[: len(content) // 2])
+    bag = open_bag(tmp_path / "a.mcap")
+    assert sum(1 for _ in bag.messages()) > 0
+    assert "a.mcap: " in bag.notes[0]
+    assert "byte" in bag.notes[0]
+    assert "bag recover" in bag.notes[1]

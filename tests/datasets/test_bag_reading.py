@@ -1,0 +1,150 @@
+"""What is told of a bag and read from it for mapping, at the limits."""
+
+import math
+
+import numpy as np
+import pytest
+from foreign_bags import (
+    ODOMETRY,
+    SCAN,
+    STORE,
+    TF,
+    laser_scan,
+    odometry,
+    tf,
+    transform,
+    write_foreign,
+)
+
+from turtlebag.datasets.bags import cdr
+from turtlebag.datasets.bags.decode import RawScan
+from turtlebag.datasets.bags.mapping_input import _of_one_laser, _planar, read_for_mapping
+from turtlebag.datasets.bags.reader import (
+    BagInfo,
+    TopicInfo,
+    bag_info,
+    read_commands,
+    read_particles,
+    read_poses,
+)
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+
+S = 10**9
+LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
+TWIST, ARRAY, CLOUD = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2"
+
+
+def test_a_bag_is_told_topic_by_topic(tmp_path):
+    messages = [("/b", SCAN, t * S, laser_scan(t * S, np.ones(5))) for t in (5, 2, 9, 3)]
+    messages += [("/a", ODOMETRY, 7 * S, odometry(7 * S, 1.0))]
+    info = bag_info(write_foreign(tmp_path / "bag", messages))
+    assert [(t.name, t.count, t.start_ns, t.end_ns, t.longest_gap_ns) for t in info.topics] == [
+        ("/a", 1, 7 * S, 7 * S, 0),
+        ("/b", 4, 2 * S, 9 * S, 4 * S),
+    ]
+    assert [t.rate_hz() for t in info.topics] == [0.0, pytest.approx(3 / 7)]
+    assert (info.count, info.start_ns, info.end_ns, info.duration()) == (5, 2 * S, 9 * S, pytest.approx(7.0))
+    assert TopicInfo("/x", "y", 3, 5, 5, 0).rate_hz() == 0.0
+    nothing = BagInfo(tmp_path, "mcap", (), (), ())
+    assert (nothing.count, nothing.start_ns, nothing.end_ns, nothing.duration()) == (0, 0, 0, 0.0)
+
+
+def test_single_streams_are_read_and_missing_ones_named(tmp_path):
+    def twist(v, w):
+        template = cdr.twist()
+        template.patch_twist(v, w)
+        return STORE.deserialize_cdr(bytes(template.data), TWIST)
+
+    cloud = SE2(np.array([[1.0, 2.0, 0.5], [3.0, 4.0, -0.5]]))
+    array = STORE.deserialize_cdr(cdr.pose_array("map", 9 * S, cloud), ARRAY)
+    messages = [("/odom", ODOMETRY, k * S, odometry((5 - k) * S, 0.5 * k)) for k in (1, 2, 3)]
+    messages += [("/cmd_vel", TWIST, k * S, twist(0.1 * k, -0.2 * k)) for k in (1, 2)]
+    path = write_foreign(tmp_path / "bag", [*messages, ("/particlecloud", ARRAY, 8 * S, array)])
+    poses = read_poses(path, "/odom")
+    assert poses.stamps_ns.tolist() == [4 * S, 3 * S, 2 * S]
+    np.testing.assert_allclose(poses.poses.x, [0.5, 1.0, 1.5])
+    times, v, w = read_commands(path)
+    assert times.tolist() == [S, 2 * S]
+    np.testing.assert_allclose([v, w], [[0.1, 0.2], [-0.2, -0.4]])
+    ((stamp, found),) = read_particles(path)
+    assert stamp == 9 * S
+    np.testing.assert_allclose(found.xyt, cloud.xyt)
+    assert read_particles(path, "/other") == []
+    with pytest.raises(InputError, match=r"/cmd_vel holds no poses .its type is geometry_msgs/msg/Twist"):
+        read_poses(path, "/cmd_vel")
+    with pytest.raises(InputError, match="no /x in this bag; its topics: /cmd_vel, /odom, /particlecloud"):
+        read_poses(path, "/x")
+
+
+def raw(frame, stamp=0):
+    return RawScan(stamp, frame, (0.0,) * 7, np.zeros(3, np.float32))
+
+
+def test_of_several_lasers_the_most_frequent_is_used():
+    notes = []
+    scans, times = _of_one_laser(
+        "/scan", [raw("a"), raw("b", 1), raw("a"), raw("b", 2), raw("b", 3)], [5, 6, 7, 8, 9], notes
+    )
+    assert [s.stamp_ns for s in scans] == [1, 2, 3]
+    assert times.tolist() == [6, 8, 9]
+    assert notes == ["/scan: scans of more lasers than one; 3 of 'b' used, 2 of 'a' left out"]
+    notes.clear()
+    assert len(_of_one_laser("/scan", [raw("a")] * 2, [1, 2], notes)[0]) == 2
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("roll", "tilt", "notes"), [(0.0, 0.19, 0), (0.0, 0.21, 1), (math.pi, 0.0, 1), (math.pi, 0.3, 2)]
+)
+def test_a_laser_is_planar_tilted_or_upside_down(roll, tilt, notes):
+    c, s = math.cos(0.7), math.sin(0.7)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    a = roll + tilt
+    lean = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(a), -math.sin(a)], [0.0, math.sin(a), math.cos(a)]])
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn @ lean, (1.0, 2.0, 3.0)
+    said = []
+    found, over = _planar(T, said)
+    np.testing.assert_allclose(found.xyt, [1.0, 2.0, 0.7])
+    assert over == (roll > 0.0)
+    assert len(said) == notes
+    if tilt > 0.2:
+        assert f"tilted by {math.degrees(tilt):.0f} degrees" in said[0]
+
+
+def test_a_recording_has_its_scans_odometry_and_laser_or_a_line_that_says_why_not(tmp_path):
+    def drive(*topics, static=LASER):
+        messages = [("/tf_static", TF, 0, tf(transform(0, *static)))]
+        for k in range(8):
+            for name in topics:
+                messages.append(
+                    (name, SCAN, k * S + 5, laser_scan(k * S, np.full(5, 1.0 + k), time_increment=2.0**-6))
+                )
+            messages.append(("/odom", ODOMETRY, k * S, odometry(k * S, 0.5 * k)))
+        return messages
+
+    found = read_for_mapping(open_bag(write_foreign(tmp_path / "a", drive("/scan", "/other"))))
+    assert found.stamps_ns.tolist() == [k * S for k in range(8)]
+    np.testing.assert_allclose(found.T_odom_base.x, 0.5 * np.arange(8))
+    np.testing.assert_allclose(found.T_base_lidar.xyt, [0.3, 0.0, 0.0])
+    assert found.ranges[3].tolist() == [np.inf] * 5
+    bag = write_foreign(tmp_path / "b", drive("/left", "/right"))
+    with pytest.raises(InputError, match="no /scan, and several LaserScan topics"):
+        read_for_mapping(open_bag(bag))
+    told = read_for_mapping(open_bag(bag), topic="/left", T_base_lidar=SE2.from_xyt(9.0, 0.0, 0.0))
+    assert float(told.T_base_lidar.x) == 9.0
+    for topic, says in (("/x", "not in this bag"), ("/odom", "of type nav_msgs/msg/Odometry")):
+        with pytest.raises(InputError, match=f"--topic {topic} is {says}"):
+            read_for_mapping(open_bag(bag), topic=topic)
+    assert len(read_for_mapping(open_bag(write_foreign(tmp_path / "c", drive("/front/scan", "/x"))))) == 8
+    over = (*LASER[:3], (1, 0, 0, 0))
+    turned = read_for_mapping(open_bag(write_foreign(tmp_path / "d", drive("/scan", static=over))))
+    # the beams go round the other way; each keeps its time, and the scan its stamp
+    assert turned.stamps_ns.tolist() == [k * S for k in range(8)]
+    assert turned.lidar.time_increment == 2.0**-6
+    np.testing.assert_allclose(turned.lidar.angles, -found.lidar.angles)
+    with pytest.raises(InputError, match=r"no /scan .* its topics: /odom, /tf_static") as error:
+        read_for_mapping(open_bag(write_foreign(tmp_path / "e", drive())))
+    assert error.value.clouds == []

@@ -1,0 +1,315 @@
+"""What is not ours is never replaced or removed, and only one process writes an output."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtlebag.datasets.claims import MARKER, claimed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_tree, staged_file, staged_output, write_manifest
+from turtlebag.pipeline.cli.main import main
+
+PNG = b"\x89PNG\r\n\x1a\nrest"
+
+
+def ours(folder, **files):
+    """A finished output of ours."""
+    folder.mkdir(parents=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    write_manifest(folder, stage="map", command=[], inputs={}, seed=None, wall_s=0.0)
+    return folder
+
+
+def state(folder):
+    """Everything below a folder: kinds, links and contents."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        content = path.read_bytes() if path.is_file() else os.readlink(path) if path.is_symlink() else ""
+        found[path.relative_to(folder).as_posix()] = (path.lstat().st_mode, path.lstat().st_ino, content)
+    return found
+
+
+def write(out, inputs, meanwhile):
+    """Write an output while something else happens."""
+    with staged_output(out, inputs=inputs) as partial:
+        (partial / "a").write_text("a")
+        meanwhile()
+
+
+def folder_with(name, text):
+    def make(path):
+        path.mkdir()
+        (path / name).write_text(text)
+
+    return make
+
+
+NOT_OURS = {
+    "fifo": os.mkfifo,
+    "file": lambda path: path.write_text("years"),
+    "picture": lambda path: path.write_bytes(PNG),
+    "link to ours": lambda path: path.symlink_to(ours(path.with_name("ours"))),
+    "link to nowhere": lambda path: path.symlink_to("nowhere"),
+    "folder of files": folder_with("thesis.tex", "years"),
+    "manifest of others": folder_with("manifest.json", '{"name": "web app", "icons": []}'),
+    "manifest that is a list": folder_with("manifest.json", "[1, 2]"),
+    "manifest that is text": folder_with("manifest.json", "stage outputs packages turtlebag"),
+    "bag of others": folder_with("metadata.yaml", "rosbag2_bagfile_information: {}\n"),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_OURS)
+@pytest.mark.parametrize("force", [False, True])
+def test_what_is_no_output_of_ours_is_never_replaced(tmp_path, kind, force):
+    NOT_OURS[kind](tmp_path / "out")
+    before = state(tmp_path)
+    with pytest.raises(InputError), staged_output(tmp_path / "out", force=force) as partial:
+        (partial / "a").write_text("a")
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize("kind", NOT_OURS)
+def test_what_is_in_the_way_of_the_growing_output_is_refused_and_kept(tmp_path, kind):
+    NOT_OURS[kind](tmp_path / "out.partial")
+    NOT_OURS[kind](tmp_path / "out.old") if kind != "link to ours" else None
+    before = state(tmp_path)
+    with pytest.raises(InputError, match=r"out\.partial: is in the way"), staged_output(tmp_path / "out"):
+        pass
+    assert state(tmp_path) == before
+
+
+def test_an_empty_folder_and_an_output_of_ours_are_replaced_and_neighbours_kept(tmp_path):
+    ours(tmp_path / "ours", old="old")
+    (tmp_path / "empty").mkdir()
+    for name in ("ours", "empty"):
+        folder_with("thesis.tex", "years")(tmp_path / f"{name}.old")
+        with staged_output(tmp_path / name, force=True) as partial:
+            (partial / "new").write_text("new")
+        assert [path.name for path in (tmp_path / name).iterdir()] == ["new"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "empty.old", "ours", "ours.old"]
+    assert (tmp_path / "ours.old" / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize("deeper", ["", "deeper/still"])
+@pytest.mark.parametrize("place", ["home", "current folder"])
+def test_home_and_the_current_folder_are_never_replaced_nor_what_holds_them(
+    tmp_path, monkeypatch, place, deeper
+):
+    ours(tmp_path / "out")
+    inside = tmp_path / "out" / deeper
+    inside.mkdir(parents=True, exist_ok=True)
+    monkeypatch.setenv("HOME", str(inside)) if place == "home" else monkeypatch.chdir(inside)
+    with pytest.raises(InputError, match=place), staged_output(tmp_path / "out", force=True):
+        pass
+    assert (tmp_path / "out" / "manifest.json").exists()
+
+
+READERS = {
+    "map": ("map", "IN"),
+    "also": ("map", "x", "--also", "IN"),
+    "truth": ("map", "x", "--truth", "IN"),
+    "continue": ("map", "x", "--continue", "IN"),
+    "localise": ("localise", "IN", "--map", "x"),
+    "report": ("report", "x", "IN"),
+    "compare": ("compare", "x", "IN"),
+    "blame": ("blame", "IN"),
+    "convert": ("bag", "convert", "IN"),
+    "recover": ("bag", "recover", "IN"),
+    "record": ("record", "--world", "empty", "--teleop", "IN"),
+}
+"""Commands that read a folder, x being another input."""
+OVERLAPS = ("in", "in/new", "in/bag", ".", "link/new", "in/bag/../new", "twin")
+
+
+@pytest.mark.parametrize("verb", READERS)
+def test_no_command_writes_over_into_or_around_its_input(tmp_path, monkeypatch, capsys, verb):
+    root = tmp_path / "root"
+    ours(ours(root / "in") / "bag", a="a")
+    write_manifest(root, stage="map", command=[], inputs={}, seed=None, wall_s=0.0)
+    (root / "link").symlink_to("in")
+    (root / "twin").symlink_to("in")
+    monkeypatch.chdir(tmp_path)
+    before = state(tmp_path)
+    for where in OVERLAPS:
+        for named in ("root/in", "root/in/bag/..", "root/link"):
+            words = [named if word == "IN" else word for word in READERS[verb]]
+            assert main([*words, "--out", str(Path("root") / where), "--force"]) == 2, (where, named)
+            said = capsys.readouterr().err
+            assert said.count("\n") == 1
+            assert "the input" in said, said
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plan", "--map", "IN/map.yaml", "--start", "0,0,0", "--goal", "1,0,0"),
+        ("navigate", "--world", "empty", "--task", "goal", "--map", "IN/map.yaml"),
+        ("map", "x", "--config", "IN/config.yaml"),
+        ("map", "x", "--relations", "IN/map.yaml"),
+        ("record", "--world", "IN/config.yaml"),
+        ("record", "--world", "empty", "--robot", "IN/config.yaml"),
+        ("sweep", "IN/config.yaml"),
+        ("navigate", "--world", "empty", "--task", "avoid", "--takeover", "IN/config.yaml"),
+        ("localise", "x", "--map", "other.yaml"),
+    ],
+)
+def test_a_folder_that_holds_an_input_file_is_not_replaced(tmp_path, monkeypatch, capsys, words):
+    ours(tmp_path / "in", **{"map.yaml": "image: map.pgm\n", "config.yaml": "a: 1\n", "map.pgm": "P5"})
+    (tmp_path / "other.yaml").write_text(
+        "{image: in/map.pgm, resolution: 1.0, origin: [0, 0, 0], occupied_thresh: 0.6, free_thresh: 0.2}"
+    )
+    monkeypatch.chdir(tmp_path)
+    before = state(tmp_path)
+    assert main([*(word.replace("IN", "in") for word in words), "--out", "in", "--force"]) == 2
+    assert "holds the input" in capsys.readouterr().err
+    assert state(tmp_path) == before
+
+
+def test_an_input_that_only_the_manifest_names_is_guarded_too(tmp_path):
+    read = ours(tmp_path / "out", a="a")
+    with (
+        pytest.raises(InputError, match="the input"),
+        staged_output(tmp_path / "out", force=True) as partial,
+    ):
+        write_manifest(partial, stage="map", command=[], inputs={"x": read / "a"}, seed=None, wall_s=0.0)
+    assert (read / "a").exists()
+
+
+@pytest.mark.parametrize("kind", ["fifo", "file", "folder of files", "link to nowhere"])
+def test_a_single_file_replaces_only_a_file_of_its_kind(tmp_path, kind):
+    NOT_OURS[kind](tmp_path / "out.png")
+    before = state(tmp_path)
+    with pytest.raises(InputError), staged_file(tmp_path / "out.png", force=True):
+        pass
+    assert state(tmp_path) == before
+
+
+def test_a_picture_is_replaced_by_a_picture_only(tmp_path):
+    (tmp_path / "out.png").write_bytes(PNG)
+    with pytest.raises(InputError, match="not a folder"), staged_output(tmp_path / "out.png", force=True):
+        pass
+    with staged_file(tmp_path / "out.png", force=True) as file:
+        file.write_bytes(PNG + b"new")
+    assert (tmp_path / "out.png").read_bytes() == PNG + b"new"
+    assert [path.name for path in tmp_path.iterdir()] == ["out.png"]
+    (tmp_path / "out.png.partial").write_text("mine")
+    with pytest.raises(InputError, match="in the way"), staged_file(tmp_path / "out.png", force=True):
+        pass
+    assert (tmp_path / "out.png.partial").read_text() == "mine"
+
+
+def test_folders_made_for_an_output_go_with_it(tmp_path):
+    with pytest.raises(ValueError), staged_output(tmp_path / "a" / "b" / "out"):
+        raise ValueError
+    assert list(tmp_path.iterdir()) == []
+    assert main(["map", str(tmp_path / "none"), "--out", str(tmp_path / "a" / "out")]) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_appears_in_the_place_meanwhile_is_kept_and_so_is_the_result(tmp_path):
+    with pytest.raises(InputError, match=r"kept in .*out\.partial"):
+        write(tmp_path / "out", [], lambda: folder_with("thesis.tex", "years")(tmp_path / "out"))
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
+    assert [path.name for path in (tmp_path / "out.partial").iterdir()] == ["a"]
+
+
+def test_the_mark_is_part_of_no_output_and_of_no_hash(tmp_path):
+    with staged_output(tmp_path / "out") as partial:
+        (partial / "a").write_text("a")
+        assert (partial / MARKER).exists()
+        assert set(sha256_tree(partial)) == {"a"}
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a"]
+
+
+GROW = """
+import pathlib, sys
+from turtlebag.datasets.outputs import staged_output
+with staged_output(pathlib.Path(sys.argv[1]), force="force" in sys.argv) as folder:
+    (folder / "a").write_text("whole")
+    print("growing", flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def growing(tmp_path):
+    """Another process that writes `out` and waits for a line."""
+    with subprocess.Popen(
+        [sys.executable, "-c", GROW, str(tmp_path / "out")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "growing\n"
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_the_second_writer_is_refused_and_the_first_is_whole(tmp_path, growing, force):
+    with (
+        pytest.raises(InputError, match="another process is writing it"),
+        claimed(tmp_path / "." / "out", force=force),
+    ):
+        pass
+    growing.communicate("\n")
+    assert growing.returncode == 0
+    assert state(tmp_path).keys() == {"out", "out/a"}
+
+
+def test_an_unfinished_recording_is_not_recovered_under_its_writer(tmp_path, growing, capsys):
+    words = ["bag", "recover", str(tmp_path / "out.partial"), "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "another process is writing it" in capsys.readouterr().err
+
+
+def test_a_killed_writer_leaves_the_place_to_the_next(tmp_path, growing):
+    growing.send_signal(signal.SIGKILL)
+    growing.wait()
+    assert (tmp_path / "out.partial" / "a").exists()
+    with staged_output(tmp_path / "out") as partial:
+        assert not (partial / "a").exists()
+        (partial / "b").write_text("b")
+    assert state(tmp_path).keys() == {"out", "out/b"}
+
+
+def test_a_command_that_is_refused_leaves_what_a_killed_one_left(tmp_path, growing):
+    growing.kill()
+    growing.wait()
+    assert main(["map", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert (tmp_path / "out.partial" / "a").exists()
+
+
+def test_what_a_killed_process_had_replaced_is_removed_by_the_next_and_no_earlier(tmp_path):
+    left = ours(tmp_path / "out.old-0123abcd")
+    (left / MARKER).write_text("turtlebag\n")
+    folder_with("thesis.tex", "years")(tmp_path / "out.old-mine")
+    with staged_output(tmp_path / "out"):
+        assert left.exists()
+    assert not left.exists()
+    assert (tmp_path / "out.old-mine" / "thesis.tex").exists()
+
+
+def test_an_input_that_changes_ends_the_command_and_leaves_nothing(tmp_path):
+    read = tmp_path / "in"
+    read.mkdir()
+    for change in (
+        lambda: (read / "a").write_text("longer"),
+        lambda: (read / "a").unlink(),
+        lambda: (read / "b").write_text("new"),
+        lambda: (tmp_path / "other").replace(read / "a"),
+    ):
+        (read / "a").write_text("a")
+        (tmp_path / "other").write_text("a")
+        with pytest.raises(InputError, match="changed while it was read"):
+            write(tmp_path / "out", [read], change)
+        assert not (tmp_path / "out").exists()
+        assert not (tmp_path / "out.partial").exists()
+        (read / "b").unlink(missing_ok=True)

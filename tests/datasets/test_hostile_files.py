@@ -1,0 +1,146 @@
+"""Files that unpack beyond all measure, and what is no file at all: refused in one line, soon."""
+
+import bz2
+import gzip
+import os
+import struct
+import time
+import zlib
+
+import lz4.frame
+import pytest
+import zstandard
+from bag_samples import write_drive
+from foreign_bags import laser_scan
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from turtlebag.datasets import files
+from turtlebag.datasets.bags import mcap, mcap_scan, ros1_scan
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import read_unpacked
+from turtlebag.pipeline.cli.main import main
+
+LOG = b"FLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
+
+
+@pytest.mark.parametrize("pack", [bz2.compress, gzip.compress])
+def test_a_file_that_unpacks_beyond_its_bound_is_refused_soon(tmp_path, pack, capsys, monkeypatch):
+    monkeypatch.setattr(files, "HARMLESS_BYTES", 4 << 20)
+    bomb = pack(bytes(8 << 20)) * 100
+    (tmp_path / "log.clf.bz2").write_bytes(pack(LOG) + bomb)
+    started = time.process_time()
+    assert main(["bag", "info", str(tmp_path / "log.clf.bz2")]) == 2
+    assert time.process_time() - started < 2.0
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "unpacks to more than" in said
+
+
+@pytest.mark.parametrize("pack", [bz2.compress, gzip.compress])
+def test_many_small_streams_take_no_longer_than_one(tmp_path, pack):
+    (tmp_path / "a").write_bytes(pack(b"") * 20_000 + pack(LOG))
+    started = time.process_time()
+    assert read_unpacked(tmp_path / "a") == (LOG, None)
+    assert time.process_time() - started < 2.0
+
+
+@pytest.mark.parametrize("pack", [bz2.compress, gzip.compress])
+@pytest.mark.parametrize("size", [0, 1, 1 << 16, (1 << 20) + 1, 5_000_000])
+def test_what_is_within_bounds_is_unpacked_whole(tmp_path, pack, size):
+    content = (LOG * (size // len(LOG) + 1))[: size + 1]
+    (tmp_path / "a").write_bytes(pack(content) + pack(b"more"))
+    assert read_unpacked(tmp_path / "a") == (content + b"more", None)
+
+
+def test_chunks_are_unpacked_to_what_they_claim_and_no_further(monkeypatch):
+    records = bytes(100_000)
+    head = struct.pack("<QQQI", 0, 0, 1000, zlib.crc32(records[:1000]))
+    for name, packed in (("lz4", lz4.frame.compress(records)), ("zstd", zstandard.compress(records))):
+        body = head + mcap._text(name) + struct.pack("<Q", len(packed)) + packed
+        with pytest.raises(mcap_scan.Damage, match="wrong size"):
+            mcap_scan._unpack_chunk(body)
+    for name, packed in (("lz4", lz4.frame.compress(records)), ("bz2", bz2.compress(records))):
+        header = {"compression": name.encode(), "size": struct.pack("<I", 1000)}
+        with pytest.raises(ros1_scan.Damage, match="wrong size"):
+            ros1_scan._unpacked(header, packed, len(packed))
+    monkeypatch.setattr(files, "HARMLESS_BYTES", 1 << 10)
+    with pytest.raises(ros1_scan.Damage, match="impossible size"):
+        ros1_scan._unpacked({**header, "size": struct.pack("<I", 1 << 20)}, packed, len(packed))
+
+
+def test_a_bag_of_which_every_chunk_is_large_is_not_read_to_its_end(tmp_path, monkeypatch):
+    write_drive(tmp_path / "a", seconds=10.0)
+    monkeypatch.setattr(files, "CHUNK_BYTES", 200_000)
+    monkeypatch.setattr(files, "CHUNK_RATIO", 1)
+    with pytest.raises(InputError, match="chunks unpack to more than"):
+        list(open_bag(tmp_path / "a").messages())
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_compressed_folders_are_bounded_too(tmp_path, mode, monkeypatch):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(tmp_path / "bag", version=9)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    kind = "sensor_msgs/msg/LaserScan"
+    with writer:
+        connection = writer.add_connection("/scan", kind, typestore=store)
+        for stamp in range(3):
+            data = bytes(store.serialize_cdr(laser_scan(stamp, [1.0] * 50_000), kind))
+            writer.write(connection, stamp, data)
+    bag = open_bag(tmp_path / "bag")
+    assert [len(message.data) for message in bag.messages()] == [len(data)] * 3
+    assert bag.notes == []
+    monkeypatch.setattr(files, "HARMLESS_BYTES", 10_000)
+    monkeypatch.setattr(files, "CHUNK_RATIO", 1)
+    monkeypatch.setattr(files, "GREATEST_RATIO", 1)
+    if mode == CompressionMode.FILE:
+        with pytest.raises(InputError, match="unpacks to more than"):
+            open_bag(tmp_path / "bag")
+    else:
+        bag = open_bag(tmp_path / "bag")
+        assert list(bag.messages()) == []
+        assert "unpacks to more than" in bag.notes[0]
+
+
+READING = {
+    "map": ("map", "IN", "--out", "OUT"),
+    "truth": ("map", "log.clf", "--truth", "IN", "--out", "OUT"),
+    "info": ("bag", "info", "IN"),
+    "doctor": ("bag", "doctor", "IN"),
+    "play": ("bag", "play", "IN"),
+    "convert": ("bag", "convert", "IN", "--out", "OUT"),
+    "plan": ("plan", "--map", "IN", "--start", "0,0,0", "--goal", "1,0,0", "--out", "OUT"),
+    "report": ("report", "IN", "--out", "OUT"),
+    "compare": ("compare", "IN", "IN"),
+    "verify": ("verify", "IN"),
+    "record": ("record", "--world", "empty", "--teleop", "IN", "--out", "OUT"),
+    "world": ("world", "show", "IN", "--out", "OUT.png"),
+    "config": ("map", "log.clf", "--config", "IN", "--out", "OUT"),
+    "sweep": ("sweep", "IN", "--out", "OUT"),
+}
+
+
+@pytest.mark.parametrize("verb", READING)
+@pytest.mark.parametrize("where", ["x.yaml", "folder"])
+def test_pipes_are_refused_and_not_waited_for(tmp_path, monkeypatch, capsys, verb, where):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.clf").write_bytes(LOG)
+    (tmp_path / "folder" / "bag").mkdir(parents=True)
+    for name in ("x.yaml", "folder/manifest.json", "folder/bag/bag_0.mcap"):
+        os.mkfifo(tmp_path / name)
+    if verb == "record" and where == "folder":
+        where = "folder/bag"
+    words = [{"IN": where}.get(word, word) for word in READING[verb]]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert not (tmp_path / "OUT").exists()
+
+
+def test_a_pipe_is_not_opened_by_who_reads_without_the_command_line(tmp_path):
+    os.mkfifo(tmp_path / "a.mcap")
+    for read in (open_bag, read_unpacked, files.FileBytes):
+        with pytest.raises(InputError, match="not a plain file"):
+            read(tmp_path / "a.mcap")

@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.runlog import RunLog, RunLogBuilder
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+
+
+def sample_log() -> RunLog:
+    builder = RunLogBuilder()
+    for k in range(5):
+        builder.append(
+            k * 33_333_333,
+            T_world_base=SE2.from_xyt(k * 0.1, 1.0, 0.5),
+            T_map_base=None if k < 2 else SE2.from_xyt(k * 0.1 + 0.01, 1.0, 0.5),
+            T_odom_base=SE2.from_xyt(k * 0.1, 0.9, 0.4),
+            command=Twist(0.2, -0.3),
+            clearance_m=0.5 - k * 0.1,
+            contact_visible=k == 3,
+            contact_low=k == 4,
+            goal_index=k - 1,
+            state="follow" if k else "wait",
+        )
+    return builder.build()
+
+
+def test_a_run_log_comes_back_from_its_file(tmp_path):
+    log = sample_log()
+    log.save(tmp_path / "runlog.csv")
+    back = RunLog.load(tmp_path / "runlog.csv")
+    assert back.t_ns.tolist() == log.t_ns.tolist()
+    np.testing.assert_allclose(back.T_world_base.xyt, log.T_world_base.xyt, atol=1e-6)
+    np.testing.assert_allclose(back.T_map_base.xyt, log.T_map_base.xyt, atol=1e-6)
+    assert np.isnan(back.T_map_base.xyt[:2]).all()
+    assert not np.isnan(back.T_map_base.xyt[2:]).any()
+    assert back.contact_visible.tolist() == [False, False, False, True, False]
+    assert back.contact_low.tolist() == [False, False, False, False, True]
+    assert back.goal_index.tolist() == [-1, 0, 1, 2, 3]
+    assert back.state == log.state
+
+
+def test_a_damaged_run_log_names_its_line(tmp_path):
+    path = tmp_path / "runlog.csv"
+    sample_log().save(path)
+    lines = path.read_text().splitlines()
+    lines[3] = lines[3].replace(",", ";", 4)
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match="line 4"):
+        RunLog.load(path)
+    path.write_text("a,b\n")
+    with pytest.raises(InputError, match="header"):
+        RunLog.load(path)
+    with pytest.raises(InputError, match="no such run log"):
+        RunLog.load(tmp_path / "absent.csv")

@@ -1,0 +1,107 @@
+"""Relations, PLY and YAML files: what is read, and one line for what is wrong."""
+
+import struct
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, ConfigDict
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.ply import read_ply, write_ply
+from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.yaml_files import checked, find_named, known_names, parsed, read_mapping
+
+S = 10**9
+LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
+TWIST, ARRAY, CLOUD = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2"
+
+
+def test_relations_are_read_line_by_line(tmp_path):
+    path = tmp_path / "a.relations"
+    path.write_text("# comment\n\n1.5 2.25 1 2 9 9 9 0.5\n3 4 -1 0 0 0 0 -0.5\n")
+    found = load_relations(path)
+    assert (found.stamps_a_ns.tolist(), found.stamps_b_ns.tolist()) == (
+        [1_500_000_000, 3 * S],
+        [2_250_000_000, 4 * S],
+    )
+    np.testing.assert_allclose(found.T_a_b.xyt, [[1, 2, 0.5], [-1, 0, -0.5]])
+    assert len(found) == 2
+    for text, says in (
+        ("1 2 3 4 5 6 7\n", "line 1: expected"), ("1\n", "line 1: expected"),
+        ("# x\n1 2 3 4 5 6 7 nan\n", "line 2: a value"),
+        ("1 2 inf 4 5 6 7 8\n", "line 1: a value"), ("# only\n", "no relations"),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(InputError, match=says):
+            load_relations(path)
+    with pytest.raises(InputError, match="no such relations file"):
+        load_relations(tmp_path / "none")
+
+
+def test_ply_files_hold_points_and_colours(tmp_path):
+    path, rng = tmp_path / "a.ply", np.random.default_rng(1)
+    points = rng.normal(size=(5, 3))
+    colours = np.array([[0.0, 0.5, 1.0], [1.0, 0.0, 0.0], [0.1, 0.2, 0.3], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    write_ply(path, points, colours)
+    np.testing.assert_array_equal(read_ply(path), points)
+    data = path.read_bytes()
+    head, body = data.split(b"end_header\n", 1)
+    assert head.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty double x\n")
+    table = np.frombuffer(body, np.dtype([("p", "<f8", 3), ("c", "u1", 3)]))
+    np.testing.assert_array_equal(table["c"], np.floor(colours * 255 + 0.5))
+    other = b"ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
+    other += b"property short z\nproperty float x\nproperty double y\nend_header\n"
+    path.write_bytes(other + struct.pack("<hfdhfd", 3, 1.0, 2.0, 6, 4.0, 5.0))
+    np.testing.assert_array_equal(read_ply(path), [[1, 2, 3], [4, 5, 6]])
+    for content, says in (
+        (data[:-1], "cut off"), (b"obj" + data[3:], "not a binary"),
+        (data.replace(b"little", b"bigger"), "not a binary"),
+        (other.replace(b"short z", b"short w"), "without points"), (b"", "not a binary"),
+    ):  # fmt: skip
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=says):
+            read_ply(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_ply(tmp_path / "none")
+
+
+class Small(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    size: int = 3
+
+
+def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
+    path = tmp_path / "a.yaml"
+    for text, says in (
+        ("a: [1\nb: 2\n", "a.yaml, line 2: not valid YAML"),
+        ("- 1\n", "expected keys and values, found a list"),
+        ("", "found a NoneType"),
+        ("a: 0000-00-00\n", "not valid YAML"), ("[" * 5000, "not valid YAML|nested too deeply"),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(InputError, match=says):
+            read_mapping(path)
+    path.write_bytes(b"\xff\xfe\xfa")
+    with pytest.raises(InputError, match="not a text file"):
+        read_mapping(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_mapping(tmp_path / "none")
+    assert parsed("a: 1", where="x") == {"a": 1}
+    assert checked(Small, {"size": 5}, where="x").size == 5
+    for data, says in (
+        ({"sise": 1}, "x: sise: unknown key"),
+        ({"size": "a"}, "x: size: Input should be"),
+        ([], "x: top level: "),
+    ):
+        with pytest.raises(InputError, match=says):
+            checked(Small, data, where="x")
+    path.write_text("size: 1")
+    (tmp_path / "b.yaml").touch()
+    assert find_named("a", tmp_path, "world") == path
+    assert find_named(str(path), tmp_path / "x", "world") == path
+    assert known_names(tmp_path) == ["a", "b"]
+    with pytest.raises(InputError, match=r"c.*a, b"):
+        find_named("c", tmp_path, "world")
+    for missing in ("c.yaml", "c.yml", "./c"):
+        with pytest.raises(InputError, match="no such world file"):
+            find_named(missing, tmp_path, "world")

@@ -1,0 +1,64 @@
+"""TUM files keep stamps exactly and poses to the last digit that matters."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.trajectories import load_tum, save_tum, stamp_from_text, stamp_text
+from turtlebag.datasets.types import Trajectory
+
+
+@given(st.integers(0, 2**61))
+def test_stamps_survive_text_exactly(stamp):
+    text = stamp_text(stamp)
+    assert stamp_from_text(text) == stamp
+    assert len(text.partition(".")[2]) in (6, 9)
+
+
+def test_carmen_stamps_keep_their_six_decimals():
+    assert stamp_text(stamp_from_text("976052857.337530")) == "976052857.337530"
+
+
+def test_round_trip(tmp_path):
+    poses = SE2.from_xyt([0.0, 1.5], [-2.0, 1e-4], [3.1, -3.1])
+    save_tum(Trajectory(np.array([0, 200_000_000]), poses), tmp_path / "t.tum")
+    loaded = load_tum(tmp_path / "t.tum")
+    np.testing.assert_array_equal(loaded.stamps_ns, [0, 200_000_000])
+    np.testing.assert_allclose(loaded.poses.xyt, poses.xyt, atol=1e-9)
+
+
+def test_stamps_out_of_order_stay_in_file_order(tmp_path):
+    save_tum(Trajectory(np.array([5, 3]), SE2.identity(2)), tmp_path / "t.tum")
+    np.testing.assert_array_equal(load_tum(tmp_path / "t.tum").stamps_ns, [5, 3])
+
+
+@pytest.mark.parametrize(
+    "text", ["1 2 3\n", "0 a 0 0 0 0 0 1\n", "", "0 nan 0 0 0 0 0 1\n", "x 0 0 0 0 0 0 1\n"]
+)
+def test_a_bad_file_names_its_place(tmp_path, text):
+    path = tmp_path / "bad.tum"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"bad\.tum"):
+        load_tum(path)
+
+
+def test_interpolation_is_linear_between_and_held_beyond_the_ends():
+    trajectory = Trajectory(np.array([0, 10]), SE2.from_xyt([0.0, 1.0], [0.0, 0.0], [0.0, 1.0]))
+    at = trajectory.at(np.array([-5, 0, 5, 10, 99]))
+    np.testing.assert_allclose(at.x, [0, 0, 0.5, 1, 1])
+    np.testing.assert_allclose(at.yaw, [0, 0, 0.5, 1, 1])
+
+
+def test_interpolation_refuses_stamps_that_go_back():
+    with pytest.raises(ValueError, match="increasing"):
+        Trajectory(np.array([5, 3]), SE2.identity(2)).at(np.array([4]))
+
+
+def test_a_single_pose_is_held_everywhere():
+    assert Trajectory(np.array([5]), SE2.from_xyt([1.0], [2.0], [0.5])).at(np.array([0, 9])).x.tolist() == [
+        1,
+        1,
+    ]

@@ -1,0 +1,246 @@
+"""Pushes, rivals, the fine pose and the search, one by one, by hand-computed cases."""
+
+import math
+
+import numpy as np
+import pytest
+from filter_room import GRID, PLACE, beams_at, made
+from localisation_room import STILL_LIDAR, T_BASE_LIDAR
+
+from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.localisation import fine_pose
+from turtlebag.pipeline.localisation import push_detection as standing
+from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.estimate import Estimate
+from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
+from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.pose_hypotheses import Contest, Glimpse, Rivals, apart, within
+from turtlebag.pipeline.localisation.push_detection import StandingWatch, _still, changed_share
+
+
+def test_a_view_has_changed_by_the_share_of_beams_that_see_otherwise():
+    inf, nan = math.inf, math.nan
+    before = np.array([1.0, 1.0, 1.0, inf, inf, nan, 1.0, nan])
+    now = np.array([1.039, 1.041, 0.961, inf, 1.0, 1.0, nan, nan])
+    # of the six with a return in either, two are the same
+    assert changed_share(now, before) == pytest.approx(4 / 6)
+    assert changed_share(np.array([inf, nan]), np.array([nan, inf])) == 0.0
+    here = SE2.from_xyt(1.0, 2.0, 3.1)
+    for xyt, still in (
+        ((0.0099, 0.0, 0.0099), True),
+        ((0.008, 0.008, 0.0), False),
+        ((0.0, 0.0, -0.0101), False),
+    ):
+        assert _still(here, here @ SE2(np.array(xyt))) == still
+
+
+def beside(poses):
+    """The map explains the scan best from 30 cm ahead."""
+    return -np.abs(poses - [0.3, 0.0, 0.0]).sum(axis=1)
+
+
+def watched(changes, agreement=None, odometry=None):
+    """What a standing robot says scan by scan; a change is metres added to all ranges."""
+    watch, out, agreement = StandingWatch(), [], agreement or beside
+    for k, change in enumerate(changes):
+        scan = Scan(0, np.full(20, 1.0 + change, np.float32), STILL_LIDAR)
+        out.append(
+            watch.pushed(scan, SE2.identity() if odometry is None else odometry[k], np.zeros(3), agreement)
+        )
+    return watch, out
+
+
+def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
+    _, told = watched([0.0, 0.1, 0.0, 0.1, 0.1])
+    assert [spread is not None for spread in told] == [False, False, False, False, True]
+    np.testing.assert_allclose(told[-1], [0.3, 0.3, standing.LEAST_YAW], atol=0.011)
+    # after it every scan is held against the map for a while, though the view stays as it is now
+    looks = []
+
+    def found_once(poses):
+        looks.append(len(out))
+        return beside(poses) if len(out) < 3 else np.zeros(len(poses))
+
+    watch, out = StandingWatch(), []
+    for k in range(12):
+        scan = Scan(0, np.full(20, 1.1 if k else 1.0, np.float32), STILL_LIDAR)
+        out.append(watch.pushed(scan, SE2.identity(), np.zeros(3), found_once))
+    assert [k for k, spread in enumerate(out) if spread is not None] == [2]
+    assert sorted(set(looks)) == [2, 3, 4, 5, 6, 7]
+    watch, told = watched([0.0, 0.1, 0.1])
+    assert (watch._alert, watch._pause, watch._next_pause) == (standing.ALERT, 0, 0)
+    assert watch._reference[0][0] == pytest.approx(1.1)
+    driven = [SE2.from_xyt(0.02 * k, 0.0, 0.0) for k in range(5)]
+    assert all(spread is None for spread in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])
+
+
+def test_a_look_in_vain_is_followed_by_pauses_that_double():
+    calls = []
+
+    def flat(poses):
+        calls.append(len(poses))
+        return np.zeros(len(poses))
+
+    looks = []
+    watch = StandingWatch()
+    for k in range(120):
+        before = len(calls)
+        change = 0.0 if k == 0 else 0.2
+        scan = Scan(0, np.full(20, 1.0 + change, np.float32), STILL_LIDAR)
+        assert watch.pushed(scan, SE2.identity(), np.zeros(3), flat) is None
+        if len(calls) > before:
+            looks.append(k)
+    assert np.diff(looks).tolist() == [2, 3, 5, 9, 17, 33, 33]
+    watch.moved()
+    assert (watch._reference, watch._changed, watch._pause, watch._next_pause) == (None, 0, 0, 0)
+
+
+def test_places_are_apart_by_more_than_a_metre_or_a_radian():
+    here = SE2.from_xyt(1.0, 2.0, 3.0)
+    for xyt, other in (
+        ((0.6, 0.79, 0.99), False), ((0.61, 0.8, 0.0), True), ((0.0, 0.0, -1.01), True),
+        ((0.0, 0.0, 1.01), True),
+    ):  # fmt: skip
+        assert apart(here, here @ SE2(np.array(xyt))) == other
+    poses = np.array(
+        [[0.5, 0.0, 0.0], [0.3, 0.41, 0.0], [0.0, 0.0, 0.59], [0.0, 0.0, -0.61], [0.0, 0.0, 6.2]]
+    )
+    assert within(poses, np.zeros(3)).tolist() == [True, False, True, False, True]
+
+
+def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
+    search = made().search
+    rivals = Rivals(search, np.random.default_rng(3))
+    places = [PLACE, PLACE @ SE2.from_xyt(0.2, 0.1, 0.4)]
+    glimpses = [Glimpse(beams_at(p), p) for p in places]
+    relative = [places[1].inverse() @ p for p in places]
+    poses = np.array([places[1].xyt, (places[1] @ SE2.from_xyt(0.05, 0.0, 0.1)).xyt])
+    found = rivals._mean_agreement(poses, relative, glimpses)
+    for pose, value in zip(poses, found, strict=True):
+        each = [
+            search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, glimpses, strict=True)
+        ]
+        assert value == pytest.approx(np.mean(each))
+    assert found[0] > 0.95 > found[1]
+    fit, rival = rivals._polished(SE2.from_xyt(0.05, -0.03, 0.0), glimpses, places)
+    assert fit > 0.97
+    assert np.abs((rival @ places[1]).xyt - places[1].xyt).max() < 0.03
+    assert rivals.fits([SE2.identity()], glimpses[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hundred():
+    rng = np.random.default_rng(4)
+    centres = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0], [6.0, 6.0, 0.0]])
+    poses = np.repeat(centres, [1200, 500, 281, 19], axis=0) + rng.normal(0.0, 0.03, (2000, 3))
+
+    class Drawn:
+        def draw(self, count, beams, of):
+            assert count == 2000
+            return rng.permutation(poses)
+
+    found = Rivals(Drawn(), rng)._places(None)
+    assert len(found) == 3
+    for centre in centres[:3]:
+        assert min(np.abs(place - centre).max() for place in found) < 0.02
+
+
+def test_a_rival_stays_while_its_mean_of_six_is_close():
+    places = [SE2.identity(), SE2.from_xyt(2.0, 0.0, 0.0)]
+    for off, left in ((0.049, 2), (0.051, 1)):
+        contest = Contest(places)
+        for _ in range(6):
+            contest.judge(np.array([0.9, 0.9 - off]))
+        assert len(contest.rivals) == left
+        assert contest.decided == (left == 1)
+
+
+def test_the_fine_pose_agrees_with_a_cloud_within_its_reach():
+    narrow = Estimate(SE2.from_xyt(1.0, 2.0, 3.1), 1e-6 * np.eye(3), np.eye(3), 1.0)
+    wide = Estimate(narrow.T_map_base, np.diag([0.01, 0.04, 0.0025]), np.eye(3), 1.0)
+    for offset, cloud, agrees in (
+        ((0.079, 0.079, 0.079), narrow, True), ((0.081, 0, 0), narrow, False),
+        ((0, -0.081, 0), narrow, False),
+        ((0, 0, 0.081), narrow, False), ((0.29, 0.59, 0.149), wide, True), ((0, 0.61, 0), wide, False),
+        ((0, 0, 2 * math.pi - 0.05), narrow, True),
+    ):  # fmt: skip
+        assert _agree(SE2(narrow.T_map_base.xyt + np.array(offset)), cloud) == agrees
+
+
+def test_the_trust_in_odometry_follows_the_scans_surprise():
+    fine = FinePose(GRID, AmclConfig())
+    share = fine_pose.FIRST_SHARE
+    for surprise in (0.5, 1.5, 9.0, 0.0):
+        fine._learn(surprise)
+        share *= math.exp(0.05 * (min(surprise, 3.0) - 0.5))
+        assert fine._share == pytest.approx(share)
+    for surprise, end in ((0.0, fine_pose.LEAST_SHARE), (3.0, fine_pose.MOST_SHARE)):
+        for _ in range(200):
+            fine._learn(surprise)
+        assert fine._share == end
+    for std, started in ((0.149, True), (0.151, False)):
+        cloud = Estimate(PLACE, np.diag([1e-4, std**2, 1e-4]), np.eye(3), 1.0)
+        assert (fine._started(cloud) is not None) == started
+    tracked = fine._started(Estimate(PLACE, 1e-4 * np.eye(3), np.eye(3), 1.0))
+    c = AmclConfig()
+    assert (tracked._scale, tracked._beam_std, tracked._patch_beams) == (
+        c.match_scale,
+        c.match_std,
+        c.match_patch_beams,
+    )
+    assert tracked._offset_variance == pytest.approx((c.match_offset_cells * 0.05) ** 2)
+    np.testing.assert_allclose(tracked.T_map_base.xyt, PLACE.xyt)
+
+
+def test_the_fine_pose_is_matched_with_the_first_scan_already_and_starts_again_where_it_disagrees():
+    fine, points = FinePose(GRID, AmclConfig()), beams_at(PLACE).points
+    off = PLACE @ SE2.from_xyt(0.03, -0.02, 0.02)
+    cloud = Estimate(off, np.diag([1e-3, 1e-3, 1e-3]), np.eye(3), 1.0)
+    found = PLACE.inverse() @ fine.correct(cloud, points)
+    assert np.hypot(found.x, found.y) < 0.015
+    assert abs(float(found.yaw)) < 0.008
+    tracked = fine._filter
+    fine.correct(cloud, points)
+    assert fine._filter is tracked
+    far = Estimate(PLACE @ SE2.from_xyt(0.5, 0.0, 0.0), cloud.core, np.eye(3), 1.0)
+    fine.correct(far, points)
+    assert fine._filter is not tracked
+    wide = Estimate(off, np.eye(3), np.eye(3), 1.0)
+    fine.forget()
+    assert fine.correct(wide, points) is off
+    assert fine._filter is None
+
+
+def test_tempering_takes_the_steepest_power_that_leaves_enough():
+    rng = np.random.default_rng(5)
+    log_likelihood = rng.normal(0.0, 40.0, 500)
+    weights = tempered(log_likelihood)
+    power = np.polyfit(log_likelihood, np.log(weights), 1)[0]
+    assert 1.0 / np.square(weights).sum() >= 0.02 * 500
+    steeper = np.exp((power + 2e-4) * (log_likelihood - log_likelihood.max()))
+    steeper /= steeper.sum()
+    assert 1.0 / np.square(steeper).sum() < 0.02 * 500 * 1.01
+    flat = tempered(1e-3 * log_likelihood)
+    assert np.polyfit(1e-3 * log_likelihood, np.log(flat), 1)[0] == pytest.approx(0.3, rel=1e-3)
+
+
+def test_the_search_finds_the_place_anywhere_and_about_a_pose():
+    search = made().search
+    assert isinstance(search, GlobalSearch)
+    rng, beams = np.random.default_rng(6), beams_at(PLACE)
+    for around in (None, (PLACE @ SE2.from_xyt(0.3, -0.2, 0.2)).xyt):
+        poses = search.draw(400, beams, rng, around)
+        assert poses.shape == (400, 3)
+        off = poses - PLACE.xyt
+        off[:, 2] = wrap(off[:, 2])
+        assert np.median(np.hypot(off[:, 0], off[:, 1])) < 0.1
+        assert np.abs(poses[:, 2]).max() <= math.pi
+    assert search.agreement(PLACE.xyt, beams) > 0.9
+    both = search.agreements(np.array([PLACE.xyt, [2.5, 3.0, 1.0]]), beams)
+    assert both[0] == search.agreement(PLACE.xyt, beams) > both[1]
+    silent = prepare(Scan(0, np.full(360, np.nan, np.float32), STILL_LIDAR), T_BASE_LIDAR)
+    assert search.agreements(PLACE.xyt[None], silent).tolist() == [0.0]
+    free = search.uniform(50, rng)
+    assert free.shape == (50, 3)
+    np.testing.assert_allclose(search.log_likelihood(free, beams), 0.3 * search._score(free, beams))

@@ -1,0 +1,188 @@
+"""The filter's compiled loops and their neighbours beside plain NumPy."""
+
+import math
+
+import numpy as np
+import pytest
+from localisation_room import T_BASE_LIDAR
+from scipy.linalg import expm
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec, Scan
+from turtlebag.pipeline.localisation import estimate, motion, sampling
+from turtlebag.pipeline.localisation.beams import deskewed, prepare, spread
+
+
+def wrapped(angle):
+    return (np.asarray(angle) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_moments_are_those_of_the_particles_within_reach(seed):
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.normal(0.0, 0.4, (60, 2)), rng.uniform(-9.0, 9.0, 60)])
+    weights, centre = rng.random(60), np.array([0.1, -0.1, 3.0])
+    off = poses - centre
+    off[:, 2] = wrapped(off[:, 2])
+    for reach_xy, reach_yaw in ((0.5, 1.2), (0.3, 4.0), (np.inf, np.inf)):
+        near = (np.hypot(off[:, 0], off[:, 1]) <= reach_xy) & (np.abs(off[:, 2]) <= reach_yaw)
+        w, d = weights[near], off[near]
+        mass, mean, second = estimate.moments(poses, weights, centre, reach_xy, reach_yaw)
+        assert mass == pytest.approx(w.sum())
+        np.testing.assert_allclose(mean, centre + w @ d / w.sum())
+        np.testing.assert_allclose(second, (w[:, None] * d).T @ d / w.sum(), atol=1e-12)
+    mass, mean, second = estimate.moments(poses, weights, centre + 90.0, 0.5, 0.5)
+    assert mass == 0.0
+    np.testing.assert_array_equal(mean, centre + 90.0)
+    np.testing.assert_array_equal(second, np.zeros((3, 3)))
+
+
+def test_particles_just_within_reach_count():
+    poses = np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.25]])
+    assert estimate.moments(poses, np.full(2, 0.5), np.zeros(3), 0.5, 0.25)[0] == 1.0
+    assert estimate.moments(poses, np.full(2, 0.5), np.zeros(3), 0.49, 0.24)[0] == 0.0
+
+
+def test_a_cluster_is_settled_on_its_mean_from_its_edge():
+    rng = np.random.default_rng(5)
+    poses = np.array([1.0, 2.0, -3.1]) + rng.normal(0.0, 0.1, (400, 3))
+    poses = np.vstack([poses, np.array([3.0, 0.0, 1.0]) + rng.normal(0.0, 0.05, (100, 3))])
+    weights = np.full(500, 1.0 / 500)
+    mass, mean, core = estimate.settled(poses, weights, np.array([1.35, 2.2, -3.3]))
+    assert mass == pytest.approx(0.8)
+    np.testing.assert_allclose(mean, poses[:400].mean(axis=0), atol=2e-4)
+    np.testing.assert_allclose(core, np.cov(poses[:400].T, bias=True), atol=1e-3)
+    found = estimate.main_cluster(poses, weights, 0.25, 0.2)
+    assert found.weight == pytest.approx(0.8)
+    np.testing.assert_allclose(found.core, core + 1e-6 * np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(wrapped(found.T_map_base.xyt - mean), 0.0, atol=2e-4)
+    whole = estimate.moments(poses, weights, found.T_map_base.xyt, np.inf, np.inf)[2]
+    np.testing.assert_allclose(found.covariance, whole, atol=1e-3)
+    alone = estimate.main_cluster(poses[:400], np.full(400, 1.0 / 400), 0.25, 0.2)
+    np.testing.assert_allclose(alone.covariance, alone.core - 1e-6 * np.eye(3), atol=1e-12)
+
+
+def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_told(monkeypatch):
+    asked = []
+
+    def noted(poses, bin_xy, bin_yaw):
+        asked.append((bin_xy, bin_yaw))
+        return sampling.bin_numbers(poses, bin_xy, bin_yaw)
+
+    monkeypatch.setattr(estimate, "bin_numbers", noted)
+    estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25), 0.5, 0.1)
+    assert asked == [(0.5, 0.1)]
+
+
+def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
+    """Four bins share the heavier cluster, each lighter than the bin of the other."""
+    corners = np.array([[x, y, 0.1] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
+    poses = np.vstack([np.repeat(corners, 15, axis=0), np.tile([2.1, 2.1, 0.1], (40, 1))])
+    found = estimate.main_cluster(poses, np.full(100, 0.01), 0.25, 0.2)
+    np.testing.assert_allclose(found.T_map_base.xyt, [0.0, 0.0, 0.1], atol=1e-9)
+    assert found.weight == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_comb_picks_what_the_cumulative_weights_say(seed):
+    rng = np.random.default_rng(seed)
+    weights = rng.random(25) ** 4
+    weights /= weights.sum()
+    for count, offset in ((40, 0.3), (7, 0.0), (1, 0.99), (25, 0.5)):
+        teeth = (np.arange(count) + offset) / count
+        expected = np.searchsorted(np.cumsum(weights), teeth, side="left")
+        np.testing.assert_array_equal(sampling.low_variance(weights, count, offset), expected)
+    # weights that rounding leaves short of one
+    np.testing.assert_array_equal(sampling.low_variance(np.array([0.5, 0.3]), 4, 0.9), [0, 0, 1, 1])
+    assert sampling.effective_size(np.array([0.5, 0.25, 0.25])) == pytest.approx(1.0 / 0.375)
+
+
+def test_kld_counts_as_foxs_bound_says_draw_by_draw():
+    for bins in (2, 3, 10, 77):
+        k, z, err = bins - 1, 2.33, 0.05
+        exact = k / (2 * err) * (1 - 2 / (9 * k) + math.sqrt(2 / (9 * k)) * z) ** 3
+        assert sampling.kld_bound(bins, err, z) == math.ceil(exact)
+    assert (sampling.kld_bound(1, 0.05, 2.33), sampling.kld_bound(0, 0.05, 2.33)) == (1, 1)
+    rng = np.random.default_rng(6)
+    for spread_m, least in ((0.2, 10), (0.5, 30), (1.5, 5)):
+        numbers = sampling.bin_numbers(rng.normal(0.0, spread_m, (900, 3)), 0.25, 0.2)
+        drawn = 0
+        while drawn < 900:
+            seen = len(set(numbers[:drawn].tolist()))
+            if drawn >= max(least, sampling.kld_bound(seen, 0.1, 2.33) if seen else 0):
+                break
+            drawn += 1
+        assert sampling.kld_count(numbers, 0.1, 2.33, least) == drawn
+
+
+def test_bins_whose_hashes_meet_are_told_apart():
+    grid = np.stack(np.meshgrid(*[np.arange(-6.0, 6.0)] * 3), axis=-1).reshape(-1, 3) + 0.5
+    poses = np.vstack([grid, grid[::-1]])
+    np.testing.assert_array_equal(
+        sampling.bin_numbers(poses, 1.0, 1.0), np.r_[np.arange(len(grid)), np.arange(len(grid))[::-1]]
+    )
+    assert sampling.bin_numbers(poses[:1], 1.0, 1.0).tolist() == [0]
+
+
+def test_each_particle_moves_by_its_own_noisy_copy():
+    rng = np.random.default_rng(7)
+    poses, noise, told = rng.uniform(-3.0, 3.0, (20, 3)), rng.normal(0.0, 0.3, (20, 3)), (0.4, -0.7, 2.9)
+    expected = poses.copy()
+    for k in range(20):
+        rot1, trans, rot2 = np.array(told) + noise[k]
+        expected[k] = (SE2(poses[k]) @ SE2.from_xyt(0, 0, rot1) @ SE2.from_xyt(trans, 0, rot2)).xyt
+    motion.move(poses, told, noise)
+    np.testing.assert_allclose(poses[:, :2], expected[:, :2], atol=1e-12)
+    np.testing.assert_allclose(wrapped(poses[:, 2] - expected[:, 2]), 0.0, atol=1e-12)
+    assert np.abs(poses[:, 2]).max() <= math.pi
+
+
+def test_motions_of_less_than_a_centimetre_are_turns_and_backwards_ones_point_ahead():
+    assert motion.decompose(SE2.from_xyt(0.006, 0.0079, 0.3)) == pytest.approx(
+        (0.0, math.hypot(0.006, 0.0079), 0.3)
+    )
+    rot1, trans, rot2 = motion.decompose(SE2.from_xyt(0.03, 0.04, 0.3))
+    assert (rot1, trans, rot2) == pytest.approx((math.atan2(4, 3), 0.05, 0.3 - math.atan2(4, 3)))
+    rot1, trans, rot2 = motion.decompose(SE2.from_xyt(-0.03, -0.04, 3.0))
+    assert (rot1, trans, rot2) == pytest.approx((math.atan2(4, 3), -0.05, 3.0 - math.atan2(4, 3)))
+    sideways = motion.decompose(SE2.from_xyt(0.0, 0.05, 0.0))
+    assert sideways == pytest.approx((0.5 * math.pi, 0.05, -0.5 * math.pi))
+
+
+@pytest.mark.parametrize("sweep", [(0.1, -0.03, 0.7), (0.1, 0.05, 0.0), (0.02, 0.0, -1e-12), (0.0, 0.0, 2.0)])
+def test_the_base_moves_on_an_arc_of_constant_twist_during_a_sweep(sweep):
+    angles, lidar = np.linspace(-2.0, 2.0, 12), np.array([0.1, 0.05, 0.3])
+    # the logarithm of the sweep by its own series: twist = V(yaw)^-1 t
+    yaw = sweep[2]
+    fine = np.linspace(0.0, 1.0, 20001)
+    V = np.trapezoid([[np.cos(f * yaw), np.sin(f * yaw)] for f in fine], fine, axis=0)
+    v = np.linalg.solve([[V[0], -V[1]], [V[1], V[0]]], sweep[:2])
+    twist = np.array([[0.0, -yaw, v[0]], [yaw, 0.0, v[1]], [0.0, 0.0, 0.0]])
+    chosen = np.array([0, 3, 7, 11])
+    origins, directions = deskewed(angles, lidar, np.array(sweep), chosen)
+    for i, origin, direction in zip(chosen, origins, directions, strict=True):
+        T = expm(i / 12 * twist)
+        T_lidar = T @ SE2(lidar).matrix()
+        np.testing.assert_allclose(origin, T_lidar[:2, 2], atol=1e-8)
+        beam = [math.cos(angles[i]), math.sin(angles[i])]
+        np.testing.assert_allclose(direction, T_lidar[:2, :2] @ beam, atol=1e-9)
+
+
+def test_beams_within_their_limits_become_points_and_silent_ones_directions():
+    lidar = LidarSpec(6, 0.0, 0.5, 0.2, 3.5)
+    ranges = np.array([0.2, 3.5, 0.19, 3.51, np.inf, 1.0], dtype=np.float32)
+    for limits, kept in ((None, [0, 5]), ((0.5, 3.0), [5])):
+        beams = prepare(Scan(0, ranges, lidar), T_BASE_LIDAR, SE2.from_xyt(9.0, 9.0, 1.0), limits)
+        low, high = limits or (0.2, 3.5)
+        assert [i for i in range(6) if low - 1e-6 <= ranges[i] <= high and ranges[i] < 3.5] == kept
+        np.testing.assert_allclose(beams.ranges, ranges[kept])
+        np.testing.assert_allclose(
+            beams.points, T_BASE_LIDAR @ (lidar.directions[kept] * ranges[kept, None]), atol=1e-7
+        )
+        np.testing.assert_allclose(beams.origins, np.tile(T_BASE_LIDAR.xy, (len(kept), 1)))
+        np.testing.assert_allclose(beams.silent_directions, lidar.directions[[1, 3, 4]])
+    assert [spread(7, 3).tolist(), spread(3, 3).tolist(), spread(4, 9).tolist()] == [
+        [0, 2, 4],
+        [0, 1, 2],
+        [0, 1, 2, 3],
+    ]

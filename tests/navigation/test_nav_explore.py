@@ -1,0 +1,97 @@
+"""The start of an exploration of the arena: it drives, its map grows, it touches nothing."""
+
+import dataclasses
+
+import numpy as np
+
+from turtlebag.datasets.grid import FREE
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.explore import ExploreConfig, ExploreDriver
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.pipeline.navigation.setup import make_tools
+from turtlebag.planners.live import LiveLayer
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.worlds import load_world
+
+
+def test_exploring_widens_the_map_without_a_contact():
+    robot, explore = load_robot("burger"), ExploreConfig()
+    config = NavigateConfig(goal_checker=explore.checker)
+    online = OnlineMap(robot.T_base_lidar, explore.slam)
+    driver = ExploreDriver(
+        explore,
+        robot.model,
+        Sensing(robot.T_base_lidar),
+        online,
+        lambda costmap: make_tools(robot, config, LiveLayer(costmap, config.live)),
+        NoBag(),
+        duration_s=9.0,
+        seed=1,
+    )
+    seen, contacts = [], 0
+    with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
+        observation = simulator.reset()
+        while not driver.finished and observation.stamp_ns < 15e9:
+            observation = simulator.step(driver.step(observation))
+            contacts += simulator.truth.contact_visible
+            if driver.grid is not None and (not seen or seen[-1] is not driver.grid):
+                seen.append(driver.grid)
+        true = simulator.truth.T_world_base
+    assert driver.finished
+    assert contacts == 0
+    areas = [int(np.count_nonzero(grid.cells == FREE)) for grid in seen]
+    assert areas[-1] > 1.1 * areas[0]
+    assert np.linalg.norm(true.xy - [-2.0, -0.5]) > 0.5
+    error = true.inverse() @ driver.estimate
+    assert np.hypot(error.x, error.y) < 0.05
+
+
+def test_exploring_ends_in_time_when_no_scan_ever_comes():
+    robot, explore = load_robot("burger"), ExploreConfig()
+    silent = SimConfig.model_validate({"faults": {"scan_loss": 1.0}})
+    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
+    driver = ExploreDriver(
+        explore, robot.model, sensing, online, lambda costmap: None, NoBag(), duration_s=1.0, seed=1
+    )
+    with Simulator(load_world("turtlebot3_world"), robot, silent, 1) as simulator:
+        observation = simulator.reset()
+        while not driver.finished and observation.stamp_ns < 2e9:
+            observation = simulator.step(driver.step(observation))
+    assert driver.finished
+    assert driver.grid is None
+
+
+class Holding:
+    """A collision monitor that lets nothing pass but standing still."""
+
+    def limit(self, wanted, points_base):
+        return float(wanted.v == 0.0 and wanted.w == 0.0)
+
+    def limit_on_map(self, wanted, clearance, resolution, x, y, yaw):
+        return 1.0
+
+
+def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():
+    robot, explore = load_robot("burger"), ExploreConfig()
+    config = NavigateConfig(goal_checker=explore.checker)
+    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
+
+    def tools(costmap):
+        return dataclasses.replace(
+            make_tools(robot, config, LiveLayer(costmap, config.live)), monitor=Holding()
+        )
+
+    driver = ExploreDriver(explore, robot.model, sensing, online, tools, NoBag(), duration_s=60.0, seed=1)
+    places = []
+    with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
+        observation = simulator.reset()
+        while observation.stamp_ns < 35e9:
+            observation = simulator.step(driver.step(observation))
+            if driver.state.startswith("recover"):
+                places.append((driver.goal_index, driver.state))
+    # wait 2 s, clear 0.3 s, back up (not possible: wait 2 s), wait 4 s: all for one place
+    assert len({index for index, _ in places}) == 1
+    assert len([state for _, state in places if state == "recover_wait"]) > 7.5 * 30

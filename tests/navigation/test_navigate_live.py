@@ -1,0 +1,185 @@
+import math
+
+import numpy as np
+import pytest
+from planning_room import BURGER, room
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.navigation.guarded import Guard, GuardConfig, View
+from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
+from turtlebag.planners.live import LiveConfig, LiveLayer
+from turtlebag.planners.tasks.avoid import AvoidConfig, Sectors
+from turtlebag.planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
+from turtlebag.sim.robots import load_robot
+
+NOTHING = np.zeros((0, 2))
+
+
+def layer(**settings) -> LiveLayer:
+    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), LiveConfig(**settings))
+
+
+def test_two_sweeps_mark_what_the_map_does_not_know_and_the_clearance_is_exact():
+    live = layer()
+    origin, hit = SE2.from_xyt(-0.2, 0.5, 0.0), np.array([[0.77, 0.52]])
+    live.update(0.0, origin, hit, NOTHING)
+    assert live.marked == 0
+    live.update(0.2, origin, hit, NOTHING)
+    assert live.marked == 1
+    expected = clearance_field(live.costmap.lethal, 0.05)
+    near = expected < 1.0
+    np.testing.assert_allclose(live.costmap.clearance[near], expected[near], atol=1e-6)
+
+
+def test_known_walls_are_not_marked():
+    live = layer()
+    wall = np.array([[-0.98, 0.5], [-0.95, 0.6], [-0.91, 0.7]])
+    for k in range(4):
+        live.update(0.2 * k, SE2.from_xyt(0.3, 0.5, 0.0), wall, NOTHING)
+    assert live.marked == 0
+
+
+def test_beams_that_pass_clear_and_time_forgets():
+    live = layer(decay=5.0)
+    origin, hit = SE2.from_xyt(-0.2, 0.5, 0.0), np.array([[0.77, 0.52]])
+    for k in range(3):
+        live.update(0.2 * k, origin, hit, NOTHING)
+    live.update(0.8, origin, NOTHING, np.array([[1.77, 0.54]]))
+    assert live.marked == 0
+    for k in range(3):
+        live.update(1.0 + 0.2 * k, origin, hit, NOTHING)
+    assert live.marked == 1
+    live.update(9.0, origin, NOTHING, NOTHING)
+    assert live.marked == 0
+    assert live.costmap is live.static
+
+
+def test_the_ladder_is_bounded_and_starts_again_after_progress():
+    cleared = []
+    config = RecoveryConfig(total=11)
+    ladder = Ladder(config, lambda: cleared.append(1))
+    pose = SE2.identity()
+    names = [ladder.climb(0, pose).name for _ in config.ladder]
+    assert names[:3] == ["recover_wait", "recover_clear", "recover_back_up"]
+    assert len(cleared) == 1
+    assert ladder.climb(0, pose) is None
+    ladder.rest()
+    assert ladder.climb(0, pose) is not None
+    assert ladder.climb(0, pose) is not None
+    assert ladder.climb(0, pose) is None
+
+
+def test_backing_up_ends_after_its_distance_or_its_time():
+    ladder = Ladder(RecoveryConfig(), lambda: None)
+    start = SE2.from_xyt(1.0, 1.0, 0.0)
+    ladder.climb(0, start)
+    ladder.climb(0, start)
+    back = ladder.climb(0, start)
+    assert back.command(0, start).v < 0.0
+    assert back.command(10**9, SE2.from_xyt(0.84, 1.0, 0.0)) is None
+    assert back.command(60 * 10**9, start) is None
+
+
+def test_standing_still_is_noticed_and_turning_is_not_standing():
+    watch = ProgressWatch(RecoveryConfig(stuck_time=2.0))
+    pose = SE2.from_xyt(0.0, 0.0, 0.0)
+    assert not watch.stuck(0, pose)
+    assert not watch.stuck(10**9, pose)
+    assert watch.stuck(3 * 10**9, pose)
+    watch.reset()
+    for k in range(20):
+        assert not watch.stuck(k * 10**9, SE2.from_xyt(0.0, 0.0, 0.3 * k))
+
+
+def guard_and_view(points_base, pose=None, now=0.0, sectors=None):
+    pose = pose or SE2.identity()
+    sectors = sectors or Sectors(1.0, 2.0, 1.0)
+    return Guard(BURGER, AvoidConfig(), GuardConfig()), View(now, pose, pose @ points_base, sectors)
+
+
+def circle(radius=2.0, n=360):
+    angle = np.linspace(-math.pi, math.pi, n, endpoint=False)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+
+
+def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
+    guard, _ = guard_and_view(circle())
+
+    def turn(left: float, right: float) -> float:
+        view = View(0.0, SE2.identity(), circle(), Sectors(left, 0.4, right))
+        return guard.decide(view, Twist()).command.w
+
+    assert turn(1.0, 1.0) < 0.0
+    assert turn(1.2, 1.0) > 0.0
+    assert turn(1.0, 1.2) < 0.0
+    assert turn(1.2, 1.0) > 0.0
+    # The third change of mind was the last one, until the way was free.
+    assert turn(1.0, 1.2) > 0.0
+    guard.decide(View(1.0, SE2.identity(), circle(), Sectors(1.0, 2.0, 1.2)), Twist())
+    assert turn(1.0, 1.2) < 0.0
+
+
+def test_the_guard_lets_nothing_pass_that_touches():
+    touching = np.concatenate([circle(), [[0.06, 0.0], [0.06, 0.03]]])
+    guard, view = guard_and_view(touching)
+    assert guard.pass_on(Twist(0.2, 0.0), view).v < 0.05
+    assert guard.pass_on(Twist(-0.1, 0.0), view).v == -0.1
+
+
+def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
+    rng = np.random.default_rng(0)
+    xs, ys = np.linspace(-2.0, 2.0, 60), np.linspace(-1.5, 1.5, 50)
+    walls = [[[x, y] for x in xs] for y in (-1.5, 1.5)] + [[[x, y] for y in ys] for x in (-2.0, 2.0)]
+    room_points = np.concatenate([np.array(wall) for wall in walls])
+    guard = Guard(BURGER, AvoidConfig(), GuardConfig())
+    moving, standing = 0, 0
+    for k in range(10):
+        pose = SE2.from_xyt(0.04 * k, 0.0, 0.0)
+        seen_moving = room_points + rng.normal(0.0, 0.01, room_points.shape)
+        guard.decide(View(0.2 * k, pose, seen_moving, Sectors(1.5, 2.0, 1.5)), Twist(0.2, 0.0))
+        moving = guard.stuck
+    for k in range(10):
+        pose = SE2.from_xyt(0.4 + 0.04 * k, 0.0, 0.0)
+        # The robot stands at 0.4 while odometry goes on: the sweep moves along with it.
+        seen = room_points + np.array([0.04 * k, 0.0]) + rng.normal(0.0, 0.01, room_points.shape)
+        decision = guard.decide(View(2.0 + 0.2 * k, pose, seen, Sectors(1.5, 2.0, 1.5)), Twist(0.2, 0.0))
+        if guard.stuck:
+            standing += 1
+            break
+    assert moving == 0
+    assert standing == 1
+    assert decision.command.v < 0.0
+
+
+@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_what_nobody_sees_is_remembered_outside_the_robot(name, speed):
+    model = load_robot(name).model
+    guard = Guard(model, AvoidConfig(), GuardConfig())
+    view = View(0.0, SE2.identity(), circle(), Sectors(1.0, 2.0, 1.0))
+    guard._got_stuck(view, Twist(speed, 0.0))
+    remembered = guard.points_base(view)[len(view.hits_odom) :]
+    tail, nose = model.footprint[:, 0].min(), model.footprint[:, 0].max()
+    beyond = remembered[:, 0] - nose if speed > 0.0 else tail - remembered[:, 0]
+    assert len(remembered) == 5
+    assert np.all((beyond > 0.0) & (beyond < 0.06))
+    # It slows the way towards it, and leaves the other one open.
+    assert abs(guard.pass_on(Twist(speed, 0.0), view).v) < 0.6 * abs(speed)
+    assert guard.pass_on(Twist(-speed, 0.0), view).v == -speed
+
+
+def test_an_escape_from_a_corner_is_found_where_one_exists():
+    # Walls close ahead and to the left, room to the right and behind.
+    ahead = [[0.12, y] for y in np.linspace(-0.3, 0.2, 40)]
+    left = [[x, 0.14] for x in np.linspace(-0.2, 0.12, 40)]
+    guard = Guard(BURGER, AvoidConfig(), GuardConfig())
+    view = View(0.0, SE2.identity(), np.array(ahead + left), Sectors(0.14, 0.12, 2.0))
+    decision = guard.decide(view, Twist())
+    assert guard.pass_on(decision.command, view) != Twist()
+
+
+def test_costmaps_of_a_live_layer_keep_their_frame():
+    live = layer()
+    assert isinstance(live.costmap, Costmap)
+    np.testing.assert_array_equal(live.costmap.T_map_grid.xyt, live.static.T_map_grid.xyt)

@@ -1,0 +1,149 @@
+"""A robot that is lost, carried off, or blind: it stops, finds out, goes on, or says why not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.navigator import LOST
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig, Relocaliser
+from turtlebag.pipeline.navigation.setup import Request, prepare
+from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
+from turtlebag.planners.tasks.waypoints import Waypoint
+from turtlebag.sim.faults import FaultConfig
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.worlds import load_world
+
+S = 10**9
+ARENA, BURGER = load_world("turtlebot3_world"), load_robot("burger")
+
+
+@pytest.fixture(scope="module")
+def arena_map(tmp_path_factory):
+    return save_map(ARENA.rasterize(BURGER.lidar_height), tmp_path_factory.mktemp("map"), "arena")
+
+
+def run(map_path, faults, **request):
+    config = NavigateConfig(sim=SimConfig(faults=faults))
+    asked = Request(**{"task": "goal", "seed": 1, "map_path": map_path, "initial_pose": "start"} | request)
+    mission = prepare(asked, BURGER, config, ARENA.keepout)
+    with Simulator(ARENA, BURGER, config.sim, asked.seed) as simulator:
+        return drive(simulator, mission, NoBag(), lambda line: None)
+
+
+def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
+    kidnap = FaultConfig(kidnap=((4.0, 1.6, -0.55, 2.0),))
+    episode = run(arena_map, kidnap, goal=SE2.from_xyt(-0.55, 1.75, 1.57), timeout_s=120.0)
+    goal = episode.metrics["goals"][0]
+    assert goal["status"] == "reached"
+    assert goal["error_m"] < 0.05
+    assert "look" in episode.log.state
+    assert not any(episode.metrics["collisions"].values())
+    # The jump is in the truth, and is not driven.
+    steps = np.linalg.norm(np.diff(episode.log.T_world_base.xy, axis=0), axis=1)
+    assert steps.max() > 3.0
+    assert episode.metrics["distance_m"] == pytest.approx(steps[steps < 0.1].sum())
+
+
+def test_a_robot_told_a_pose_in_a_wall_looks_about_before_it_calls_the_goal_unreachable(arena_map):
+    told = SE2.from_xyt(-2.9, -0.4, 0.5)
+    goal = SE2.from_xyt(-0.55, -0.55, 0.0)
+    episode = run(arena_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
+    assert episode.log.state[0] == "plan"
+    assert "look" in episode.log.state
+    assert episode.metrics["goals"][0]["status"] == "reached"
+    assert episode.metrics["goals"][0]["error_m"] < 0.05
+    assert not any(episode.metrics["collisions"].values())
+
+
+def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
+    house = load_world("turtlebot3_house")
+    wrong = save_map(house.rasterize(BURGER.lidar_height), tmp_path, "house")
+    told, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
+    episode = run(wrong, FaultConfig(), goal=goal, initial_pose=told, timeout_s=60.0, seed=0)
+    (outcome,) = episode.metrics["goals"]
+    assert (outcome["status"], outcome["reason"]) == ("unreachable", LOST)
+
+
+def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map):
+    episode = run(arena_map, FaultConfig(scan_silent=((3.0, 5.0),)), goal=SE2.from_xyt(-0.55, 0.55, 0.0))
+    log = episode.log
+    t = log.t_ns * 1e-9
+    blind = np.array([state == "blind" for state in log.state])
+    # The last scan came at 3.0 s at the latest, the next comes at 5.2 s.
+    assert 1.4 < blind.sum() / 30.0 < 1.9
+    assert np.all(log.v[(t > 4.0) & (t < 5.1)] == 0.0)
+    assert episode.metrics["goals"][0]["status"] == "reached"
+
+
+@pytest.mark.parametrize("task", ["avoid", "explore"])
+def test_without_a_map_it_stands_in_the_dark_too(task):
+    config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_silent=((3.0, 5.0),))))
+    mission = prepare(Request(task=task, seed=1, duration_s=7.0), BURGER, config)
+    with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
+        log = drive(simulator, mission, NoBag(), lambda line: None).log
+    t = log.t_ns * 1e-9
+    assert np.all(np.abs(log.v[(t > 4.1) & (t < 5.1)]) < 1e-6)
+    assert np.any(np.abs(log.v[t < 3.0]) > 0.05)
+    assert np.any(np.abs(log.v[t > 5.3]) > 0.02)
+
+
+def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
+    episode = run(arena_map, FaultConfig(scan_silent=((3.0, 1e6),)), goal=SE2.from_xyt(0.55, 1.75, 0.0))
+    goal = episode.metrics["goals"][0]
+    assert (goal["status"], goal["reason"]) == ("unreachable", "the lidar has been silent for 30 s")
+    assert episode.metrics["time_s"] < 35.0
+
+
+def test_a_few_doubts_are_nothing_and_many_stop_the_robot():
+    task = Relocaliser(RelocaliseConfig(doubts=3, settled=1.0, look=5.0))
+    assert [task.update(k * S, True, False, k) for k in (1, 2)] == ["go", "go"]
+    assert task.update(3 * S, True, True, 3) == "go"
+    # Time alone, without the filter being asked, is no doubt.
+    assert [task.update(k * S, False, True, 3) for k in range(4, 20)] == ["go"] * 16
+    assert [task.update((20 + k) * S, False, True, 4 + k) for k in range(3)] == ["go", "go", "look"]
+    assert task.update(23 * S, True, True, 8) == "look"
+    assert task.update(24 * S, True, True, 9) == "go"
+
+
+def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place():
+    task = Relocaliser(RelocaliseConfig(doubts=1, look=5.0, trust=10.0))
+    assert task.update(1 * S, True, False, 1) == "look"
+    assert task.update(6 * S, True, False, 9) == "go"
+    assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["go"] * 9
+    assert task.update(17 * S, True, False, 30) == "look"
+
+
+def test_what_it_does_when_it_never_finds_out_is_bounded():
+    task = Relocaliser(RelocaliseConfig(doubts=1, look=5.0, roam=10.0, restarts=2))
+    said = [task.update(k * S, False, False, k) for k in range(1, 60)]
+    turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
+    assert turns[:9] == ["look", "roam", "restart", "look", "roam", "restart", "look", "roam", "give_up"]
+    # From then on it drives, and doubts again: the next goal gets as many tries.
+    assert turns[9:11] == ["go", "look"] or turns[9:10] == ["look"]
+
+
+def test_a_goal_that_runs_out_of_time_says_what_the_trouble_was():
+    there = Waypoint(SE2.from_xyt(1.0, 0.0, 0.0), "", (1.0, 0.0, 0.0))
+    tasks = GoalSequence([there, there], SequenceConfig(initial_wait=0.0, timeout=5.0))
+    assert tasks.update(0) is not None
+    tasks.update(5 * S, "the lidar is silent")
+    assert tasks.outcomes[0].reason == "not reached within 5 s: the lidar is silent"
+    tasks.fail_all("no lidar", 6 * S)
+    assert [o.status for o in tasks.outcomes] == ["timeout", "unreachable"]
+    assert math.isclose(tasks.outcomes[0].time_s, 5.0)
+
+
+def test_an_exploration_that_never_saw_anything_did_not_succeed():
+    config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_loss=1.0)))
+    mission = prepare(Request(task="explore", seed=1, duration_s=1.0), BURGER, config)
+    with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
+        episode = drive(simulator, mission, NoBag(), lambda line: None)
+    assert episode.grid is None
+    assert episode.metrics["success"] is False

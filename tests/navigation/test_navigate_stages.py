@@ -1,0 +1,213 @@
+"""plan, mapless goals, wiggling and exploring, each by numbers."""
+
+import csv
+import json
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.outputs import sha256_text, sha256_tree
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.navigation.setup import Request
+from turtlebag.pipeline.stages.navigate import navigate
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.ompl_planner import PlannerName
+from turtlebag.planners.tasks.wiggle import Wiggle, WiggleConfig
+from turtlebag.sim.robots import FOLDER as ROBOTS
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.worlds import FOLDER, load_world
+
+WORLD = "turtlebot3_world"
+
+
+@pytest.fixture(scope="module")
+def true_map(tmp_path_factory) -> Path:
+    world = load_world(WORLD)
+    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
+
+
+def plan_words(true_map: Path, out: Path, goal: str, *more: str) -> list[str]:
+    return ["plan", "--map", str(true_map), "--start=-2,-0.5,0", f"--goal={goal}", "--out", str(out), *more]
+
+
+def test_plan_writes_a_free_path_and_repeats_to_the_byte(true_map, tmp_path):
+    for name in ("a", "b"):
+        assert main(plan_words(true_map, tmp_path / name, "0.5,0.5,1.0", "--seed", "4")) == 0
+    assert sha256_tree(tmp_path / "a") == sha256_tree(tmp_path / "b")
+    with (tmp_path / "a" / "path.csv").open() as file:
+        poses = np.array([[float(row[k]) for k in ("x", "y", "yaw")] for row in csv.DictReader(file)])
+    np.testing.assert_allclose(poses[[0, -1]], [[-2.0, -0.5, 0.0], [0.5, 0.5, 1.0]], atol=1e-6)
+    costmap = costmap_from_grid(load_map(true_map), CostmapConfig())
+    assert costmap.clearance_at(poses[:, :2]).min() > 0.1485
+    metrics = json.loads((tmp_path / "a" / "metrics.json").read_text())
+    assert metrics["success"]
+    assert metrics["length_m"] == pytest.approx(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
+
+
+def test_plan_without_a_way_fails_with_complete_outputs(true_map, tmp_path):
+    # Walled in by keeping the robot too wide for every gap between the pillars.
+    words = plan_words(true_map, tmp_path / "out", "0.5,0.5,0", "--set", "plan.margins=[0.4]")
+    assert main(words) == 1
+    assert (tmp_path / "out" / "path.csv").read_text() == "x,y,yaw\n"
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["reason"]
+
+
+@pytest.mark.parametrize("goal", ["1.1,1.1,0", "50,0,0", "1,1,nan", "1,1"])
+def test_plan_refuses_bad_goals(true_map, tmp_path, capsys, goal):
+    assert main(plan_words(true_map, tmp_path / "out", goal)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_goal_without_a_map_is_reached_by_what_the_scans_show(tmp_path):
+    request = Request(task="goal", seed=2, goal=SE2.from_xyt(0.55, -0.55, 0.0), timeout_s=90.0)
+    assert navigate(WORLD, request, tmp_path / "run") == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["localisation_error_m"] is None
+    assert metrics["goals"][0]["error_m"] < 0.1
+    assert metrics["collisions"] == {"visible": 0, "low": 0}
+
+
+def test_a_wrong_initial_pose_is_wiggled_right(true_map, tmp_path):
+    request = Request(
+        task="goal",
+        seed=2,
+        map_path=true_map,
+        initial_pose=SE2.from_xyt(-1.8, -0.3, 0.25),
+        goal=SE2.from_xyt(-1.5, -0.5, 0.0),
+        wiggle=True,
+    )
+    assert navigate(WORLD, request, tmp_path / "run") == 0
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["goals"][0]["error_m"] < 0.05
+
+
+def test_a_wiggle_turns_both_ways_and_ends():
+    wiggle = Wiggle(WiggleConfig(angle=1.0, w=0.5, least=1.0, most=20.0))
+    heading, headings = 0.0, []
+    for tick in range(16 * 30):
+        heading += wiggle.command(tick * 10**9 // 30, settled=False).w / 30.0
+        headings.append(heading)
+    assert max(headings) == pytest.approx(1.0, abs=0.05)
+    assert min(headings) == pytest.approx(-1.0, abs=0.05)
+    assert wiggle.command(17 * 10**9, settled=True) is None
+    assert not wiggle.gave_up
+    assert wiggle.command(20 * 10**9, settled=False) is None
+    assert wiggle.gave_up
+
+
+def test_laps_and_durations_without_end_are_refused(true_map, tmp_path, capsys):
+    base = ["navigate", "--world", WORLD, "--out", str(tmp_path / "run")]
+    assert main([*base, "--task", "avoid", "--duration", "20000"]) == 2
+    assert main([*base, "--task", "patrol", "--map", str(true_map), "--laps", "100000"]) == 2
+    assert "at most" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_goal_in_a_kept_out_place_is_refused(true_map, tmp_path, capsys):
+    keepout = tmp_path / "keepout.yaml"
+    keepout.write_text("keepout:\n  - [[-1.2, -1.0], [-0.8, -1.0], [-0.8, 1.0], [-1.2, 1.0]]\n")
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    words += ["--initial-pose", "start", "--out", str(tmp_path / "run"), "--keepout", str(keepout)]
+    assert main(words) == 2
+    assert "obstacle" in capsys.readouterr().err
+
+
+def test_an_outline_off_the_map_is_refused_by_its_number(true_map, tmp_path, capsys):
+    keepout = tmp_path / "keepout.yaml"
+    keepout.write_text("keepout:\n  - [[0, 0], [0.5, 0], [0.5, 0.5]]\n  - [[90, 90], [91, 90], [91, 91]]\n")
+    words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
+    assert main([*words, "--out", str(tmp_path / "run"), "--keepout", str(keepout)]) == 2
+    assert "keepout.yaml: keepout 2: is off the map" in capsys.readouterr().err
+
+
+def test_the_manifest_of_a_run_names_every_file_that_went_in(true_map, tmp_path):
+    contents = {
+        "keepout.yaml": "keepout: [[[0, 0], [0.5, 0], [0.5, 0.02]]]",
+        "points.yaml": "waypoints: [[-1.5, 0.5, 0]]",
+        "takeover.yaml": "[]",
+        "config.yaml": "{}",
+        "world.yaml": (FOLDER / "turtlebot3_world.yaml").read_text(),
+        "robot.yaml": (ROBOTS / "burger.yaml").read_text(),
+    }
+    for name, text in contents.items():
+        (tmp_path / name).write_text(text)
+    words = f"navigate --world {tmp_path}/world.yaml+clutter:3 --robot {tmp_path}/robot.yaml --task patrol"
+    words += f" --map {true_map} --waypoints {tmp_path}/points.yaml --keepout {tmp_path}/keepout.yaml"
+    words += f" --takeover {tmp_path}/takeover.yaml --config {tmp_path}/config.yaml --out {tmp_path}/run"
+    assert main(words.split()) == 1  # nobody told it where it is: refused as soon as it looks
+    inputs = json.loads((tmp_path / "run" / "manifest.json").read_text())["inputs"]
+    assert set(inputs) == {"map", "map_image", "world", "robot", "waypoints", "keepout", "takeover", "config"}
+    for name, text in contents.items():
+        kind = "waypoints" if name == "points.yaml" else name.removesuffix(".yaml")
+        assert inputs[kind]["sha256"] == {name: sha256_text(text)}
+
+
+def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map, tmp_path):
+    words = [
+        "--compare",
+        "--planner",
+        "PRM",
+        "--set",
+        "plan.ompl.iterations=300",
+        "--set",
+        "plan.ompl.restarts=2",
+    ]
+    assert main(plan_words(true_map, tmp_path / "out", "-1.5,0.5,0", *words)) == 0
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    by_name = {entry["planner"]: entry for entry in metrics["planners"]}
+    assert set(by_name) == set(get_args(PlannerName))
+    assert by_name["PRM"]["length_m"] == metrics["length_m"]
+    folder = tmp_path / "out"
+    assert (folder / "path-PRM.csv").read_text() == (folder / "path.csv").read_text()
+    for name, entry in by_name.items():
+        rows = (folder / f"path-{name}.csv").read_text().splitlines()
+        assert len(rows) == 1 + (entry["poses"] if entry["success"] else 0)
+        assert entry["success"] == (entry.get("min_clearance_m", -1.0) > 0.0)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "plan.margins=[]",
+        "plan.margins=[-0.2]",
+        "plan.spacing=1e-9",
+        "plan.stretch=0.5",
+        "plan.stretch=nan",
+        "plan.ompl.iterations=0",
+        "plan.ompl.restarts=-1",
+        "plan.ompl.space=torus",
+        "plan.ompl.turning_radius=0",
+        "plan.ompl.planner=Dijkstra",
+        "plan.nothing=1",
+        "costmap.inflation=1",
+    ],
+)
+def test_plan_refuses_bad_settings(true_map, tmp_path, capsys, setting):
+    assert main(plan_words(true_map, tmp_path / "out", "0.5,0.5,0", "--set", setting)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("image", "header"),
+    [
+        (b"P5 4 4 255 " + b"\x00" * 16, "resolution: 0.05\norigin: [0, 0, 0]"),  # nothing free
+        (b"P5 4 4 255 " + b"\xfe" * 16, "resolution: 0.05\norigin: [0, 0, 0]"),  # too small to stand in
+        (b"P5 4 4 255 " + b"\xfe" * 16, "resolution: 1.0e+300\norigin: [0, 0, 0]"),
+        (b"P5 4 4 255 " + b"\xfe" * 3, "resolution: 0.05\norigin: [0, 0, 0]"),  # cut
+        (b"", "resolution: 0.05\norigin: [0, 0, 0]"),
+    ],
+)
+def test_plan_refuses_hostile_maps_in_a_line(tmp_path, capsys, image, header):
+    (tmp_path / "map.pgm").write_bytes(image)
+    rest = "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    (tmp_path / "map.yaml").write_text(f"image: map.pgm\n{header}\n{rest}")
+    words = ["plan", "--map", str(tmp_path / "map.yaml"), "--start", "0.1,0.1,0", "--goal", "0.1,0.1,0"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,267 @@
+"""Places that look alike: rivals are found, driven to where they differ, and only then are goals counted."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
+
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.types import Scan
+from turtlebag.pipeline.localisation.beams import prepare
+from turtlebag.pipeline.localisation.distinguishing_views import clearly_other, differences
+from turtlebag.pipeline.localisation.field import distance_field
+from turtlebag.pipeline.localisation.free_space import FreeSpace
+from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.pose_hypotheses import ALIKE, SCANS, Contest, Glimpse, Rivals, apart
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.disambiguation import ALIKE as REASON
+from turtlebag.pipeline.navigation.disambiguation import nearest_difference, passable_under_all
+from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.navigator import LOST
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig
+from turtlebag.pipeline.navigation.setup import Request
+from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.sim import shapes
+from turtlebag.sim.faults import FaultConfig
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.simulator import SimConfig, Simulator
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world
+
+# 12 x 4 m, the same when turned by half a circle about (6, 2) but for a cupboard at the right end.
+TWIN = SE2.from_xyt(12.0, 4.0, math.pi)
+PILLARS = ((4.0, 1.0, 4.3, 1.4), (7.7, 2.6, 8.0, 3.0), (5.6, 0.0, 5.9, 0.5), (6.1, 3.5, 6.4, 4.0))
+CUPBOARD = (10.8, 1.2, 12.0, 2.8)
+BURGER = load_robot("burger")
+
+
+def room(*, cupboard=True):
+    parts = [(0.0, 0.0, 12.0, 4.0), *PILLARS, *([CUPBOARD] if cupboard else [])]
+    return Room(np.array([wall for part in parts for wall in box(*part)]), (4.0, 2.0))
+
+
+def world(*, cupboard=True):
+    parts = [(-0.1, -0.1, 12.1, 0.0), (-0.1, 4.0, 12.1, 4.1), (-0.1, 0.0, 0.0, 4.0), (12.0, 0.0, 12.1, 4.0)]
+    parts += [*PILLARS, *([CUPBOARD] if cupboard else [])]
+    solids = tuple(
+        shapes.box(f"part_{k}", (0.5 * (a + c), 0.5 * (b + d)), (c - a, d - b), 0.0, (0.0, 0.5))
+        for k, (a, b, c, d) in enumerate(parts)
+    )
+    return World("twins", "burger", SE2.from_xyt(5.0, 2.4, 0.3), solids, (-0.5, 12.5, -0.5, 4.5), (), {})
+
+
+def rivals_of(grid, seed=1):
+    config = AmclConfig()
+    search = GlobalSearch(distance_field(grid, 2.0), FreeSpace(grid), config, STILL_LIDAR.range_max)
+    return Rivals(search, np.random.default_rng(seed))
+
+
+def glimpses_at(place, poses, rng):
+    """Scans from poses (n,) of a room; odometry is the truth."""
+    out = []
+    for pose in poses:
+        ranges = place.ranges(pose @ T_BASE_LIDAR, STILL_LIDAR.angles, STILL_LIDAR.range_max)
+        noisy = (ranges + 0.01 * rng.standard_normal(len(ranges))).astype(np.float32)
+        out.append(Glimpse(prepare(Scan(0, noisy, STILL_LIDAR), T_BASE_LIDAR), pose))
+    return out
+
+
+def turning_at(x, y):
+    return [SE2.from_xyt(x, y, yaw) for yaw in (0.3, 0.8, 1.3)]
+
+
+@pytest.mark.parametrize("T_map_odom", [SE2.identity(), TWIN])
+def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
+    glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
+    found = rivals_of(room().grid()).find(glimpses, T_map_odom)
+    assert len(found) == 2
+    np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
+    there = found[1] @ T_map_odom @ glimpses[-1].T_odom_base
+    other = (SE2.identity() if T_map_odom is TWIN else TWIN) @ glimpses[-1].T_odom_base
+    assert np.linalg.norm(there.xy - other.xy) < 0.05
+    assert abs(wrap(there.yaw - other.yaw)) < 0.05
+
+
+def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
+    glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
+    rivals = rivals_of(room().grid())
+    (same,) = rivals.find(glimpses, SE2.identity())
+    np.testing.assert_array_equal(same.xyt, np.zeros(3))
+    # The estimate at the twin is told where the robot is.
+    (moved,) = rivals.find(glimpses, TWIN)
+    there = moved @ TWIN @ glimpses[-1].T_odom_base
+    assert np.linalg.norm(there.xy - (10.2, 1.6)) < 0.05
+    fits = rivals.fits([SE2.identity(), TWIN], glimpses[0], SE2.identity())
+    assert fits[0] > fits[1] + 2.0 * ALIKE
+
+
+@pytest.mark.parametrize(("x", "y"), [(2.0, 2.0), (0.7, 0.8), (4.3, 2.2), (2.6, 0.5)])
+def test_a_world_without_a_twin_has_one_hypothesis(x, y):
+    place = l_shaped_room()
+    found = rivals_of(place.grid()).find(
+        glimpses_at(place, turning_at(x, y), np.random.default_rng(3)), SE2.identity()
+    )
+    assert len(found) == 1
+    np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
+
+
+def test_in_a_crowd_nothing_is_said_about_other_places():
+    glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
+    rivals = rivals_of(room().grid())
+    crowded = []
+    for glimpse in glimpses:
+        beams = glimpse.beams
+        near = beams.points.copy()
+        away = near - beams.origins
+        hidden = np.arange(len(near)) < 0.7 * len(near)
+        near[hidden] = (beams.origins + 0.4 * away / np.linalg.norm(away, axis=1)[:, None])[hidden]
+        crowded.append(dataclasses.replace(glimpse, beams=dataclasses.replace(beams, points=near)))
+    assert len(rivals.find(glimpses, TWIN)) == 1
+    (same,) = rivals.find(crowded, TWIN)
+    np.testing.assert_array_equal(same.xyt, np.zeros(3))
+
+
+def test_a_heading_a_little_off_is_no_other_place():
+    here = SE2.from_xyt(-5.25, 2.42, 2.41)
+    assert not apart(here, SE2.from_xyt(-5.17, 2.46, 3.14))
+    assert apart(here, SE2.from_xyt(-5.17, 2.46, 2.41 + math.pi))
+    assert apart(here, SE2.from_xyt(-5.25, 1.2, 2.41))
+
+
+def test_the_same_seed_finds_the_same_rivals():
+    glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
+    one, other = (rivals_of(room().grid(), 5).find(glimpses, SE2.identity()) for _ in range(2))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.xyt, b.xyt)
+
+
+def test_the_map_says_where_two_places_differ():
+    field = distance_field(room().grid(), 2.0)
+    rivals = [SE2.identity(), TWIN]
+    poses = SE2(np.array([[10.0, 1.2, 0.5], [2.0, 2.8, -2.6], [6.0, 2.0, 0.0], [5.0, 2.4, 0.0]]))
+    share = differences(field, rivals, poses, 3.5)
+    # The second pose is the twin of the first: it differs as much.
+    assert share[0] > 0.15
+    assert share[1] > 0.15
+    assert np.all(share[2:] < 0.05)
+    empty = distance_field(room(cupboard=False).grid(), 2.0)
+    assert differences(empty, rivals, poses, 3.5).max() < 0.08
+
+
+def test_edges_that_shift_by_a_beam_are_no_difference():
+    views = np.full((1, 180), 3.0)
+    views[0, 40:60] = 1.0
+    assert clearly_other(views, np.roll(views, 2, axis=1))[0] == 0.0
+    assert clearly_other(views, np.roll(views, 12, axis=1))[0] == pytest.approx(20 / 180)
+    assert clearly_other(views, views + 0.15)[0] == 0.0
+
+
+def test_what_stops_the_robot_under_one_rival_stops_it():
+    costmap = costmap_from_grid(room().grid(), CostmapConfig())
+    both = passable_under_all(costmap, [SE2.identity(), TWIN])
+    assert both.clearance_at(np.array([10.82, 2.0])) == 0.0
+    assert both.clearance_at(TWIN @ np.array([10.82, 2.0])) == 0.0
+    assert costmap.clearance_at(TWIN @ np.array([10.82, 2.0])) > 0.0
+    assert np.all(both.lethal[costmap.lethal])
+
+
+def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
+    grid = room().grid()
+    costmap = passable_under_all(costmap_from_grid(grid, CostmapConfig()), [SE2.identity(), TWIN])
+    rivals, both = rivals_of(grid), [SE2.identity(), TWIN]
+    start = SE2.from_xyt(7.0, 1.6, 0.0)
+    place, share = nearest_difference(rivals, both, costmap, 0.2, start, 0.1, [])
+    assert share >= 0.1
+    assert place.x > 7.5
+    assert costmap.clearance_at(place.xy) > 0.2
+    assert rivals.differences(both, SE2(start.xyt[None]))[0] < 0.1
+    # From the other half the nearest one is the twin's.
+    mirrored = nearest_difference(rivals, both, costmap, 0.2, TWIN @ start, 0.1, [])
+    assert mirrored[0].x < 4.5
+    other, _ = nearest_difference(rivals, both, costmap, 0.2, start, 0.1, [place.xy])
+    assert np.linalg.norm(other.xy - place.xy) > 0.6
+    alike = rivals_of(room(cupboard=False).grid())
+    assert nearest_difference(alike, both, costmap, 0.2, start, 0.1, []) is None
+
+
+def test_a_contest_takes_several_scans_and_drops_who_is_left_behind():
+    contest = Contest([SE2.identity(), TWIN, SE2.from_xyt(1.0, 0.0, 0.0)])
+    for _ in range(SCANS - 1):
+        contest.judge(np.array([0.8, 0.88, 0.5]))
+        assert len(contest.rivals) == 3
+    contest.judge(np.array([0.84, 0.88, 0.5]))
+    assert contest.decided
+    assert contest.rivals[0] is TWIN
+    close = Contest([SE2.identity(), TWIN])
+    for k in range(100):
+        close.judge(np.array([0.86, 0.88]) + 0.03 * (-1) ** k)
+    assert not close.decided
+
+
+def run(place, tmp_path, config, seed=2, **request):
+    path = save_map(place.rasterize(BURGER.lidar_height), tmp_path, "map")
+    asked = Request(task="goal", seed=seed, map_path=path, timeout_s=90.0, **request)
+    mission = prepare_mission(asked, BURGER, config, place.keepout)
+    with Simulator(place, BURGER, config.sim, seed) as simulator:
+        return drive(simulator, mission, NoBag(), lambda line: None)
+
+
+@pytest.mark.parametrize("start", [SE2.from_xyt(5.0, 2.4, 0.3), TWIN @ SE2.from_xyt(5.0, 2.4, 0.3)])
+def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(tmp_path, start):
+    goal = SE2.from_xyt(4.8, 3.0, 0.0)
+    episode = run(world(), tmp_path, NavigateConfig(), initial_pose="global", start=start, goal=goal)
+    assert "tell_apart" in episode.log.state
+    (outcome,) = episode.metrics["goals"]
+    assert outcome["status"] == "reached"
+    assert outcome["error_m"] < 0.05
+    assert not any(episode.metrics["collisions"].values())
+
+
+def test_where_nothing_tells_them_apart_no_goal_counts_and_the_reason_is_said(tmp_path):
+    goal = SE2.from_xyt(4.8, 3.0, 0.0)
+    episode = run(world(cupboard=False), tmp_path, NavigateConfig(), initial_pose="global", goal=goal)
+    (outcome,) = episode.metrics["goals"]
+    assert outcome["status"] != "reached"
+    # One place alone in its cloud has a rival; with both in it the robot says that it is lost.
+    assert REASON in outcome["reason"] or LOST in outcome["reason"]
+
+
+def test_telling_apart_is_bounded_in_time(tmp_path):
+    config = NavigateConfig(relocalise=RelocaliseConfig(tell_apart=2.0))
+    goal = SE2.from_xyt(4.8, 3.0, 0.0)
+    episode = run(world(), tmp_path, config, initial_pose="global", goal=goal)
+    (outcome,) = episode.metrics["goals"]
+    assert (outcome["status"], outcome["reason"]) == ("unreachable", REASON)
+    states = np.array(episode.log.state) == "tell_apart"
+    assert states.sum() / 30.0 < 2.5
+
+
+def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_knows(tmp_path):
+    arena = load_world("turtlebot3_world")
+    kidnap = FaultConfig(kidnap=((6.0, -1.12, -1.87, 1.63),))
+    config = NavigateConfig(sim=SimConfig(faults=kidnap))
+    start, goal = SE2.from_xyt(1.0, 1.7, 0.0), SE2.from_xyt(0.0, 2.0, 0.0)
+    arena = dataclasses.replace(arena, keepout=())
+    episode = run(arena, tmp_path, config, initial_pose="start", start=start, goal=goal)
+    (outcome,) = episode.metrics["goals"]
+    assert outcome["status"] == "reached"
+    assert outcome["error_m"] < 0.05
+
+
+def test_carried_off_at_the_goal_the_last_scan_is_asked_before_the_goal_counts(tmp_path):
+    arena = load_world("turtlebot3_world")
+    quiet = run(arena, tmp_path, NavigateConfig(), initial_pose="start", goal=SE2.from_xyt(-1.5, 0.6, 1.57))
+    at = quiet.log.state.index("arrived")
+    kidnap = FaultConfig(kidnap=((float(quiet.log.t_ns[at] * 1e-9) - 0.4, 1.6, -0.55, 2.0),))
+    config = NavigateConfig(sim=SimConfig(faults=kidnap))
+    episode = run(arena, tmp_path, config, initial_pose="start", goal=SE2.from_xyt(-1.5, 0.6, 1.57))
+    (outcome,) = episode.metrics["goals"]
+    assert outcome["status"] == "reached"
+    assert outcome["error_m"] < 0.05
+    assert "look" in episode.log.state

@@ -1,0 +1,118 @@
+"""SLAM while driving: fed scan by scan it is the offline mapper's; what stops the robot unseen is noticed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_room import BURGER
+from slam_rooms import ROOM, around_the_room, drifted, recording
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
+from turtlebag.pipeline.navigation.bump_memory import Unseen
+from turtlebag.pipeline.navigation.growing_clouds import GrowingClouds
+from turtlebag.pipeline.navigation.guarded import GuardConfig
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.range_noise import RangeNoise
+from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.planners.costmap import Costmap
+
+TRUE = around_the_room(200, laps=2)
+LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
+NOISE = RangeNoise()
+
+
+def drive(online: OnlineMap, upto: int = len(LOG)) -> None:
+    """Every scan of LOG with its odometry, as a simulator would hand them over."""
+    for k in range(upto):
+        stamp, T_odom_base = int(LOG.stamps_ns[k]), LOG.T_odom_base[k]
+        joints = Joints(stamp, (0.0, 0.0), (0.0, 0.0))
+        scan = Scan(stamp, LOG.ranges[k], LOG.lidar)
+        online.observe(Observation(stamp, Odometry(stamp, T_odom_base, Twist()), joints, scan, ()))
+
+
+def test_clouds_grown_scan_by_scan_are_those_made_at_once():
+    whole, growing = make_clouds(LOG, 8.0, noise=NOISE), GrowingClouds(NOISE)
+    for k in range(len(LOG)):
+        one = replace(
+            LOG,
+            stamps_ns=LOG.stamps_ns[k : k + 1],
+            ranges=LOG.ranges[k : k + 1],
+            T_odom_base=LOG.T_odom_base[k : k + 1],
+        )
+        growing.append(one, 8.0, None)
+    found = growing.view()
+    for name in whole._fields:
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
+
+
+def test_the_estimate_stays_true_while_odometry_drifts_and_the_map_comes_bit_by_bit():
+    online = OnlineMap(SE2.identity(), SlamConfig())
+    errors, sizes = [], []
+    for k in range(len(LOG)):
+        stamp, T_odom_base = int(LOG.stamps_ns[k]), LOG.T_odom_base[k]
+        scan = Scan(stamp, LOG.ranges[k], LOG.lidar)
+        joints = Joints(stamp, (0.0, 0.0), (0.0, 0.0))
+        online.observe(Observation(stamp, Odometry(stamp, T_odom_base, Twist()), joints, scan, ()))
+        error = (SE2(TRUE[k]).inverse() @ (online.T_map_odom @ T_odom_base)).xyt
+        errors.append(np.hypot(error[0], error[1]))
+        if k % 60 == 59:
+            sizes.append(int((online.update().cells == 0).sum()))
+    drift = (SE2(TRUE[-1]).inverse() @ LOG.T_odom_base[len(LOG) - 1]).xyt
+    assert np.hypot(drift[0], drift[1]) > 0.3
+    assert max(errors) < 0.06
+    assert sizes == pytest.approx([17700] * 3, rel=0.02)
+
+
+def test_the_finished_map_is_that_of_the_offline_mapper():
+    from turtlebag.pipeline.slam.slam import run_slam
+
+    online = OnlineMap(SE2.identity(), SlamConfig())
+    drive(online, 120)
+    online.update()
+    np.testing.assert_array_equal(
+        online.finish().cells, run_slam(online.recording(), SlamConfig()).grid.cells
+    )
+
+
+def test_scans_taken_while_pushing_are_not_drawn():
+    online = OnlineMap(SE2.identity(), SlamConfig())
+    drive(online, 60)
+    before = len(online.recording())
+    online.distrust()
+    assert 1 <= before - len(online.recording()) <= 4
+
+
+def wall_ahead(T_world_base: SE2) -> np.ndarray:
+    """Points (n, 2) in the base frame of a corner that stands at rest in the world."""
+    y = np.arange(-2.0, 2.0, 0.05)
+    corner = np.concatenate(
+        [np.stack([np.full(len(y), 2.0), y], axis=1), np.stack([y, np.full(len(y), 1.5)], axis=1)]
+    )
+    return T_world_base.inverse() @ corner
+
+
+@pytest.mark.parametrize("pushing", [True, False])
+def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(pushing):
+    unseen = Unseen(BURGER, GuardConfig())
+    noticed = []
+    for k in range(12):
+        T_odom_base = SE2.from_xyt(0.04 * k, 0.0, 0.0)
+        T_true = SE2.identity() if pushing else T_odom_base
+        hits = T_odom_base @ wall_ahead(T_true)
+        sight = Sight(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)))
+        noticed.append(unseen.noticed(sight, T_odom_base, SE2.identity(), Twist(0.2, 0.0)))
+    assert any(noticed) == pushing
+    free = Costmap(np.zeros((80, 80), dtype=bool), 0.05, SE2.from_xyt(-2.0, -2.0, 0.0))
+    kept_out = unseen.kept_out(free).lethal
+    if not pushing:
+        assert not kept_out.any()
+        return
+    first = noticed.index(True)
+    nose = np.array([0.04 * first + 0.041 + 0.05, 0.0])
+    assert unseen.kept_out(free).clearance_at(nose) < 0.06
+    start = SE2.from_xyt(0.04 * first, 0.0, 0.0)
+    assert unseen.backing_off(first * 200_000_000, start) == Twist(-0.1, 0.0)
+    assert unseen.backing_off(first * 200_000_000, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None

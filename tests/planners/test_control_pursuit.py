@@ -1,0 +1,289 @@
+"""Pursuit's laws by their formulas, for a robot that follows every command at once."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planning_room import BURGER, room
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
+from turtlebag.planners.control.interface import Ramped, SpeedLimits, ramped
+from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig, free_time, moved, padded
+from turtlebag.planners.control.path_position import arc_lengths
+from turtlebag.planners.control.profile import braked, curvature_along
+from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig, _in_grid, _wrap
+from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from turtlebag.planners.footprint import footprint_clearance
+
+DT = 0.05
+PROMPT = replace(BURGER, max_v=0.5, max_w=2.0, max_dv=1e3, max_dw=1e5)
+C = PursuitConfig(max_w=1.6)
+ROOM = costmap_from_grid(room(rows=200, cols=200), CostmapConfig())
+
+
+def line(x0=1.0, x1=6.0, n=101, y=4.0):
+    return SE2.from_xyt(np.linspace(x0, x1, n), np.full(n, y), np.zeros(n))
+
+
+def following(poses=None, **settings):
+    pursuit = Pursuit(PROMPT, C.model_copy(update=settings), DT)
+    pursuit.set_path(line() if poses is None else poses)
+    pursuit.state = "follow"
+    return pursuit
+
+
+@pytest.mark.parametrize("last_v", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("off", [-0.06, 0.02])
+def test_it_steers_the_arc_to_the_point_its_speed_looks_ahead_to(last_v, off):
+    pursuit = following()
+    reach = min(max(last_v * C.lookahead_time, C.min_lookahead), C.max_lookahead)
+    found = pursuit.command(SE2.from_xyt(1.8, 4.0 + off, 0.1), Twist(last_v, 0.0), ROOM)
+    bearing = math.atan2(-off, reach) - 0.1
+    curvature = 2.0 * math.sin(bearing) / math.hypot(reach, off)
+    assert found.w / found.v == pytest.approx(curvature)
+    assert found.v == pytest.approx(pursuit._regulated_speed(9.0, curvature, pursuit.remaining()))
+    assert pursuit.remaining() == pytest.approx(4.2)
+
+
+def test_where_it_is_is_looked_for_from_a_little_behind_to_a_metre_ahead():
+    out_and_back = np.vstack([line(1.0, 4.0, 61).xy, line(4.0, 1.0, 61, 4.1).xy])
+    pursuit = following(SE2.from_xyt(*out_and_back.T, np.zeros(122)))
+    pursuit._s = 1.0
+    pursuit.command(SE2.from_xyt(2.3, 4.1, 0.0), Twist(0.2, 0.0), ROOM)
+    assert pursuit._s == pytest.approx(1.3)
+    pursuit.command(SE2.from_xyt(1.0, 4.0, 0.0), Twist(0.2, 0.0), ROOM)
+    assert pursuit._s == pytest.approx(1.2, abs=0.06)
+
+
+def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
+    pursuit = following()
+    ahead = math.atan2(0.0, 1.0)
+    for yaw, last, state in (
+        (ahead - C.turn_first + 0.01, Twist(), "follow"),
+        (ahead - C.turn_first - 0.01, Twist(), "turn"),
+        (ahead + C.turned + 0.01, Twist(), "turn"),
+        (ahead - C.turned + 0.01, Twist(), "follow"),
+    ):
+        found = pursuit.command(SE2.from_xyt(1.8, 4.0, yaw), last, ROOM)
+        assert pursuit.state == state
+        if state == "turn":
+            assert (found.v, found.w) == (0.0, pytest.approx(pursuit._turning_speed(-yaw)))
+        else:
+            assert found.v > 0.0
+    # still rolling, it lets the turn die down first
+    pursuit.state = "turn"
+    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(0.3, 0.4), ROOM) == Twist(0.0, 0.2)
+    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(-0.05, 0.4), ROOM) == Twist(0.0, 0.2)
+    assert pursuit._along_path(1.8, 4.0, 1.0, Twist(0.049, 0.4), ROOM).w == pursuit._turning_speed(-1.0)
+
+
+def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
+    pursuit, top = following(), 0.5
+    pursuit._s = 2.0
+    slow = min(C.slowest * top * 0.5, 0.1)
+    for room_m, curvature, remaining in (
+        (9.0, 0.0, 3.0), (9.0, 1.0, 3.0), (9.0, -4.0, 3.0), (0.15, 0.0, 3.0), (0.01, 0.5, 3.0),
+        (-1.0, 0.0, 3.0), (9.0, 0.0, 1e-4), (9.0, 60.0, 3.0), (9.0, -2.3, 3.0),
+    ):  # fmt: skip
+        bend = abs(curvature)
+        v = min(top, math.sqrt(C.max_lateral / max(bend, 1e-6)))
+        v = min(v, top / max(1.0, bend * C.regulated_radius))
+        if room_m < C.near:
+            v = min(v, top * max(C.slowest, room_m / C.near))
+        v = min(max(v, slow), math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.6 / max(bend, 1e-6))
+        assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
+    pursuit._speeds = np.linspace(0.4, 0.0, 101)
+    assert pursuit._regulated_speed(9.0, 0.0, 3.0) == pytest.approx(0.4 * 0.6)
+
+
+def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them():
+    angle = np.linspace(0.0, 2.0, 80)
+    bend = np.column_stack([5.0 + 0.3 * np.sin(angle), 4.3 - 0.3 * np.cos(angle)])
+    path = np.vstack([line(3.0, 4.95, 60).xy, bend])
+    robot = replace(PROMPT, max_dv=0.5)
+    pursuit = Pursuit(robot, C.model_copy(update={"max_lateral": 0.05}), DT)
+    pursuit.set_path(SE2.from_xyt(*path.T, np.zeros(len(path))))
+    lengths = arc_lengths(path)
+    limits = np.clip(np.sqrt(0.05 / np.maximum(curvature_along(path, lengths, 0.15), 1e-6)), 0.05, 0.5)
+    np.testing.assert_allclose(pursuit._speeds, braked(limits, lengths, 0.6 * 0.8 * 0.5))
+    assert pursuit._speeds[0] == 0.5
+    assert pursuit._speeds[100] == pytest.approx(math.sqrt(0.05 * 0.3), rel=0.02)
+    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 1.6, 0.4)
+
+
+def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
+    for first, state, second, expected in (
+        (line(), "follow", line(2.0), "follow"),
+        (line(), "follow", line(1.0, 6.1), "turn"),
+        (line(), "settle", line(), "turn"),
+        (line(), "align", line(5.6, 6.0), "align"),
+        (line(), "arrived", line(5.53, 6.0), "arrived"),
+        (line(), "settle", line(5.51, 6.0), "turn"),
+        (line(), "align", line(5.7, 6.1), "turn"),
+    ):
+        pursuit = Pursuit(PROMPT, C, DT)
+        pursuit.set_path(first)
+        pursuit.state, pursuit._s = state, 2.0
+        pursuit.set_path(second)
+        expected = "turn" if expected == "arrived" and 4 * C.settle_distance <= 6.0 - 5.53 else expected
+        assert (pursuit.state, pursuit._s) == (expected, 0.0)
+    assert Pursuit(PROMPT, C, DT).remaining() == 0.0
+    still = Pursuit(PROMPT, C, DT)
+    assert still.command(SE2.identity(), Twist(), ROOM) == Twist()
+
+
+def test_turning_is_fast_while_far_off_and_slow_enough_to_stop_on_the_mark():
+    robot = replace(BURGER, max_w=1.0, max_dw=2.0)
+    pursuit = Pursuit(robot, PursuitConfig(), DT)
+    for error in (3.0, 0.9, 0.5, 0.3, 0.15, 0.01, 0.001):
+        size = max(min(1.0, math.sqrt(1.6 * error), 3.0 * error), 0.04)
+        assert pursuit._turning_speed(error) == pytest.approx(size)
+        assert pursuit._turning_speed(-error) == pytest.approx(-size)
+    assert _wrap(3.5) == pytest.approx(3.5 - 2 * math.pi)
+    assert _wrap(-3.5) == pytest.approx(2 * math.pi - 3.5)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("aside", [0.0, 0.02, -0.03])
+@pytest.mark.parametrize("gap", [0.05, 0.11, 0.4])
+def test_it_settles_along_its_heading_by_a_share_of_the_gap(gap, aside, backwards):
+    robot = replace(PROMPT, max_dv=0.3)
+    pursuit = Pursuit(robot, C, DT)
+    pursuit.set_path(line(5.9, 6.0, 5))
+    pursuit.state = "settle"
+    x = 6.0 + gap if backwards else 6.0 - gap
+    found = pursuit._onto_goal(x, 4.0 + aside, 0.0, Twist())
+    distance = math.hypot(gap, aside)
+    steer = math.atan2(aside if backwards else -aside, gap)
+    if abs(steer) > 0.35:
+        assert (found.v, found.w) == (0.0, pytest.approx(pursuit._turning_speed(steer)))
+        return
+    v = max(min(0.25, math.sqrt(0.6 * 0.8 * 0.3 * distance), 1.5 * distance), 0.015)
+    assert found.v == pytest.approx(-v if backwards else v)
+    assert found.w == pytest.approx(1.5 * steer)
+
+
+def test_near_enough_it_turns_to_the_goals_yaw_and_drifting_off_it_settles_again():
+    pursuit = Pursuit(PROMPT, C, DT)
+    poses = SE2.from_xyt(np.linspace(5.9, 6.0, 5), np.full(5, 4.0), np.array([0.0, 0.0, 0.0, 0.0, 0.5]))
+    for dx, dy, state in (
+        (-0.011, 0.0, "align"), (-0.013, 0.0, "settle"), (0.0, 0.021, "align"), (0.0, 0.023, "settle"),
+        (-0.004, 0.015, "settle"), (-0.002, 0.015, "align"),
+    ):  # fmt: skip
+        pursuit.set_path(poses)
+        pursuit.state = "settle"
+        found = pursuit._onto_goal(6.0 + dx, 4.0 + dy, 0.0, Twist())
+        assert pursuit.state == state
+        if state == "align":
+            assert found == Twist(0.0, pursuit._turning_speed(0.5))
+    pursuit.state = "align"
+    assert pursuit._onto_goal(6.0, 4.0, 0.5 - 0.011, Twist()) == Twist()
+    assert pursuit.state == "arrived"
+    assert pursuit._onto_goal(6.0, 4.0, 0.5 + 0.013, Twist()).w < 0.0
+    assert pursuit.state == "align"
+    assert pursuit._onto_goal(6.0, 4.029, 0.5, Twist(0.021, 0.0)).v == 0.0
+    assert pursuit.state == "arrived"
+    assert pursuit._onto_goal(6.0, 4.029, 0.2, Twist(0.019, 0.0)) == Twist()
+    assert pursuit.state == "settle"
+
+
+def test_room_is_that_of_the_footprint_in_a_turned_map():
+    T = SE2.from_xyt(1.0, -2.0, 0.7)
+    lethal = np.zeros((60, 80), dtype=bool)
+    lethal[30, 40] = True
+    turned = Costmap(lethal, 0.05, T)
+    pursuit = following()
+    for pose in (SE2.from_xyt(1.9, 1.4, 0.3), SE2.from_xyt(1.7, 1.53, 1.3)):
+        x, y, yaw = (T @ pose).xyt
+        s = pursuit.samples
+        expected = footprint_clearance(
+            turned.clearance, 0.05, s.points, s.inscribed, s.circumscribed, *pose.xyt.tolist()
+        )
+        assert pursuit._room(x, y, yaw, turned) == pytest.approx(expected, abs=1e-6)
+        back = _in_grid(turned, x, y, yaw)
+        assert back[:2] == pytest.approx(tuple(pose.xy))
+        assert _wrap(back[2] - float(pose.yaw)) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    "target", [Twist(0.5, 1.0), Twist(-0.5, 1.0), Twist(0.02, -0.4), Twist(0.0, 3.0), Twist(1.0, 9.0)]
+)
+@pytest.mark.parametrize("last", [Twist(), Twist(0.2, 0.5), Twist(-0.3, -1.0), Twist(0.5, 0.0)])
+def test_a_command_changes_by_no_more_than_the_limits_and_keeps_its_curve(target, last):
+    limits = SpeedLimits(0.4, 1.5, 0.8, 3.0, 0.1)
+    found = ramped(target, last, limits)
+    v = float(np.clip(np.clip(target.v, last.v - 0.08, last.v + 0.08), -0.4, 0.4))
+    wanted = target.w
+    if target.v * v > 0.0 and abs(v) < abs(target.v):
+        wanted *= v / target.v
+    w = float(np.clip(np.clip(wanted, last.w - 0.3, last.w + 0.3), -1.5, 1.5))
+    assert (found.v, found.w) == pytest.approx((v, w))
+
+
+def test_limits_are_the_narrower_of_robots_and_configuration():
+    made = SpeedLimits.of(BURGER, 0.1, max_v=0.1, max_w=9.0, max_dv=0.5)
+    assert made == SpeedLimits(0.1, 2.84, 0.5, 12.5, 0.1)
+    assert SpeedLimits.of(BURGER, 0.1, max_v=9.0, max_w=1.0, max_dv=9.0) == SpeedLimits(
+        0.22, 1.0, 1.0, 12.5, 0.1
+    )
+    both = Ramped(BURGER, 0.1, max_v=9.0, max_w=9.0, acceleration_share=0.5)
+    assert both.ramp(Twist(0.2, 0.0), Twist()) == Twist(0.05, 0.0)
+    assert both.brake(Twist(0.2, 0.0)) == Twist(0.1, 0.0)
+
+
+def test_the_goal_checker_is_wider_once_inside_and_counts_its_hold():
+    config = GoalCheckerConfig(hold=0.3)
+    goal, still = SE2.from_xyt(1.0, 1.0, 3.1), Twist(0.01, 0.06)
+    out = SE2.from_xyt(1.035, 1.0, 3.1)
+    assert not GoalChecker(config, goal).reached(0, out, still)
+    checker = GoalChecker(config, goal)
+    assert not checker.reached(0, SE2.from_xyt(1.0299, 1.0, 3.1), still)
+    assert not checker.reached(299_999_999, out, still)
+    assert checker.reached(300_000_000, out, still)
+    for pose, twist in (
+        (SE2.from_xyt(1.0361, 1.0, 3.1), still), (SE2.from_xyt(1.0, 1.0, 3.1 + 0.0601), still),
+        (goal, Twist(0.011, 0.0)), (goal, Twist(0.0, -0.061)),
+    ):  # fmt: skip
+        checker = GoalChecker(config, goal)
+        assert not checker.reached(0, goal, still)
+        assert not checker.reached(10**9, pose, twist)
+        assert not checker.reached(2 * 10**9, goal, still)
+        assert checker.reached(3 * 10**9, SE2.from_xyt(1.0, 1.0, 3.1 + 0.059 - 2 * math.pi), still)
+    passing = GoalChecker(GoalCheckerConfig(hold=0.0, stop=False), goal)
+    assert passing.reached(0, goal, Twist(0.2, 0.0))
+
+
+@pytest.mark.parametrize(("v", "w"), [(0.2, 0.0), (0.15, 1.0), (0.0, 1.5), (-0.2, 0.3)])
+def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
+    config = MonitorConfig(padding=0.02, reaction=0.1, braking_share=0.8, step=0.01)
+    monitor, b = CollisionMonitor(BURGER, config), 0.8 * BURGER.max_dv
+    reach = BURGER.circumscribed_radius + 0.02
+    speed = max(abs(v), abs(w) * reach)
+    horizon = (speed * 0.1 + speed**2 / (2 * b)) / speed
+    factors = []
+    for gap in (0.005, 0.02, 0.03, 0.3):
+        x = 0.041 + 0.02 + gap if v >= 0 else -0.105 - 0.02 - gap
+        points = np.array([[x, 0.05], [x, -0.05], [0.0, 0.125 + gap / 2]])
+        free = free_time(points, padded(BURGER.footprint, 0.02), reach, v, w, horizon, 0.01 / speed)
+        allowed = -b * 0.1 + math.sqrt((b * 0.1) ** 2 + 2 * b * free * speed)
+        expected = 1.0 if free >= horizon else min(1.0, allowed / speed)
+        factors.append(monitor.limit(Twist(v, w), points))
+        assert factors[-1] == pytest.approx(expected)
+    assert factors[-1] == 1.0 > factors[0]
+    assert monitor.limit(Twist(), points) == 1.0
+    assert monitor.limit(Twist(v, w), points[:0]) == 1.0
+    # beside a wall on the map: what ends in it is stopped, unless it gets freer
+    for x in (0.9, 1.0, 1.03, 1.06, 1.1):
+        lethal = np.zeros((40, 60), dtype=bool)
+        lethal[:, 24] = True
+        field = Costmap(lethal, 0.05, SE2.identity()).clearance
+        s = monitor._samples
+        clear = lambda p: footprint_clearance(field, 0.05, s.points, s.inscribed, s.circumscribed, *p)  # noqa: B023, E731
+        at = (x, 1.0, 0.2)
+        rooms = [clear(moved(*at, v, w, part * horizon)) for part in (0.5, 1.0)]
+        stops = any(r <= 0.0 and r < clear(at) for r in rooms)
+        assert monitor.limit_on_map(Twist(v, w), field, 0.05, *at) == (0.0 if stops else 1.0)
+    assert monitor.limit_on_map(Twist(), field, 0.05, 1.21, 1.0, 0.0) == 1.0

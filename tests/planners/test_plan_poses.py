@@ -1,0 +1,196 @@
+"""The poses along a way through the lattice, and what DWA looks at, by hand-computed cases."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from planning_room import BURGER
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+from turtlebag.planners import lattice
+from turtlebag.planners.control.dwa import Dwa, DwaConfig
+from turtlebag.planners.control.interface import ramped
+from turtlebag.planners.control.pursuit import PursuitConfig
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.distance import distance_field
+from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.ompl_planner import OmplConfig
+from turtlebag.planners.pose_planner import solve_poses
+from turtlebag.planners.smoothing import path_length
+from turtlebag.planners.wavefront import wave
+
+RES = 0.05
+
+
+def cluttered(seed, share=0.01, rows=50, cols=60):
+    return Costmap(np.random.default_rng(seed).random((rows, cols)) < share, RES, SE2.identity())
+
+
+def test_headings_are_all_directions_within_three_cells_in_order():
+    steps = {(a, b) for a, b in itertools.product(range(-3, 4), repeat=2) if math.gcd(a, b) == 1}
+    assert set(map(tuple, lattice.HEADINGS.tolist())) == steps
+    assert np.all(np.diff(lattice.YAWS) > 0.0)
+    assert np.diff([*lattice.YAWS, lattice.YAWS[0] + 2 * math.pi]).max() == pytest.approx(
+        math.radians(18.435), abs=1e-3
+    )
+    np.testing.assert_allclose(lattice.YAWS, np.arctan2(*lattice.HEADINGS.T[::-1]))
+
+
+def test_each_step_is_driven_as_its_state_says_or_else_forwards():
+    k = {tuple(h): i for i, h in enumerate(lattice.HEADINGS.tolist())}
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 1.0], [1.0, 2.0]])
+    headings = np.array([-1, k[1, 0], k[-1, -3], -1, k[0, 1]])
+    yaws = lattice._yaws(points, headings, 0.3, 2.0, False)
+    # on to (2, 0) as told, up to (2, 1) backwards, then as it looks; no step keeps what is told
+    expected = [0.0, 0.0, -0.5 * math.pi, math.pi, 0.5 * math.pi, 0.5 * math.pi]
+    np.testing.assert_allclose(np.cos(yaws), np.cos(expected), atol=1e-9)
+    np.testing.assert_allclose(np.sin(yaws), np.sin(expected), atol=1e-9)
+    # a slip to the side keeps the heading the robot has there
+    slipped = lattice._yaws(
+        np.array([[0.0, 0.0], [0.3, 1.0], [0.6, 1.0], [1.0, 0.0]]),
+        np.array([k[1, 0], k[1, 0]]),
+        0.0,
+        0.0,
+        True,
+    )
+    np.testing.assert_allclose(slipped, [0.0, 0.0, 0.0], atol=1e-9)
+    straight = lattice._yaws(
+        np.array([[0.0, 0.0], [0.3, 1.0], [0.6, 1.0], [1.0, 0.0]]),
+        np.array([k[1, 0], k[1, 0]]),
+        0.0,
+        0.0,
+        False,
+    )
+    assert straight[0] == pytest.approx(math.atan2(1.0, 0.3))
+    assert straight[2] == pytest.approx(math.atan2(-1.0, 0.4))
+
+
+def test_poses_stand_along_the_drives_and_long_turns_are_said_step_by_step():
+    kept = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.5]])
+    headings = np.array([0.5, 0.0, 0.5 * math.pi, 1.0])
+    poses = lattice._poses(kept, headings, np.array([-0.5, 0.5 * math.pi, 1.0 - 0.5 * math.pi]), 0.3)
+    expected = [
+        (0.0, 0.0, 0.5), *[(0.25 * k, 0.0, 0.0) for k in (1, 2, 3)],
+        *[(1.0, 0.25 * k, 0.5 * math.pi) for k in (0, 1)], (1.0, 0.5, 1.0),
+    ]  # fmt: skip
+    np.testing.assert_allclose(poses.xyt, expected, atol=1e-9)
+    long = 0.5 * math.pi - 2.0 * math.pi
+    turned = lattice._poses(kept[:2], np.array([0.5, 0.0, -1.0]), np.array([-0.5 + 2 * math.pi, 0.0]), 1.0)
+    np.testing.assert_allclose(turned.xy, [[0, 0]] * 3 + [[1, 0]], atol=1e-9)
+    step = (2 * math.pi - 0.5) / 3
+    wanted = SE2.from_xyt(np.zeros(4), np.zeros(4), np.array([0.5, 0.5 + step, 0.5 + 2 * step, -1.0]))
+    np.testing.assert_allclose(turned.yaw, wanted.yaw, atol=1e-9)
+    corner = lattice._poses(kept, headings, np.array([-0.5, long, 1.0 - 0.5 * math.pi]), 9.0)
+    np.testing.assert_allclose(corner.xy[1:4], [[1, 0]] * 3, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_inner_disc_joins_what_a_wave_over_its_floor_does(seed):
+    costmap = cluttered(seed, share=0.05)
+    rng, told = np.random.default_rng(seed), []
+    middle = np.array([-0.032, 0.0])
+    radius = 0.073
+    for _ in range(40):
+        a, b = (SE2.from_xyt(*rng.uniform(-0.1, [3.1, 2.6]), rng.uniform(-3, 3)) for _ in range(2))
+        floor = costmap.clearance > radius - 0.71 * RES
+        cells = [tuple(np.floor((p @ middle)[::-1] / RES).astype(int)) for p in (a, b)]
+        inside = all(0 <= r < 50 and 0 <= c < 60 and floor[r, c] for r, c in cells)
+        expected = inside and bool(np.isfinite(wave(floor, *cells[1], np.inf)[cells[0]]))
+        found = lattice.inner_disc_joins(costmap, BURGER.footprint, a, b)
+        assert found == expected
+        told.append(found)
+    assert 5 < sum(told) < 40
+    assert lattice._inscribed(BURGER.footprint) == pytest.approx(0.041)
+    assert lattice._inscribed(BURGER.footprint - middle) == pytest.approx(radius)
+
+
+def dwa(**settings):
+    return Dwa(BURGER, DwaConfig(**settings), PursuitConfig(), 0.1)
+
+
+def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
+    lethal = np.zeros((60, 60), dtype=bool)
+    lethal[30, :] = True
+    lethal[30, 21:27] = False  # 30 cm: too narrow to turn in
+    T = SE2.from_xyt(1.0, -1.0, 0.4)
+    costmap = Costmap(lethal, RES, T)
+    path = T @ SE2.from_xyt(np.full(5, 1.22), np.linspace(0.72, 2.32, 5), np.zeros(5))
+    controller = dwa()
+    for y, tight in ((0.7, True), (2.0, False)):
+        controller.set_path(path)
+        controller._look_at(T @ SE2.from_xyt(1.2, y, 0.0), costmap)
+        s = controller.samples
+        radius = s.inscribed + 0.08 if tight else s.circumscribed + 0.04
+        expected = wave(costmap.clearance > radius, 46, 24, np.inf) * np.float32(RES)
+        np.testing.assert_array_equal(controller._to_goal, expected)
+        on = np.zeros((60, 60), dtype=bool)
+        on[[14, 22, 30, 38, 46], 24] = True
+        np.testing.assert_array_equal(controller._to_path, distance_field(on, RES))
+    before = controller._to_goal
+    controller._look_at(T @ SE2.from_xyt(1.2, 0.7, 0.0), costmap)
+    assert controller._to_goal is before
+    controller._look_at(T @ SE2.from_xyt(-9.0, 99.0, 0.0), Costmap(lethal, RES, T))
+
+
+def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
+    asked = []
+
+    def best_arc(*args):
+        asked.append(args)
+        return 0.1, 0.2
+
+    monkeypatch.setattr("turtlebag.planners.control.dwa.best_arc", best_arc)
+    controller = dwa(window=0.5, vx_samples=5, vth_samples=4, min_v=-0.1)
+    costmap = Costmap(np.zeros((60, 60), dtype=bool), RES, SE2.from_xyt(0.5, 0.0, 0.1))
+    controller.set_path(SE2.from_xyt(np.array([1.0, 2.5]), np.array([1.0, 1.5]), np.zeros(2)))
+    limits = controller.limits
+    for last, ahead, lowest in ((Twist(0.05, 0.3), 0.325, -0.1), (Twist(0.22, -1.9), 0.325, -0.1)):
+        pose = SE2.from_xyt(1.5, 1.2, 0.3)
+        found = controller.command(pose, last, costmap)
+        assert found == ramped(Twist(0.1, 0.2), last, limits)
+        args = asked[-1]
+        at = costmap.T_grid_map @ pose
+        assert args[8:11] == pytest.approx(tuple(at.xyt))
+        vs = np.linspace(
+            max(last.v - 0.5 * limits.max_dv, lowest), min(last.v + 0.5 * limits.max_dv, 0.22), 5
+        )
+        ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
+        np.testing.assert_allclose(args[11], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
+        np.testing.assert_allclose(args[12], np.union1d(ws, [0.0]))
+        c = controller.config
+        wanted = [
+            c.sim_time,
+            c.sim_step,
+            0.8 * limits.max_dv,
+            c.goal_distance_bias,
+            c.path_distance_bias,
+            ahead,
+        ]
+        wanted += [c.clearance_bias, c.comfort, c.least_room, c.backward_bias, c.forward_path_bias]
+        np.testing.assert_array_equal(args[13], [*wanted, c.occdist_scale, c.min_vel_trans, c.min_vel_theta])
+    near = dwa(settle_distance=0.1)
+    near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))
+    near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)
+    assert asked[-1][13][5] == 0.0
+    assert near.state == "follow"
+    near.command(SE2.from_xyt(1.65, 1.2, 0.0), Twist(), costmap)
+    assert near.state == "settle"
+    near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)
+    assert near.state == "follow"
+    assert dwa().command(SE2.identity(), Twist(0.2, 0.0), costmap) == Twist(0.2 - 0.1 * BURGER.max_dv, 0.0)
+
+
+@pytest.mark.parametrize("space", ["se2", "reeds_shepp"])
+def test_poses_are_planned_up_to_every_border_of_a_small_map(space):
+    costmap = Costmap(np.zeros((20, 24), dtype=bool), RES, SE2.identity())
+    for ends in (((0.25, 0.25, 0.0), (0.9, 0.7, 0.0)), ((0.25, 0.75, 0.0), (0.95, 0.25, 0.0))):
+        start, goal = (SE2.from_xyt(*end) for end in ends)
+        config = OmplConfig(space=space, turning_radius=0.1, iterations=4000)
+        poses = solve_poses(costmap, BURGER.footprint, start, goal, config, 0.05, 3)
+        np.testing.assert_allclose(poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
+        assert all(footprint_free(costmap.clearance, RES, BURGER.footprint, *pose) for pose in poses.xyt)
+        assert path_length(poses.xy) < 2.0
+        steps = np.linalg.norm(np.diff(poses.xy, axis=0), axis=1)
+        assert steps.max() < 0.1

@@ -1,0 +1,256 @@
+"""The report of recordings, maps and runs, made from small stand-ins of their outputs."""
+
+import html
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from report_fakes import fake_map, fake_record, fake_run
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.report import make_report
+from turtlebag.reports.content import collision_count, verdict
+from turtlebag.reports.glossary import WORDS, explained
+from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.numbers import numbers_of, shown
+from turtlebag.reports.provenance import rename
+from turtlebag.reports.specs import SECTIONS
+from turtlebag.reports.stages import Group, Stage, changed_files, load_stage
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory):
+    base = tmp_path_factory.mktemp("stages")
+    record = fake_record(base / "record")
+    map_folder = fake_map(base / "map", record)
+    return [record, map_folder, fake_run(base / "run", map_folder, missed=True)]
+
+
+@pytest.fixture(scope="module")
+def page(stages, tmp_path_factory):
+    return make_report(stages, tmp_path_factory.mktemp("report") / "out")
+
+
+class Tags(HTMLParser):
+    VOID = ("meta", "link", "br", "img", "input", "source")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.references, self.images, self.text = [], [], [], 0, []
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.images += tag in ("svg", "img")
+        if "id" in found:
+            self.ids.append(found["id"])
+        self.references += [found[name] for name in ("src", "href", "xlink:href") if found.get(name)]
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def tags(page):
+    parser = Tags()
+    parser.feed(page.read_text())
+    assert parser.open == []
+    return parser
+
+
+def test_the_page_is_self_contained(tags):
+    assert tags.images == 15
+    for reference in tags.references:
+        assert reference.startswith(("#", "data:")), reference
+
+
+def test_every_fragment_points_to_something_and_ids_are_unique(tags):
+    assert len(tags.ids) == len(set(tags.ids))
+    targets = {reference[1:] for reference in tags.references if reference.startswith("#")}
+    assert targets <= set(tags.ids)
+
+
+def test_the_page_says_what_happened(tags):
+    text = " ".join(tags.text)
+    assert "0 of 1 task succeeded" in text
+    assert "2 of 3 goals reached (1 timeout), 1 collision." in text
+    assert "% of the wall cells lie within one cell of a true surface" in text
+    assert "timeout" in text
+
+
+def test_numbers_of_the_stages_are_in_metrics_json(page):
+    metrics = json.loads((page.parent / "metrics.json").read_text())["room"]
+    assert 0.003 < metrics["map"]["ate_m"]["rmse"] < 0.012
+    assert metrics["patrol"]["goals_reached"] == 2
+    assert metrics["record"]["scans"] == 150
+    assert 0.05 < metrics["record"]["odometry_ate_m"]["rmse"] < 0.3
+
+
+def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(page, stages):
+    text = page.read_text()
+    assert str(stages[0].parent) not in text
+    recipe = re.search(r'<pre class="recipe">(.*?)</pre>', text, re.DOTALL).group(1)
+    assert recipe.splitlines()[:2] == [
+        "turtlebag record --world room --robot burger --out room/record",
+        "turtlebag map room/record --out room/map",
+    ]
+    assert "--map room/map/map.yaml --task patrol --seed 1 --out room/patrol" in recipe
+
+
+def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp_path):
+    for folder in stages:
+        shutil.copytree(folder, tmp_path / folder.name)
+        manifest = tmp_path / folder.name / "manifest.json"
+        manifest.write_text(manifest.read_text().replace(str(folder.parent), str(tmp_path)))
+    again = make_report([tmp_path / folder.name for folder in stages], tmp_path / "report")
+    assert sha256_tree(again.parent) == sha256_tree(page.parent)
+
+
+@pytest.mark.parametrize("chosen", [[1], [2]])
+def test_any_subset_of_stages_makes_a_page(stages, chosen, tmp_path):
+    page = make_report([stages[k] for k in chosen], tmp_path / "out", animate=False)
+    assert "<svg" in page.read_text()
+
+
+def test_each_map_is_held_against_its_own_recording():
+    def stage(kind, inputs, outputs):
+        named = {name: {"path": name, "sha256": files} for name, files in inputs.items()}
+        manifest = {"stage": kind, "world": "room", "inputs": named, "outputs": outputs}
+        return Stage(Path(kind), kind, kind, manifest)
+
+    def record(n):
+        files = {"bag/bag_0.mcap": f"bag {n}", "truth/map.pgm": "room", "truth/trajectory.tum": f"truth {n}"}
+        return stage("record", {}, files)
+
+    first, second = record(1), record(2)
+    of_second = stage("map", {"source": {"bag_0.mcap": "bag 2"}, "truth": {"trajectory.tum": "truth 2"}}, {})
+    untold = stage("map", {"source": {"bag_0.mcap": "bag 1"}}, {})
+    elsewhere = stage("map", {"source": {"bag_0.mcap": "bag 1"}, "truth": {"trajectory.tum": "truth 3"}}, {})
+    unknown = stage("map", {"source": {"bag_0.mcap": "bag 3", "truth/map.pgm": "room"}}, {})
+    group = Group("room", (first, second, of_second, untold, elsewhere, unknown))
+    assert group.record_of(of_second) is second
+    assert group.record_of(untold) is first
+    assert group.record_of(elsewhere) is None
+    assert group.record_of(unknown) is None
+
+
+def test_stages_are_grouped_by_shared_files_and_labelled_uniquely(stages, tmp_path):
+    other = fake_record(tmp_path / "other", world="hall")
+    groups = group_stages([load_stage(folder) for folder in [stages[2], other, stages[1], stages[2]]])
+    labels = {group.name: [stage.label for stage in group.stages] for group in groups}
+    assert labels == {"room": ["map", "patrol", "patrol-2"], "hall": ["record"]}
+    assert [stage.title for stage in groups[0].stages] == ["Mapping", "Patrol", "Patrol, no. 2"]
+
+
+def test_the_command_prints_the_page_and_refuses_to_overwrite(stages, tmp_path, capsys):
+    argv = ["report", str(stages[0]), "--out", str(tmp_path / "out")]
+    assert main(argv) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "out/index.html")
+    assert main(argv) == 2
+    assert "already exists" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_no_stage_output_is_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert main(["report", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "manifest.json" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{}", '{"stage": 3}', '{"stage": "soup"}', "\udcff"])
+def test_a_damaged_manifest_is_bad_input(text, tmp_path):
+    (tmp_path / "manifest.json").write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(InputError):
+        load_stage(tmp_path)
+
+
+def test_a_changed_output_is_found_by_its_hash(tmp_path):
+    stage = load_stage(fake_record(tmp_path / "record"))
+    assert changed_files(stage) == []
+    (tmp_path / "record/truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
+    assert changed_files(stage) == ["truth/trajectory.tum"]
+
+
+def test_values_are_shown_in_human_units():
+    assert shown(0.00875, "cm") == "0.88\u202fcm"
+    assert shown(0.25, "cm") == "25.0\u202fcm"
+    assert shown(-0.5, "m") == "\u22120.50\u202fm"
+    assert shown(3.141592653589793, "deg") == "180.00°"
+    assert shown(float("inf"), "m") == shown(None, "m") == "\u2013"
+
+
+def test_paths_in_commands_are_renamed_by_the_longest_match():
+    names = {"data/map": "w/map", "data/map-2": "w/map-2"}
+    assert rename("data/map-2/map.yaml", names) == "w/map-2/map.yaml"
+    assert rename("data/map", names) == "w/map"
+    assert rename("data/mapping", names) == "data/mapping"
+
+
+def test_collisions_count_both_kinds_and_plain_numbers():
+    assert collision_count({"collisions": {"visible": 1, "low": 2}}) == 3
+    assert collision_count({"collisions": 4}) == 4
+    assert collision_count({}) == 0
+
+
+def test_a_log_without_truth_is_told_by_its_relations():
+    metrics = {"scans": 10, "relations": {"trans_m": {"mean": 0.01234}}}
+    stage = Stage(Path("x"), "map", "map", {})
+    assert verdict(stage, metrics) == ("neutral", "10 scans; mean relations error 0.0123\u202fm.")
+
+
+def test_an_error_names_the_truth_it_was_measured_against():
+    manifest = {
+        "outputs": {"trajectory.tum": "aa", "map.pgm": "bb"},
+        "inputs": {"truth": {"path": "rec/truth", "sha256": {"trajectory.tum": "cc"}}},
+    }
+    stage = Stage(Path("x"), "map", "map", manifest)
+    (number,) = numbers_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
+    assert number.key == "room/map:ate_m.rmse"
+    assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}
+
+
+def test_words_are_linked_once_to_their_meaning_and_the_text_stays_escaped():
+    said = explained("loops & SLAM, SLAM")
+    assert re.sub(r' title="[^"]*"', "", said) == (
+        '<a class="word" href="#word-loop">loops</a> &amp; <a class="word" href="#word-slam">SLAM</a>, SLAM'
+    )
+    meaning = next(word.meaning for word in WORDS if word.name == "loop")
+    assert f'title="{meaning}">loops' in html.unescape(said)
+    assert explained("slammed <looping>") == "slammed &lt;looping&gt;"
+
+
+def test_every_word_that_is_linked_is_explained_at_the_end(page):
+    text = page.read_text()
+    linked = set(re.findall(r'href="#(word-[^"]*)"', text))
+    assert {"word-odometry", "word-slam", "word-cell", "word-footprint"} <= linked
+    assert linked <= set(re.findall(r'<div id="(word-[^"]*)"', text))
+
+
+def test_of_the_walls_two_numbers_are_the_ones_to_trust():
+    (walls,) = (section for section in SECTIONS["map"] if section.title == "The walls")
+    trusted = [spec.path for spec in walls.specs if spec.trusted]
+    assert trusted == ["map.occupied_error_m.within_one_cell", "map.coverage"]
+    assert all(sum(spec.trusted for spec in s.specs) <= 2 for found in SECTIONS.values() for s in found)
+
+
+def test_the_numbers_come_before_the_details_headline_tiles_verdicts(page):
+    text = page.read_text()
+    order = [text.index(mark) for mark in ("<h1", 'class="tiles"', 'class="verdicts"', "<nav", "<main")]
+    assert order == sorted(order)

@@ -1,0 +1,88 @@
+"""Animations: sizes, frames, and scans put where the robot was at each beam."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+from report_fakes import mapped_room
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.reports.figures.animation import (
+    FRAMES,
+    STRIP_PX,
+    SUPER,
+    Canvas,
+    beam_poses,
+    gif,
+    last_frame,
+    mapping,
+    run,
+)
+from turtlebag.reports.figures.maps import length_text, scale_length
+
+GREEN, BAD_RGB, PALE = (0, 158, 115), (213, 94, 0), (156, 203, 238)
+LIDAR = LidarSpec(90, 0.0, 2 * np.pi / 90, 0.12, 3.5, time_increment=0.2 / 90)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    stamps = np.arange(40, dtype=np.int64) * 200_000_000
+    path = Trajectory(stamps, SE2.from_xyt(np.linspace(-2.0, 2.0, 40), np.full(40, -1.5), np.zeros(40)))
+    ranges = np.full((40, 90), 0.8, dtype=np.float32)
+    ranges[:, 45:] = np.inf
+    return path, Recording("fake", stamps, ranges, LIDAR, SE2.identity())
+
+
+def test_an_animation_is_small_has_its_frames_and_repeats_byte_for_byte(drive):
+    path, recording = drive
+    first, again = (gif(mapping(recording, path, path, mapped_room())) for _ in range(2))
+    assert first == again
+    assert len(first) < 500_000
+    with Image.open(io.BytesIO(first)) as image:
+        assert image.n_frames > FRAMES // 2  # frames that show nothing new are merged
+        assert max(image.size) <= 400
+
+
+def test_the_last_frame_shows_the_whole_drive(drive):
+    path, recording = drive
+    goals = [{"x": 1.0, "y": 1.0, "status": "reached"}, {"x": -1.0, "y": 1.0, "status": "timeout"}]
+    index = np.repeat([0, 1], 20)
+    data = last_frame(gif(run(mapped_room(), path, index, goals, recording, path)))
+    with Image.open(io.BytesIO(data)) as image:
+        colours = {colour for _, colour in image.convert("RGB").getcolors(100_000)}
+    assert {GREEN, BAD_RGB, PALE} <= colours
+
+
+def test_a_run_without_map_scans_or_goals_still_moves(drive):
+    path, _ = drive
+    assert len(gif(run(None, path, np.full(40, -1), [], None, None))) > 1000
+
+
+def test_beams_of_a_turning_lidar_are_put_where_the_robot_was(drive):
+    path, _ = drive
+    poses = beam_poses(LIDAR, path, 3)
+    np.testing.assert_allclose(poses.x[0], path.poses.x[3])
+    np.testing.assert_allclose(poses.x[45], 0.5 * (path.poses.x[3] + path.poses.x[4]))
+    still = beam_poses(LIDAR, path, 39)
+    np.testing.assert_allclose(still.x, path.poses.x[39])
+
+
+def test_a_clock_below_the_picture_tells_the_simulated_time(drive):
+    path, recording = drive
+    first, *_, last = mapping(recording, path, path, mapped_room())
+    clocks = [np.asarray(frame)[-SUPER * STRIP_PX :, : frame.width // 3] for frame in (first, last)]
+    assert all((clock != clock[0, 0]).any() for clock in clocks)
+    assert (clocks[0] != clocks[1]).any()
+
+
+def test_the_scale_bar_is_as_long_as_it_says():
+    canvas = Canvas.over((-3.0, 3.0, -2.0, 2.0))
+    image = canvas.blank()
+    canvas.caption(ImageDraw.Draw(image), 1.5)
+    row = np.asarray(image)[canvas.size[1] + SUPER * STRIP_PX // 2]
+    dark = np.flatnonzero(row == 3)
+    bar = dark[dark > dark.max() - 1.05 * canvas.scale]
+    assert length_text(scale_length(6.0)) == "1 m"
+    assert len(bar) == pytest.approx(canvas.scale, abs=2)

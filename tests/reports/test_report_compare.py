@@ -1,0 +1,107 @@
+"""Comparisons of two outputs of one stage."""
+
+import json
+
+import numpy as np
+import pytest
+from report_fakes import fake_localise, fake_map, fake_plan, fake_record, mapped_room
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.compare import compare_outputs, write_comparison
+from turtlebag.reports.compare import changed_settings, map_overlap
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    base = tmp_path_factory.mktemp("compare")
+    record = fake_record(base / "record")
+    fake_map(base / "a", record)
+    fake_map(base / "b", record, sigma_m=0.02)
+    return base
+
+
+def test_only_what_differs_is_called_different(tree):
+    found = compare_outputs(tree / "a", tree / "b")
+    assert found.settings == [("front.sigma", "0.005", "0.02")]
+    assert "map.pgm" in found.same_bytes
+    assert "trajectory.tum" in found.changed
+    rows = {row.path: row for row in found.rows}
+    assert rows["scans"].difference == "="
+    assert rows["ate_m.rmse"].mood == "bad"
+    assert rows["ate_m.rmse"].difference.startswith("+")
+    assert rows["map.iou"].mood == "neutral"
+
+
+def test_the_other_way_round_bad_becomes_good(tree):
+    rows = {row.path: row for row in compare_outputs(tree / "b", tree / "a").rows}
+    assert rows["ate_m.rmse"].mood == "good"
+    assert rows["ate_m.rmse"].difference.startswith("\u2212")
+
+
+def test_an_output_compared_with_itself_differs_in_nothing(tree):
+    found = compare_outputs(tree / "a", tree / "a")
+    assert found.settings == found.changed == []
+    assert {row.difference for row in found.rows} == {"="}
+
+
+def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
+    write_comparison(tree / "a", tree / "b", tmp_path / "out")
+    page = (tmp_path / "out/index.html").read_text()
+    assert sorted(path.name for path in (tmp_path / "out/figures").iterdir()) == [
+        "apart.png",
+        "maps.png",
+        "paths.png",
+    ]
+    assert "front.sigma" in page
+    a, b = json.loads((tmp_path / "out/metrics.json").read_text())["ate_m.rmse"]
+    assert b > 2.0 * a
+
+
+def test_the_command_prints_the_differences(tree, capsys):
+    assert main(["compare", str(tree / "a"), str(tree / "b")]) == 0
+    out = capsys.readouterr().out
+    assert "front.sigma: 0.005 -> 0.02" in out
+    assert "trajectory error (ATE), RMSE" in out
+    assert out.splitlines()[1].split() == ["A", "B", "B", "-", "A"]
+
+
+def test_outputs_of_different_stages_are_not_compared(tree, capsys):
+    assert main(["compare", str(tree / "a"), str(tree / "record")]) == 2
+    assert "nothing to compare" in capsys.readouterr().err
+
+
+def test_settings_missing_on_one_side_differ():
+    assert changed_settings({"a": {"b": 1}, "c": None}, {"a": {"b": 1, "d": 2}}) == [
+        ("c", "None", "not set"),
+        ("a.d", "not set", "2"),
+    ]
+
+
+def test_map_overlap_counts_cells_in_metres_not_by_index():
+    grid = mapped_room()
+    count = int((grid.cells >= 65).sum())
+    cut = OccupancyGrid(grid.cells[2:, 3:], 0.05, SE2.from_xyt(-3.15, -2.6, 0.0))
+    assert map_overlap(grid, cut) == (count, 0, 0)
+    empty = OccupancyGrid(np.zeros_like(grid.cells), 0.05, grid.T_map_grid)
+    assert map_overlap(grid, empty) == (0, count, 0)
+
+
+def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(tmp_path):
+    record = fake_record(tmp_path / "record")
+    a, b = fake_map(tmp_path / "a", record), fake_map(tmp_path / "b", record, sigma_m=0.01)
+    found = compare_outputs(a, b)
+    assert found.commands == ("turtlebag map record --out A", "turtlebag map record --out B")
+    assert found.same_source is True
+    assert compare_outputs(record, record).same_source is None
+
+
+def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
+    record = fake_record(tmp_path / "record")
+    built = fake_map(tmp_path / "map", record)
+    for maker, name in ((fake_plan, "plan"), (fake_localise, "localise")):
+        inputs = (record, built) if maker is fake_localise else (built,)
+        one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
+        write_comparison(one, other, tmp_path / f"compare-{name}")
+        assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()

@@ -1,0 +1,139 @@
+"""What the figures show: scales, ticks, colours of one meaning, decisions."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex, to_rgb
+from report_fakes import true_room
+
+from turtlebag.datasets.runlog import RunLogBuilder
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Trajectory, Twist
+from turtlebag.reports.drawing import decisions_of
+from turtlebag.reports.figures import animation, runs
+from turtlebag.reports.figures.maps import length_text, scale_length
+from turtlebag.reports.figures.particles import particles, zoom_box
+from turtlebag.reports.figures.series import error_axis
+from turtlebag.reports.figures.style import BAD, LINES, SERIES, new_figure
+
+WHOLE = (-3.0, 3.0, -2.5, 2.5)
+
+
+def cloud(spread_m, n=500):
+    return SE2.from_array(stream(3, "cloud").normal(scale=spread_m, size=(n, 3)) + np.array([1.0, 0.5, 0.0]))
+
+
+def width(box):
+    return box[1] - box[0]
+
+
+def test_a_tight_cloud_fills_its_view():
+    box = zoom_box(cloud(0.03), SE2.from_xyt(1.02, 0.5, 0.0), WHOLE)
+    assert 0.12 < width(box) < 0.35
+    assert width(zoom_box(cloud(0.0001), None, WHOLE)) == pytest.approx(0.2)
+
+
+def test_a_particle_that_strayed_does_not_widen_the_view():
+    xyt = cloud(0.03).xyt.copy()
+    xyt[0] = [-2.5, 2.0, 0.0]
+    assert width(zoom_box(SE2.from_array(xyt), None, WHOLE)) < 0.35
+
+
+def test_a_true_pose_beside_the_cloud_is_in_view_and_one_far_away_does_not_shrink_it():
+    beside = zoom_box(cloud(0.03), SE2.from_xyt(1.2, 0.5, 0.0), WHOLE)
+    assert beside[0] < 1.2 < beside[1]
+    assert width(zoom_box(cloud(0.03), SE2.from_xyt(-2.0, -0.5, 0.0), WHOLE)) < 0.35
+
+
+def test_a_cloud_over_the_whole_map_shows_the_whole_map():
+    assert zoom_box(cloud(3.0), None, WHOLE) == pytest.approx((-3.0, 3.0, -3.0, 3.0))
+
+
+def test_a_picture_of_particles_says_how_far_a_truth_out_of_view_is():
+    truth = Trajectory(np.array([0, 10**9]), SE2.from_xyt(np.full(2, -2.0), np.full(2, 0.5), np.zeros(2)))
+    figure = particles(true_room(), [(0.0, cloud(0.03))], truth)
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert "truth 3.0 m away" in texts
+    assert "5 cm" in texts
+
+
+@pytest.mark.parametrize("most", [0.004, 0.4, 1.4, 2.9, 5.0, 24.0, 180.0, 900.0])
+def test_an_error_axis_has_at_least_three_ticks_in_view(most):
+    axes = new_figure(2.0).add_subplot()
+    axes.plot([0.0, 1.0, 2.0], [0.0, 0.1 * most, most])
+    error_axis(axes)
+    low, high = axes.get_ylim()
+    ticks = [tick for tick in axes.get_yticks() if low <= tick <= high]
+    assert len(ticks) >= 3
+    assert high >= most
+
+
+def test_the_colour_of_bad_means_nothing_else():
+    usual = [to_hex(line["color"]) for line in LINES.values()] + [to_hex(colour) for colour in SERIES]
+    assert to_hex(BAD) not in usual
+    assert {end for end, (colour, _, _) in runs.ENDS.items() if colour != BAD} == {"reached"}
+    assert tuple(round(255 * part) for part in to_rgb(BAD)) == animation.COLOURS[animation.ORANGE]
+    assert BAD not in {colour for _, colour, _ in runs.DECISIONS.values()}
+    # Nor any shade of it: nothing else is orange.
+    hues = [np.subtract(to_rgb(colour), to_rgb(BAD)) for colour in usual]
+    assert min(np.linalg.norm(hue) for hue in hues) > 0.3
+
+
+def test_the_truth_is_wide_enough_to_be_seen_on_both_sides_of_any_estimate():
+    estimates = [line["linewidth"] for kind, line in LINES.items() if kind != "truth"]
+    assert LINES["truth"]["linewidth"] > 2.5 * max(estimates)
+
+
+@pytest.mark.parametrize(
+    ("across", "text"), [(0.2, "5 cm"), (1.0, "20 cm"), (6.0, "1 m"), (16.0, "2 m"), (70.0, "20 m")]
+)
+def test_a_scale_bar_has_a_round_length(across, text):
+    assert length_text(scale_length(across)) == text
+
+
+def log_of(words):
+    log = RunLogBuilder()
+    for k, word in enumerate(words):
+        log.append(
+            k * 10**8,
+            T_world_base=SE2.from_xyt(0.1 * k, 0.0, 0.0),
+            T_map_base=SE2.from_xyt(0.1 * k, 0.0, 0.0),
+            T_odom_base=SE2.identity(),
+            command=Twist(),
+            clearance_m=0.5,
+            contact_visible=False,
+            contact_low=False,
+            goal_index=-1,
+            state=word,
+        )
+    return log.build()
+
+
+def test_the_picture_of_an_avoidance_marks_its_start_and_every_decision():
+    words = [
+        "wait",
+        "straight",
+        "slow_veer_left",
+        "slow_veer_left",
+        "stop_turn_right",
+        "straight",
+        "back_off",
+    ]
+    log = log_of(words)
+    decisions = decisions_of(log)
+    assert decisions.words == [
+        "wait",
+        "straight",
+        "slow_veer_left",
+        "stop_turn_right",
+        "straight",
+        "back_off",
+    ]
+    assert decisions.T_world_base.x.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.4, 0.5, 0.6])
+    truth = Trajectory(log.t_ns, log.T_world_base)
+    axes = runs.run(true_room(), truth, None, [], np.zeros((0, 2)), decisions).axes[0]
+    told = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert told == ["true path", "veers", "stops and turns", "backs off"]
+    # The start's word and its arrow, and an arrow for each decision.
+    assert [text.get_text() for text in axes.texts].count("start") == 1
+    assert len(axes.texts) == 2 + 3

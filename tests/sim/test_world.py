@@ -1,0 +1,148 @@
+"""World files and the true map."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.sim.shapes import as_rectangle, box, prism
+from turtlebag.sim.worlds import load_world, world_names
+
+FACTS = Path(__file__).parents[2] / "shared" / "facts"
+
+
+@pytest.fixture(scope="module")
+def arena():
+    return load_world("turtlebot3_world")
+
+
+def test_arena_has_the_published_geometry(arena):
+    path = FACTS / "world.json"
+    if not path.is_file():
+        pytest.skip("the shared facts are not beside this checkout")
+    facts = json.loads(path.read_text())
+    published = facts["arena"]["walls_as_prisms"] + facts["pillars"] + facts["decorations"]
+    assert len(published) == len(arena.shapes) == 20
+    for fact, solid in zip(published, arena.shapes, strict=True):
+        assert (fact["name"], fact["z_min"], fact["z_max"]) == (solid.name, solid.z_min, solid.z_max)
+        if solid.is_cylinder:
+            assert (*fact["center"], fact["radius"]) == (*solid.center, solid.radius)
+        else:
+            assert {tuple(p) for p in fact["polygon"]} == {tuple(p) for p in solid.polygon.tolist()}
+
+
+def test_true_map_of_the_arena_has_its_area_and_surfaces(arena):
+    grid = arena.rasterize(0.182)
+    cell = grid.resolution**2
+    # 20.57 m^2 of free floor, less the cells that the outline and the pillars' rims pass through.
+    free, occupied = np.sum(grid.cells == FREE) * cell, np.sum(grid.cells == OCCUPIED) * cell
+    assert free < 20.57 < free + occupied
+    assert grid.value_at(np.array([-1.1 + 0.149, 0.0])) == OCCUPIED
+    assert grid.value_at(np.array([-1.1, 0.0])) == UNKNOWN  # inside a pillar
+    assert grid.value_at(np.array([0.0, 2.541])) == OCCUPIED  # inner face of the wall
+    assert grid.value_at(np.array([0.0, 2.7])) == UNKNOWN  # inside the wall
+    assert grid.value_at(np.array([0.0, 3.2])) == UNKNOWN  # outside
+    assert grid.value_at(np.array([-2.0, -0.5])) == FREE
+
+
+def test_every_surface_cell_of_the_true_map_touches_free_floor(arena):
+    cells = np.pad(arena.rasterize(0.182).cells, 1, constant_values=UNKNOWN)
+    rows, cols = np.nonzero(cells == OCCUPIED)
+    around = [cells[rows + i, cols + j] == FREE for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    assert np.all(np.any(around, axis=0))
+    rows, cols = np.nonzero(cells == FREE)
+    for i, j in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        assert not np.any(cells[rows + i, cols + j] == UNKNOWN)
+
+
+def test_a_world_without_solids_is_free_floor():
+    assert np.all(load_world("empty").rasterize(0.18).cells == FREE)
+
+
+def write_world(tmp_path, shapes):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"name: mine\nspawn: [0, 0, 0]\nshapes: {shapes}\n")
+    return str(path)
+
+
+def test_own_world_file_is_read(tmp_path):
+    shapes = "[{kind: box, name: b, center: [2, 0], size: [1, 2], yaw: 0.5, z: [0, 1]}]"
+    world = load_world(write_world(tmp_path, shapes))
+    assert as_rectangle(world.shapes[0].polygon) == pytest.approx((2.0, 0.0, 1.0, 2.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "message"),
+    [
+        ("[{kind: box, name: b, center: [2, 0], size: [1, -2], z: [0, 1]}]", "size"),
+        ("[{kind: ball, center: [2, 0]}]", "kind"),
+        ("[{kind: prism, name: p, polygon: [[0, 0], [2, 0], [0.5, 0.5], [0, 2]], z: [0, 1]}]", "not convex"),
+        ("[{kind: prism, name: p, polygon: [[0, 0], [1, 1], [2, 2]], z: [0, 1]}]", "no area"),
+        ("[{kind: cylinder, center: [.nan, 0], radius: 1, z: [0, 1]}]", "center"),
+        ("{", "not valid YAML"),
+    ],
+)
+def test_a_bad_world_file_is_one_line_that_says_what_is_wrong(tmp_path, shapes, message):
+    with pytest.raises(InputError, match=message) as caught:
+        load_world(write_world(tmp_path, shapes))
+    assert "\n" not in str(caught.value)
+    assert "mine.yaml" in str(caught.value)
+
+
+def test_an_unknown_world_lists_the_known():
+    with pytest.raises(InputError, match="unknown world 'moon'") as caught:
+        load_world("moon")
+    assert all(name in str(caught.value) for name in world_names())
+
+
+def test_outlines_are_counter_clockwise_whatever_was_given():
+    square = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])
+    for outline in (square, square[::-1]):
+        p = prism("p", outline, (0.0, 1.0)).polygon
+        assert np.sum(p[:, 0] * np.roll(p[:, 1], -1) - p[:, 1] * np.roll(p[:, 0], -1)) == pytest.approx(2.0)
+    assert as_rectangle(box("b", (0.0, 0.0), (2.0, 1.0), 0.3, (0.0, 1.0)).polygon) is not None
+
+
+def test_house_has_the_published_walls_and_furniture():
+    path = FACTS / "house.json"
+    if not path.is_file():
+        pytest.skip("the shared facts are not beside this checkout")
+    facts = json.loads(path.read_text())
+    published = facts["walls"] + [part for item in facts["furniture"] for part in item["parts"]]
+    solids = {solid.name: solid for solid in load_world("turtlebot3_house").shapes}
+    assert set(solids) == {fact["name"] for fact in published} | {"gate"}
+    for fact in published:
+        solid = solids[fact["name"]]
+        assert (solid.z_min, solid.z_max) == (fact["z_min"], fact["z_max"])
+        np.testing.assert_allclose(solid.center, fact["center"][:2])
+        if fact["kind"] == "box":
+            rectangle = as_rectangle(solid.polygon)
+            assert rectangle[2:4] == pytest.approx(fact["size"][:2])
+            assert np.sin(rectangle[4] - fact["yaw"]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
+    rooms = [(-6.3, 3.2), (-6.3, -2.5), (-3, 1), (1, 3.5), (4, 1), (5.5, -4.5)]
+    outside = np.array([0.0, -2.5])
+    shut, open_ = load_world("turtlebot3_house"), load_world("turtlebot3_house:gate=open")
+    grid = shut.rasterize(0.132)
+    assert all(grid.value_at(np.array(room)) == FREE for room in rooms)
+    assert grid.value_at(outside) == UNKNOWN
+    assert open_.rasterize(0.132).value_at(outside) == FREE
+    # A floor board is under the plane of either lidar; the keep-out list names it.
+    assert grid.value_at(np.array([6.2, -3.0])) == FREE
+    assert any(
+        np.all(outline.min(0) < (6.2, -3.0)) and np.all(outline.max(0) > (6.2, -3.0))
+        for outline in shut.keepout
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["turtlebot3_house:gate=ajar", "turtlebot3_house:roof=off", "empty:gate=open"]
+)
+def test_an_unknown_option_of_a_world_is_refused(name):
+    with pytest.raises(InputError, match=r"gate|roof"):
+        load_world(name)

@@ -1,0 +1,60 @@
+"""The scans find the odometry's systematic errors, also where it lies for a while."""
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_drives import Lie, Sensor, Wheels, make_log, sick
+from benchmarks.slam_logs import office_plan, office_route
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.calibration import Calibration, calibrate
+from turtlebag.pipeline.slam.clouds import make_clouds
+
+WHEELS = Wheels(scale=-0.02, turn=0.03, bias=0.004)
+
+
+def calibrated(lies: tuple[Lie, ...] = (), start_error: float = 0.0) -> Calibration:
+    log = make_log(
+        "calibration", office_plan(1), office_route(2), Sensor(sick(180, 30.0), 0.4), wheels=WHEELS, lies=lies
+    )
+    recording = log.recording
+    clouds = make_clouds(recording, 30.0)
+    keys = np.arange(0, len(recording), 2)
+    rng = np.random.default_rng(1)
+    start = log.truth.poses[keys].xyt + rng.normal(0.0, start_error, (len(keys), 3))
+    assert recording.T_odom_base is not None
+    return calibrate(clouds, keys, SE2.from_array(start), recording.T_odom_base[keys])
+
+
+def assert_finds_the_wheels(found: Calibration) -> None:
+    assert found.scale == pytest.approx(1.0 / (1.0 + WHEELS.scale), abs=0.003)
+    assert found.turn_scale == pytest.approx(1.0 / (1.0 + WHEELS.turn), abs=0.004)
+    assert found.turn_per_m == pytest.approx(-WHEELS.bias / (1.0 + WHEELS.turn), abs=0.0015)
+
+
+def test_errors_of_wheel_size_and_track_are_found_by_the_scans_alone():
+    found = calibrated(start_error=0.02)
+    assert_finds_the_wheels(found)
+    assert found.pairs > 60
+    # 4 mm and 3 mrad per root metre over a baseline of 1.5 m, plus what a match is wrong by
+    assert np.all(found.noise < [0.015, 0.015, 0.01])
+
+
+def test_stretches_of_lies_are_outvoted():
+    assert_finds_the_wheels(calibrated((Lie("reverse", 12.0, 4.0), Lie("slip", 40.0, 5.0))))
+
+
+def test_without_overlapping_pairs_odometry_is_left_as_it_is():
+    log = make_log("calibration", office_plan(1), office_route(2), Sensor(sick(180, 30.0), 0.4))
+    clouds = make_clouds(log.recording, 30.0)
+    found = calibrate(clouds, np.array([0, 1]), log.truth.poses[[0, 1]], log.truth.poses[[0, 1]])
+    assert (found.scale, found.turn_scale, found.turn_per_m, found.pairs) == (1.0, 1.0, 0.0, 0)
+
+
+def test_corrected_steps_undo_the_shares_and_information_falls_with_the_way():
+    steps = np.array([[1.0, 0.0, 0.1], [-1.0, 0.0, 0.0], [0.2, 0.0, 0.0]])
+    calibration = Calibration(1.1, 0.9, 0.02)
+    np.testing.assert_allclose(calibration.corrected(steps)[0], [1.1, 0.0, 0.11])
+    np.testing.assert_allclose(calibration.corrected(steps)[1], [-1.1, 0.0, -0.02])
+    information = calibration.information(steps)
+    assert information.shape == (3, 3, 3)
+    assert information[2, 0, 0] > information[1, 0, 0] > information[0, 0, 0]

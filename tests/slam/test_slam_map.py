@@ -1,0 +1,293 @@
+"""From a recording to a map: accuracy, robustness, files, and the exits of the command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.slam.explain import loop_record, worst_edges
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.occupancy import (
+    OccupancyConfig,
+    beam_lengths,
+    certainty,
+    classify,
+    make_grid,
+    trace,
+)
+from turtlebag.pipeline.slam.open3d_icp import stays_put
+from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.reports.metrics.relations import relations_metrics
+from turtlebag.reports.metrics.trajectory import ate
+
+TRUTH = around_the_room(200, laps=2)
+
+
+@pytest.fixture(scope="module")
+def log():
+    """Two laps of the room with drifting odometry."""
+    return recording(ROOM, TRUTH, odometry=drifted(TRUTH))
+
+
+@pytest.fixture(scope="module")
+def result(log):
+    return run_slam(log, SlamConfig())
+
+
+def error(result, log):
+    return ate(result.trajectory, Trajectory(log.stamps_ns, SE2.from_array(TRUTH)), align=False)
+
+
+def test_every_scan_is_within_a_centimetre(log, result):
+    raw = ate(
+        Trajectory(log.stamps_ns, log.T_odom_base), Trajectory(log.stamps_ns, SE2.from_array(TRUTH)), False
+    )
+    assert raw["rmse"] > 0.2
+    assert len(result.trajectory) == len(log)
+    found = error(result, log)
+    assert found["rmse"] < 0.008
+    assert found["max"] < 0.03
+    assert sum(loop.accepted for loop in result.loops) >= 3
+    assert result.check.good
+
+
+def test_same_recording_same_result(log, result):
+    again = run_slam(log, SlamConfig())
+    np.testing.assert_array_equal(again.trajectory.poses.xyt, result.trajectory.poses.xyt)
+    np.testing.assert_array_equal(again.grid.cells, result.grid.cells)
+
+
+def test_odometry_that_runs_backwards_is_not_believed(log):
+    lying = drifted(TRUTH)
+    steps = (SE2(lying[:-1]).inverse() @ SE2(lying[1:])).xyt
+    steps[60:90, 0] *= -1.0
+    steps[120] += [0.0, 0.0, 1.2]
+    poses = [lying[0]]
+    for step in steps:
+        poses.append((SE2(poses[-1]) @ SE2(step)).xyt)
+    liar = replace(log, T_odom_base=SE2.from_array(np.array(poses)))
+    assert error(run_slam(liar, SlamConfig()), log)["rmse"] < 0.01
+
+
+def test_lidar_alone_suffices_in_a_room(log):
+    result = run_slam(replace(log, T_odom_base=None), SlamConfig())
+    truth = Trajectory(log.stamps_ns, SE2.from_array(TRUTH))
+    assert ate(result.trajectory, truth, align=True)["rmse"] < 0.015
+    np.testing.assert_allclose(result.trajectory.poses.xyt[0], 0.0, atol=0.02)
+
+
+def test_odometry_alone_is_the_odometry(log):
+    result = run_slam(log, SlamConfig(sensors="odometry"))
+    np.testing.assert_allclose(result.trajectory.poses.xyt, log.T_odom_base.xyt, atol=1e-9)
+    with pytest.raises(InputError, match="no odometry"):
+        run_slam(replace(log, T_odom_base=None), SlamConfig(sensors="odometry"))
+
+
+def test_scans_without_a_return_are_carried_by_odometry(log):
+    ranges = log.ranges.copy()
+    ranges[:3] = np.nan
+    ranges[50:58] = np.inf
+    holed = run_slam(replace(log, ranges=ranges), SlamConfig())
+    # the first three scans fix nothing, so the map starts where odometry carried it
+    truth = Trajectory(log.stamps_ns, SE2.from_array(TRUTH))
+    assert ate(holed.trajectory, truth, align=True)["rmse"] < 0.01
+
+
+def test_a_log_of_nothing_is_mapped_to_nothing(log):
+    empty = replace(log, ranges=np.full_like(log.ranges, np.nan))
+    result = run_slam(empty, SlamConfig())
+    assert np.all(result.grid.cells == UNKNOWN)
+    assert not result.check.good
+    with pytest.raises(InputError, match="no scans"):
+        run_slam(replace(log, stamps_ns=log.stamps_ns[:0], ranges=log.ranges[:0]), SlamConfig())
+
+
+def test_map_shows_the_walls_and_clears_the_rest(result):
+    grid = result.grid
+    along = np.stack([np.linspace(0.5, 7.5, 100), np.full(100, 5.99)], axis=1)
+    near = np.stack([grid.value_at(along + np.array([0.0, dy])) for dy in (-0.05, 0.0, 0.05)])
+    assert np.mean((near == OCCUPIED).any(axis=0)) > 0.97
+    assert np.all(grid.value_at(TRUTH[:, :2]) == FREE)
+    occupied = grid.center_of(np.argwhere(grid.cells == OCCUPIED))
+    distance = np.min(
+        [np.abs(occupied[:, 0] - x) for x in (0, 8, 3, 3.5, 6, 6.4)]
+        + [np.abs(occupied[:, 1] - y) for y in (0, 6, 2, 4, 1.5)],
+        axis=0,
+    )
+    assert np.mean(distance < 0.05) > 0.99
+
+
+def test_beams_follow_their_cells():
+    hits, misses = np.zeros((20, 20), dtype=np.uint16), np.zeros((20, 20), dtype=np.uint16)
+    direction = np.array([0.8, 0.6])
+    trace(hits, misses, 2.5, 3.3, *direction, 15.0, True, 0.25)
+    # reference: the cells of finely spaced points on the beam, all but the last one before the end
+    s = np.linspace(0.0, 14.0, 20001)
+    crossed = {(int(3.3 + 0.6 * d), int(2.5 + 0.8 * d)) for d in s}
+    touched = {tuple(cell) for cell in np.argwhere(misses > 0).tolist()}
+    end = (int(3.3 + 0.6 * 15.0), int(2.5 + 0.8 * 15.0))
+    assert crossed - {end} <= touched
+    assert len(touched - crossed) <= 1
+    assert hits[end] == 1
+    assert hits.sum() == 1
+    assert misses.max() == 1
+
+
+def test_open_beams_clear_and_dropouts_do_not():
+    ranges = np.array([[2.0, np.inf, 2.0, np.inf, np.inf, np.nan, 9.0, -np.inf]], dtype=np.float32)
+    length, returned = beam_lengths(ranges, replace(LDS, range_min=0.1, range_max=10.0), 8.0, 5.0)
+    np.testing.assert_array_equal(returned[0], [True, False, True, False, False, False, False, False])
+    np.testing.assert_allclose(length[0], [2.0, 0.0, 2.0, 5.0, 5.0, 0.0, 8.0, 0.0])
+
+
+def test_open_space_is_cleared_to_the_range():
+    log = recording(ROOM + 100.0, np.zeros((3, 3)), LDS)
+    assert np.all(np.isposinf(log.ranges))
+    grid = make_grid(log, SE2.identity(3), OccupancyConfig(), 30.0)
+    angle = np.linspace(0.0, 6.28, 50)[:, None]
+    disc = 2.5 * np.hstack([np.cos(angle), np.sin(angle)])
+    assert np.all(grid.value_at(disc) == FREE)
+    assert np.any(grid.value_at(3.1 * disc) == FREE)
+    assert not np.any(grid.value_at(3.4 * disc) == FREE)
+    off = make_grid(log, SE2.identity(3), OccupancyConfig(no_return_m=0.0), 30.0)
+    assert np.all(off.cells == UNKNOWN)
+
+
+def test_grid_says_how_decided_its_cells_are():
+    hits = np.array([[4, 0, 2, 0, 1]], dtype=np.uint16)
+    misses = np.array([[0, 4, 2, 0, 1]], dtype=np.uint16)
+    found = certainty(hits, misses, 2)
+    # cells met by three beams: certain, certain, one bit
+    assert found.entropy_bits == pytest.approx(1.0 / 3.0)
+    assert found.wall_share == pytest.approx(0.75)
+    assert np.isnan(certainty(hits * 0, misses * 0, 2).entropy_bits)
+
+
+def test_map_drawn_along_drifting_wheels_is_called_doubtful(log, result):
+    along = run_slam(log, SlamConfig(sensors="odometry"))
+    assert any("contradict each other" in reason for reason in along.check.reasons)
+    said = result.check.as_metrics()
+    assert said["wall_share"] > 2.0 * along.check.certainty.wall_share
+    assert said["map_entropy_bits"] < 0.7 * along.check.certainty.entropy_bits
+
+
+def test_cells_are_what_most_beams_say():
+    hits = np.array([[0, 0, 1, 2, 9, 1]], dtype=np.uint16)
+    misses = np.array([[0, 3, 0, 1, 60, 9]], dtype=np.uint16)
+    cells = classify(hits, misses, OccupancyConfig())
+    assert cells.tolist() == [[UNKNOWN, FREE, UNKNOWN, OCCUPIED, FREE, FREE]]
+
+
+def test_graph_spreads_a_square_s_error_and_shrugs_off_a_false_loop():
+    leg = np.array([1.0, 0.0, np.pi / 2])
+    information = np.diag([1e4, 1e4, 1e4])
+    rough = [np.zeros(3)]
+    for k in range(4):
+        rough.append((SE2(rough[-1]) @ SE2(leg + np.array([0.02, 0.0, 0.01 * k]))).xyt)
+    graph = [Constraint(k, k + 1, leg, information, "step") for k in range(4)]
+    loop = Constraint(0, 4, np.zeros(3), information, "loop", 2.0)
+    false = Constraint(1, 3, np.array([3.0, 3.0, 1.0]), information, "loop", 2.0)
+    poses = optimise(SE2.from_array(np.array(rough)), [*graph, loop, false])
+    np.testing.assert_allclose(poses.xyt[2, :2], [1.0, 1.0], atol=0.02)
+    np.testing.assert_allclose(poses.xyt[4, :2], [0.0, 0.0], atol=0.02)
+    squared = mahalanobis(poses, [*graph, loop, false])
+    assert int(np.argmax(squared)) == 5
+
+
+def test_graph_file_is_read_back_by_gtsam(tmp_path, result):
+    import gtsam
+
+    write_g2o(tmp_path / "graph.g2o", result.T_map_keys, result.constraints)
+    graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), False)
+    assert graph.size() == len(result.constraints)
+    last = values.atPose2(len(result.keys) - 1)
+    np.testing.assert_allclose([last.x(), last.y()], result.T_map_keys.xy[-1], atol=1e-6)
+
+
+def test_second_opinion_refuses_a_wrong_alignment():
+    a, b = np.array([1.2, 1.0, 0.0]), np.array([1.5, 1.2, 0.3])
+    scans = [
+        LDS.directions[np.isfinite(r)] * r[np.isfinite(r), None]
+        for r in ranges_to(ROOM, np.array([a, b]), LDS)
+    ]
+    true = (SE2(a).inverse() @ SE2(b)).xyt
+    assert stays_put(scans[1], scans[0], true)
+    assert not stays_put(scans[1], scans[0], true + np.array([1.0, 0.4, 0.0]))
+
+
+def test_relations_by_both_definitions():
+    poses = SE2.from_array([[0.0, 0.0, 0.0], [1.0, 0.0, np.pi / 2]])
+    estimate = Trajectory(np.array([10**9, 2 * 10**9]), poses)
+    expected = SE2.from_array([[1.0, 0.1, np.pi / 2 - 0.1]])
+    relations = Relations(np.array([10**9 + 4000]), np.array([2 * 10**9]), expected)
+    found = relations_metrics(estimate, relations)
+    assert found["relations"]["n"] == 1
+    assert found["relations"]["trans_m"]["mean"] == pytest.approx(0.1)
+    assert found["relations"]["rot_deg"]["mean"] == pytest.approx(np.rad2deg(0.1))
+    # (p1^-1 p2) * expected^-1: translation (1, 0) - R(0.1) (1, 0.1)
+    c, s = np.cos(0.1), np.sin(0.1)
+    by_hand = np.hypot(1.0 - (c - 0.1 * s), -(s + 0.1 * c))
+    assert found["relations_cartographer"]["trans_m"]["mean"] == pytest.approx(by_hand)
+    away = Relations(np.array([5]), np.array([2 * 10**9]), expected)
+    assert relations_metrics(estimate, away)["relations"]["trans_m"]["mean"] is None
+
+
+def test_explanation_names_every_loop(result):
+    record = loop_record(result)
+    assert len(record["loops"]) == len(result.loops)
+    assert all(loop["residual_m"] < 0.05 for loop in record["loops"] if loop["verdict"] == "accepted")
+    edges = worst_edges(result)
+    assert [edge["sigmas"] for edge in edges] == sorted((edge["sigmas"] for edge in edges), reverse=True)
+
+
+def carmen_text(log):
+    lines = []
+    for k in range(len(log)):
+        x, y, yaw = log.T_odom_base.xyt[k]
+        pose = f"{x:.6f} {y:.6f} {yaw:.6f}"
+        readings = " ".join(f"{r:.3f}" for r in log.ranges[k, :180])
+        lines.append(f"FLASER 180 {readings} {pose} {pose} {log.stamps_ns[k] / 1e9:.6f} host {k * 0.2:.6f}")
+    return "\n".join(lines) + "\n"
+
+
+def test_command_writes_the_contract_s_files(tmp_path, log):
+    source = tmp_path / "room.clf"
+    source.write_text(carmen_text(replace(log, ranges=log.ranges[:60], stamps_ns=log.stamps_ns[:60])))
+    out = tmp_path / "map"
+    assert main(["map", str(source), "--out", str(out), "--explain", "-q"]) == 0
+    names = {path.name for path in out.iterdir()}
+    assert {"map.pgm", "map.yaml", "trajectory.tum", "graph.g2o", "metrics.json", "config.yaml"} <= names
+    assert {"manifest.json", "graph.json", "explain.json", "before.pgm"} <= names
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["scans"] == 60
+    assert set(metrics["loops"]) == {"proposed", "accepted", "rejected"}
+    assert len((out / "trajectory.tum").read_text().splitlines()) == 60
+    assert main(["map", str(source), "--out", str(out), "-q"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--set", "grid.resolution_m=0"], "resolution_m"),
+        (["--set", "nonsense=1"], "nonsense"),
+        (["--truth", "nowhere"], "truth"),
+        (["--relations", "nowhere"], "relations"),
+    ],
+)
+def test_bad_arguments_write_nothing(tmp_path, capsys, log, arguments, says):
+    source = tmp_path / "room.clf"
+    source.write_text(carmen_text(replace(log, ranges=log.ranges[:2], stamps_ns=log.stamps_ns[:2])))
+    assert main(["map", str(source), "--out", str(tmp_path / "map"), *arguments]) == 2
+    captured = capsys.readouterr().err
+    assert says in captured
+    assert captured.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["room.clf"]

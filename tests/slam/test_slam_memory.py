@@ -1,0 +1,151 @@
+"""What stays in memory while a map is made, and what is not made twice: counted, not timed."""
+
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_growth import carmen, floor, there_and_back
+from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
+from turtlebag.datasets.carmen import parse_carmen
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam import cloud_parts, clouds, occupancy, submaps
+from turtlebag.pipeline.slam import scan_poses as posing
+from turtlebag.pipeline.slam.cloud_parts import among, chosen
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+
+POSES = around_the_room(60)
+LOG = recording(ROOM, POSES, LDS, odometry=drifted(POSES))
+
+
+def arrays(one):
+    """The arrays of clouds."""
+    return {name: np.asarray(value) for name, value in one._asdict().items()}
+
+
+def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
+    line = carmen(recording(ROOM, POSES[:1], SICK, odometry=POSES[:1]))
+    content = (line * 3000).encode()
+    tracemalloc.start()
+    try:
+        read = parse_carmen(content, Path("log"), T_base_lidar=None, notes=[])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    numbers = 8 * read.ranges.size
+    assert read.ranges.shape == (3000, 180)
+    assert peak < 2 * len(content) + 6 * numbers  # all words at once take 15 times the numbers
+
+
+def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
+    usual = run_slam(LOG, SlamConfig())
+    made, make = [], make_clouds
+
+    def counted(*args):
+        made.append(len(LOG) if args[4] is None else len(args[4]))
+        return make(*args)
+
+    monkeypatch.setattr(cloud_parts, "FEW_READINGS", 0)
+    monkeypatch.setattr(cloud_parts, "make_clouds", counted)
+    for module in (clouds, posing):
+        monkeypatch.setattr(module, "SCANS_AT_ONCE", 7)
+    result = run_slam(LOG, SlamConfig())
+    keys = result.keys
+    others = len(LOG) - len(keys)
+    assert made == [len(LOG), len(keys), *[7] * (others // 7), *[others % 7] * (others % 7 > 0)]
+    kept = result.session.clouds()
+    assert len(kept.points) == sum(len(make(LOG, 30.0).of(int(key))) for key in keys)
+    assert np.count_nonzero(np.diff(kept.starts)) == len(keys)
+    # and the map is the same to the last bit
+    np.testing.assert_array_equal(result.trajectory.poses.xyt, usual.trajectory.poses.xyt)
+    np.testing.assert_array_equal(result.grid.cells, usual.grid.cells)
+
+
+def test_clouds_of_some_scans_are_those_of_all():
+    whole, some = make_clouds(LOG, 30.0), np.array([0, 3, 4, 41])
+    for found in (make_clouds(LOG, 30.0, scans=some), chosen(whole, some)):
+        spread = among(found, some, len(LOG))
+        assert arrays(chosen(spread, some)).keys() == arrays(found).keys()
+        for name, value in arrays(chosen(spread, some)).items():
+            np.testing.assert_array_equal(value, arrays(found)[name])
+        for k, scan in enumerate(some.tolist()):
+            np.testing.assert_array_equal(found.of(k), whole.of(scan))
+            np.testing.assert_array_equal(spread.of(scan), whole.of(scan))
+            seen = whole.table[scan] >= 0
+            np.testing.assert_array_equal(found.table[k] >= 0, seen)
+            np.testing.assert_array_equal(
+                found.points[found.table[k][seen]], whole.points[whole.table[scan][seen]]
+            )
+        assert len(spread.of(1)) == 0
+        assert (spread.table[1] == -1).all()
+
+
+def test_a_map_that_is_surely_too_large_is_refused_before_it_is_drawn(monkeypatch):
+    log, T = recording(rectangle(0.0, 0.0, 7.0, 6.0), POSES, LDS), SE2.from_array(POSES)
+    rows, cols = make_grid(log, T, OccupancyConfig(margin_m=0.0), 30.0).shape
+
+    def never(*args):
+        raise AssertionError("beams are counted for a map that is refused")
+
+    # as large as it surely is: the last ten cells of its beams may stay unknown
+    monkeypatch.setattr(occupancy, "MAX_CELLS", (rows - 24) * (cols - 24))
+    monkeypatch.setattr(occupancy, "_cast", never)
+    with pytest.raises(InputError, match=r"choose a larger grid\.resolution_m"):
+        make_grid(log, T, OccupancyConfig(), 30.0)
+
+
+def test_two_submaps_are_compared_with_one_transform_there_and_one_back(monkeypatch):
+    cloud, poses = make_clouds(LOG, 30.0), POSES
+    a, b = (submaps.make_submap(cloud, np.arange(60), poses, k, np.arange(k - 5, k + 6)) for k in (10, 12))
+    calls = []
+    for name in ("rfft2", "irfft2"):
+        transform = getattr(submaps.scipy.fft, name)
+        monkeypatch.setattr(
+            submaps.scipy.fft, name, lambda *args, of=transform, name=name: (calls.append(name), of(*args))[1]
+        )
+    assert submaps.laid_on(a, b)
+    assert sorted(calls) == ["irfft2", "rfft2"]
+
+
+def test_arrays_that_are_done_with_go_back_to_the_system():
+    program = """
+import sys
+sys.argv = ["turtlebag", "--version"]
+from contextlib import suppress
+from turtlebag.pipeline.__main__ import run
+with suppress(SystemExit):
+    run()
+import numpy as np
+def resident():
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmRSS"))
+np.ones(4_000_000)
+before = resident()
+large = [np.ones(1_000_000) for _ in range(12)]
+small = [bytes(100_000)]
+del large
+print(resident() - before)
+"""
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert int(said.split()[-1]) < 20_000  # of 96,000 kB
+
+
+def test_a_log_driven_there_and_back_goes_on_from_each_scan_to_its_neighbour():
+    log = recording(ROOM, POSES[:5], SICK, odometry=POSES[:5])
+    longer = parse_carmen(there_and_back(carmen(log).encode(), 14), Path("log"), T_base_lidar=None, notes=[])
+    order = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3, 4, 3]
+    assert longer.T_odom_base is not None
+    np.testing.assert_allclose(longer.T_odom_base.xyt, SE2.from_array(POSES[order]).xyt, atol=1e-6)
+    np.testing.assert_allclose(longer.ranges, log.ranges[order], atol=0.006)
+    np.testing.assert_array_equal(np.diff(longer.stamps_ns), 200_000_000)
+
+
+def test_a_floor_of_more_blocks_is_larger_and_driven_farther():
+    one, two = floor(1), floor(2)
+    assert two.truth.length() > 2.5 * one.truth.length()
+    assert np.ptp(two.truth.poses.xy, axis=0).min() > 1.8 * np.ptp(one.truth.poses.xy, axis=0).max()

@@ -1,0 +1,38 @@
+"""KISS-ICP as it is asked: how far it looks for partners, and what it answers where there is nothing."""
+
+import math
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.kiss import VOXEL_M, LidarOdometry
+
+POSTS = np.random.default_rng(0).uniform(-3.0, 3.0, (100, 2))
+
+
+def test_what_a_wrong_guess_teaches_grows_with_the_lidar_s_range():
+    """Vizzo et al. (2023), eq. 8: a guess off by an angle is off by its chord at the farthest point."""
+    found = LidarOdometry(max_range=8.0)
+    found.update(POSTS, np.array([0.0, 0.0, 0.1]), np.zeros(3))
+    chord = 2.0 * 8.0 * math.sin(0.05)
+    assert found._threshold.get_threshold() == pytest.approx(
+        math.sqrt(((2.0 * VOXEL_M) ** 2 + chord**2) / 2.0)
+    )
+
+
+def test_a_guess_near_the_truth_is_led_to_it():
+    found = LidarOdometry(max_range=8.0)
+    start, truth = np.array([1.0, -2.0, 0.5]), np.array([1.1, -1.9, 0.55])
+    found.update(POSTS, start, start)
+    seen = (SE2(truth).inverse() @ SE2(start)) @ POSTS
+    answer = found.register(seen, start)
+    assert np.hypot(*(answer - truth)[:2]) < 0.05
+    assert answer[2] == pytest.approx(truth[2], abs=0.02)
+
+
+def test_with_no_map_or_no_points_the_guess_is_the_answer():
+    found, guess = LidarOdometry(max_range=8.0), np.array([1.0, 2.0, 0.3])
+    assert np.array_equal(found.register(POSTS, guess), guess)
+    found.update(POSTS, guess, guess)
+    assert np.array_equal(found.register(POSTS[:2], guess), guess)

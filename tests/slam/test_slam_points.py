@@ -1,0 +1,124 @@
+"""Worlds without surfaces, logs in which only the scans say how the robot moved, and work in parts."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_logs import arena, posts
+from benchmarks.slam_scores import score
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
+from turtlebag.pipeline.slam.open3d_icp import match_points
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.threads import WORTH_IT, in_parts
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
+
+
+@pytest.fixture(scope="module")
+def hall():
+    return posts(1, size=14.0)
+
+
+def test_posts_are_mapped_by_points_where_no_line_can_be_fitted(hall):
+    clouds = make_clouds(hall.recording, 30.0)
+    by = [clouds.placed_by(scan) for scan in range(len(clouds.starts) - 1)]
+    assert by.count("points") > 0.9 * len(by)
+    odometry = score(hall.recording.T_odom_base, hall.truth)
+    found = run_slam(hall.recording, SlamConfig())
+    error = score(found.trajectory.poses, hall.truth)
+    assert error.ate_aligned < 0.02
+    assert error.ate_aligned < 0.1 * odometry.ate_aligned
+    assert error.relation_deg < 0.4
+    assert found.check.good
+
+
+def test_points_give_the_pose_between_two_scans_of_posts(hall):
+    clouds = make_clouds(hall.recording, 30.0)
+    i, j = 20, 26
+    true = (hall.truth.poses[i].inverse() @ hall.truth.poses[j]).xyt
+    match = match_points(clouds.of(j), clouds.of(i), true + np.array([0.05, -0.04, 0.03]), 0.2)
+    error = (SE2(true).inverse() @ SE2(match.T_target_source)).xyt
+    assert np.hypot(*error[:2]) < 0.02
+    assert abs(error[2]) < 0.01
+    assert match.overlap > 0.6
+
+
+def test_point_information_is_that_of_its_residuals():
+    points = np.array([[1.0, 2.0], [-0.5, 0.3], [2.0, -1.0]])
+    h = 1e-6
+
+    def moved(delta):
+        return (SE2(np.array(delta)) @ points).ravel()
+
+    jacobian = np.stack(
+        [(moved(h * np.eye(3)[k]) - moved(-h * np.eye(3)[k])) / (2 * h) for k in range(3)], axis=1
+    )
+    np.testing.assert_allclose(point_information(points), jacobian.T @ jacobian, atol=1e-6)
+
+
+def test_lidar_alone_undoes_its_own_turning():
+    log = arena(1, "fast")
+    n = 250
+    part = replace(
+        log.recording,
+        stamps_ns=log.recording.stamps_ns[:n],
+        ranges=log.recording.ranges[:n],
+        T_odom_base=log.recording.T_odom_base[:n],
+    )
+    truth = replace(log.truth, stamps_ns=log.truth.stamps_ns[:n], poses=log.truth.poses[:n])
+    alone = score(run_slam(part, SlamConfig(sensors="lidar")).trajectory.poses, truth)
+    assert alone.ate_aligned < 0.01
+    assert alone.relation_deg < 0.5
+    skewed = score(run_slam(part, SlamConfig(sensors="lidar", deskew=False)).trajectory.poses, truth)
+    assert skewed.relation_deg > 1.5
+
+
+def test_sweep_motion_by_true_poses_is_that_of_true_odometry():
+    log = arena(1, "slow")
+    r = replace(log.recording, odometry=log.truth)
+    by_odometry, by_track = sweep_motion(r), sweep_motion_by_track(r, log.truth.poses)
+    difference = (by_odometry.inverse() @ by_track).xyt[1:-1]
+    assert np.percentile(np.abs(difference[:, :2]), 90) < 0.004
+    assert np.percentile(np.abs(difference[:, 2]), 90) < 0.03
+
+
+def test_a_gap_in_the_log_is_no_motion_of_a_sweep():
+    log = arena(1, "slow")
+    stamps = log.recording.stamps_ns.copy()
+    stamps[50:] += 4_000_000_000
+    stamps[80:] -= 30_000_000_000
+    moved = sweep_motion_by_track(replace(log.recording, stamps_ns=stamps), log.truth.poses).xyt
+    assert np.all(np.isfinite(moved))
+    assert np.hypot(moved[:, 0], moved[:, 1]).max() < 0.05
+
+
+def test_parts_come_back_in_order_whatever_finishes_first():
+    n = 3 * WORTH_IT
+
+    def slow_at_first(part):
+        time.sleep(0.01 if part.start == 0 else 0.0)
+        return list(range(part.start, part.stop))
+
+    assert [k for part in in_parts(slow_at_first, n) for k in part] == list(range(n))
+    assert in_parts(slow_at_first, 3) == [[0, 1, 2]]
+    assert in_parts(slow_at_first, 0) == [[]]
+
+
+def test_without_odometry_no_direction_of_a_step_is_left_free():
+    """Keys that are blind the same way, one after another, once flew 40 m off along it."""
+    turns = np.linspace(0.0, 2.0, 6)
+    poses = SE2(np.stack([0.3 * np.arange(6), np.zeros(6), turns], axis=1))
+    corridor = np.broadcast_to(np.diag([0.0, 1e4, 1e4]), (6, 3, 3))
+    keys = np.arange(6)
+    track = Track(
+        poses, keys, np.ones(6), np.zeros(6), corridor, np.zeros(6, np.int8), None, Calibration(), keys >= 0
+    )
+    steps = step_constraints(track, TrackingConfig())
+    for k in range(5):
+        known = sum(c.information for c in steps if c.i == k)
+        assert np.linalg.eigvalsh(known)[0] > 1.0
+    assert {c.kind for c in steps} == {"step", "steady"}

@@ -1,0 +1,223 @@
+"""Places recognised where drift is larger than any gate - and never where a building repeats itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, carried, displaced, make_log, sick, without
+from benchmarks.slam_logs import office_plan, twins
+from benchmarks.slam_scores import score
+from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
+from turtlebag.datasets.se2 import SE2, between
+from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.pipeline.slam import place_recognition as recall
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
+from turtlebag.pipeline.slam.course import track_log
+from turtlebag.pipeline.slam.drift import drift_of
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.line_match import LineMatch
+from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.place_recognition import RecallConfig
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts, witnessed_chain
+
+
+def office() -> Log:
+    """Round the office nearly twice, once into two rooms: 125 m."""
+    first = [(9.0, 7.0), (10.1, 7.0), (10.1, 4.0), (10.4, 4.0), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5)]
+    again = [(15.0, 10.5), (14.7, 7.0), *[(27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0)] * 2]
+    return make_log(
+        "recall", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
+        wheels=Wheels(0.02, -0.03, 0.003),
+    )  # fmt: skip
+
+
+BREAKS = {
+    "gap in which odometry jumps": lambda log: displaced(without(log, 40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
+    "robot carried away": lambda log: carried(log, 55.0, 14.0),
+}
+
+
+@pytest.mark.parametrize("broken", BREAKS.values(), ids=BREAKS.keys())
+def test_log_broken_in_two_is_put_together_again(broken):
+    log = broken(office())
+    result = run_slam(log.recording, SlamConfig())
+    found = score(result.trajectory.poses, log.truth)
+    assert found.folded == 0.0
+    assert found.ate_aligned < 0.02
+    assert result.check.good, result.check.reasons
+    true = log.truth.poses[result.keys]
+    accepted = [place for place in result.recognised if place.verdict == "accepted"]
+    assert len(accepted) >= 3
+    for place in accepted:
+        apart = between((true[place.j].inverse() @ true[place.i]).xyt, place.T_j_i)
+        assert np.hypot(*apart[:2]) < 0.2
+
+
+def test_broken_log_without_place_recognition_is_called_doubtful():
+    log = BREAKS["gap in which odometry jumps"](office())
+    off = SlamConfig.model_validate({"recall": {"enabled": False}})
+    result = run_slam(log.recording, off)
+    assert not result.check.good
+    assert any("breaks" in reason for reason in result.check.reasons)
+
+
+def test_rooms_like_one_another_are_not_taken_for_one():
+    log = twins(1, rooms=6)
+    result = run_slam(log.recording, SlamConfig())
+    assert not any(place.verdict == "accepted" for place in result.recognised)
+    assert score(result.trajectory.poses, log.truth).ate_aligned < 0.03
+    assert result.check.good, result.check.reasons
+
+
+@pytest.mark.parametrize("there_and_back", [False, True])
+def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
+    log = twins(2, rooms=6, there_and_back=there_and_back)
+    log = displaced(without(log, 45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
+    result = run_slam(log.recording, SlamConfig())
+    assert not any(place.verdict == "accepted" for place in result.recognised)
+    assert any("breaks" in reason for reason in result.check.reasons)
+
+
+def chain_of(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> Chain:
+    steps = np.arange(n)
+    gone = np.isin(steps, broken)
+    return Chain(gone, np.isin(steps, against), gone & False, np.zeros((0, 2), int))
+
+
+def test_breaks_part_the_log_until_a_place_joins_it():
+    chain = chain_of(6, (1, 3, 4), (1, 4))
+    part, released = joined_parts(chain, [])
+    # 0 1 | 2 3 : 4 | 5 6, the middle break being one that nothing contradicts
+    assert [len(set(part[list(keys)])) for keys in ((0, 1), (2, 3, 4), (5, 6), (1, 2), (4, 5))] == [
+        1,
+        1,
+        1,
+        2,
+        2,
+    ]
+    assert not released.any()
+    part, released = joined_parts(chain, [(6, 0)])
+    assert part[6] == part[0] != part[2]
+    assert released.tolist() == [False, False, False, False, False, False]
+    part, released = joined_parts(chain, [(6, 0), (3, 1)])
+    assert len(set(part.tolist())) == 1
+    assert released.tolist() == [False, True, False, False, True, False]
+
+
+def scans_with_a_gap(odometry_agrees: bool) -> tuple[Recording, Track]:
+    truth = around_the_room(60)
+    odometry = SE2.from_array(truth)
+    log = recording(ROOM, truth, odometry=truth)
+    stamps = log.stamps_ns + np.where(np.arange(60) >= 30, 10 * 10**9, 0)
+    if not odometry_agrees:
+        late = SE2.from_xyt(5.0, 2.0, 1.0) @ odometry[30:]
+        odometry = SE2(np.concatenate([odometry.xyt[:30], late.xyt]))
+    log = Recording("gap", stamps, log.ranges, log.lidar, log.T_base_lidar, odometry)
+    scans = range(1, 60)
+    return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans, Lines)
+
+
+@pytest.mark.parametrize("agrees", [True, False])
+def test_gap_breaks_the_chain_unless_scans_and_odometry_confirm_each_other(agrees):
+    chain = witnessed_chain(*scans_with_a_gap(agrees))
+    assert chain.broken.sum() == (0 if agrees else 1)
+    assert chain.contradicted.sum() == (0 if agrees else 1)
+    assert chain.gaps.tolist() == ([] if agrees else [[29, 30]])
+
+
+@pytest.mark.parametrize(("wait_s", "moved_m", "broken"), [(3, 0.2, 0), (3, 0.8, 0), (9, 0.2, 1)])
+def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, moved_m, broken):
+    """Far from the map's origin, heading along its y, in a bare corridor."""
+    poses = np.column_stack([np.full(20, 40.0), 0.4 * np.arange(20) - 60.0, np.full(20, math.pi / 2)])
+    poses[10:, 1] += moved_m - 0.4
+    log = recording(ROOM, poses, odometry=poses)
+    stamps = log.stamps_ns + np.where(np.arange(20) >= 10, wait_s * 10**9, 0)
+    log = replace(log, stamps_ns=stamps)
+    along = np.tile(np.diag([0.0, 1e4, 1e4]), (20, 1, 1))
+    track = dead_reckoning(log, make_clouds(log, 30.0))
+    keys = np.arange(20)
+    blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
+    assert witnessed_chain(log, blind).broken.sum() == broken
+
+
+def test_submaps_lie_on_each_other_where_they_belong():
+    truth = around_the_room(120, laps=2)
+    clouds = make_clouds(recording(ROOM, truth), 30.0)
+    keys = np.arange(0, 120, 2)
+    turned = (SE2.from_xyt(40.0, -7.0, 2.5) @ SE2.from_array(truth[keys])).xyt
+    broken = np.zeros(59, dtype=bool)
+    broken[29] = True
+    chosen = windows(len(keys), broken)
+    assert all(len(set(window >= 30)) == 1 for window in chosen.values())
+    submaps = [make_submap(clouds, keys, turned, *item) for item in chosen.items()]
+    query, other = submaps[-1], submaps[0]
+    true = between(truth[keys[other.middle]], truth[keys[query.middle]])
+    score_, pose = laid_on(query, other)[0]
+    assert score_ > 0.6
+    assert np.hypot(*(pose[:2] - true[:2])) < 0.3
+    assert likeness(query, [query])[0] == pytest.approx(1.0)
+
+
+def place(i: int, j: int, T_j_i: tuple[float, float, float], overlap: float = 0.9) -> Recognised:
+    return Recognised(i, j, np.array(T_j_i), 0.8, overlap, 0.0, 0.01, STEP)
+
+
+STEP = np.diag([0.02**-2, 0.02**-2, 0.005**-2])
+
+
+def test_places_that_agree_outvote_the_aliases():
+    n = 40
+    poses = np.column_stack([np.arange(n) * 1.0, np.zeros(n), np.zeros(n)])
+    broken = np.arange(n - 1) == 19
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), STEP, "step") for k in range(n - 1)]
+    # the second half truly runs beside the first, 3 m shifted; aliases say 7 m, and one says a turn
+    true = [place(i, i - 20, (3.0, 0.0, 0.0)) for i in (22, 26, 30)]
+    alias = [place(i, i - 20, (7.0, 0.0, 0.0)) for i in (24, 28)]
+    turned = [place(34, 14, (3.0, 0.0, 3.0))]
+    found = [*alias, *true, *turned]
+    comparable, agree = consistency(found, drift_of(poses, steps, broken), 4.0, 50.0)
+    assert comparable.sum() == 30
+    sets = agreeing_sets(found, agree & comparable)
+    assert [len(members) for members in sets] == [3, 2, 1]
+    assert {found[k].i for k in sets[0]} == {22, 26, 30}
+    assert competing(sets[0], sets[1], comparable, agree)
+    assert RecallConfig().min_support == 3
+
+
+def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
+    """After a break nothing is known of, five rounds of a room cost what one does."""
+    looked_at: list[int] = []
+    monkeypatch.setattr(recall, "make_submap", lambda *of: looked_at.append(of[3]))
+    for laps in (1, 5):
+        poses = around_the_room(60 * laps, laps=laps)
+        moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
+        steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
+        drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
+        clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
+        recall._candidates(clouds, keys, drift, [], RecallConfig(), 4.0, LineMatch())
+    assert looked_at.count(looked_at[0]) == 2
+    assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
+
+
+def test_recall_costs_nothing_where_the_chain_holds():
+    truth = around_the_room(60)
+    log = recording(ROOM, truth, odometry=truth)
+    result = run_slam(log, SlamConfig())
+    assert result.recognised == []
+    stamps = Trajectory(log.stamps_ns, SE2.from_array(truth))
+    assert score(result.trajectory.poses, stamps).ate_aligned < 0.02
+
+
+def test_the_turn_between_two_histograms_of_normals_is_among_those_tried():
+    rng = np.random.default_rng(3)
+    query = rng.uniform(0.0, 1.0, HEADINGS) + 10.0 * (np.arange(HEADINGS) % (HEADINGS // 3) == 5)
+    for turn in (0, 7, HEADINGS - 4):
+        tried = _headings(query, np.roll(query, turn))
+        assert {(turn + d) % HEADINGS for d in (-1, 0, 1)} <= set(tried)
+        assert len(tried) < HEADINGS // 2

@@ -1,0 +1,135 @@
+"""The self-check names each thing that is wrong, and nothing where all is well."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_drives import integrate
+from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam import selfcheck
+from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.occupancy import Certainty
+from turtlebag.pipeline.slam.selfcheck import check_map
+from turtlebag.pipeline.slam.track import OdometryNoise, Track
+
+NONE = np.zeros(0, dtype=np.int64)
+SURE = Certainty(0.1, 0.9)
+
+
+@pytest.fixture(scope="module")
+def drive() -> tuple[Recording, Clouds, Track]:
+    """A lap round the room, at the true poses, every scan fitting."""
+    poses = around_the_room(60)
+    log = recording(ROOM, poses, odometry=poses)
+    clouds = make_clouds(log, 30.0)
+    track = dead_reckoning(log, clouds)
+    return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
+
+
+def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, **changes):
+    log, clouds, track = drive
+    log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
+    track = replace(track, **changes)
+    T = track.T_track_base
+    return check_map(
+        log, clouds, track, T, T[track.keys], OdometryNoise(), breaks, borders, certainty
+    ).reasons
+
+
+def test_a_good_map_has_nothing_against_it(drive):
+    assert reasons(drive) == ()
+
+
+def test_scans_that_fit_nothing_are_counted(drive):
+    overlap = np.ones(60)
+    overlap[20:40] = 0.05
+    assert reasons(drive, overlap=overlap) == ("20 scans do not fit the map (first: scan 20)",)
+
+
+def test_scans_without_surfaces_are_counted(drive):
+    assert reasons(drive, usable=np.arange(60) >= 3) == ()
+    assert reasons(drive, usable=np.arange(60) >= 4) == ("4 scans see no surface",)
+
+
+def test_breaks_that_nothing_mends_are_named(drive):
+    (reason,) = reasons(drive, breaks=np.array([12, 30]))
+    assert reason.startswith("2 breaks where scans are missing")
+    assert "before scan 12" in reason
+
+
+@pytest.mark.parametrize(("shift", "doubled"), [(0.0, False), (0.8, True)])
+def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
+    monkeypatch.setattr(selfcheck, "APART_KEYS", 10)
+    poses = around_the_room(120, laps=2)
+    log = recording(ROOM, poses, odometry=poses)
+    clouds = make_clouds(log, 30.0)
+    track = replace(dead_reckoning(log, clouds), overlap=np.ones(120))
+    drawn = track.T_track_base[track.keys].xyt.copy()
+    drawn[len(drawn) // 2 :] += [shift, 0.0, 0.0]
+    found = check_map(
+        log,
+        clouds,
+        track,
+        track.T_track_base,
+        SE2(drawn),
+        OdometryNoise(),
+        NONE,
+        NONE,
+        SURE,
+    )
+    assert found.revisits > 20
+    assert any("contradict each other" in reason for reason in found.reasons) == doubled
+
+
+def slipping(T, scans, times):
+    """Odometry (n,) that tells so many times the way at some steps."""
+    steps = (T[:-1].inverse() @ T[1:]).xyt.copy()
+    steps[scans, :2] *= times
+    return SE2.from_array(integrate(T.xyt[0], steps))
+
+
+@pytest.mark.parametrize(("shift", "jumps"), [(0.2, 0), (1.5, 1)])
+def test_a_robot_that_jumps_is_told_unless_its_odometry_does(drive, shift, jumps):
+    T = drive[2].T_track_base
+    moved = T.xyt.copy()
+    moved[30:] += [shift, 0.0, 0.0]
+    found = reasons(drive, T_track_base=SE2(moved))
+    assert len(found) == jumps
+    assert all(reason.endswith("(first: to scan 30)") for reason in found)
+    assert reasons(drive, T_track_base=SE2(moved), T_odom_base=SE2(moved)) == ()
+    assert reasons(drive, T_track_base=SE2(moved), borders=np.array([30])) == ()
+
+
+def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
+    """Scans 30 to 40 are blind; the wheels slip before, or all is well, or one step of them jumps."""
+    track = drive[2]
+    T, seen = track.T_track_base, track.information.copy()
+    seen[30:40] = np.diag([0.0, 1e5, 1e5])
+    assert reasons(drive, information=seen) == ()
+    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 30), 3.0))
+    assert "up to scan 39: the scans are blind there, and the odometry was wrong" in reason
+    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(39, 50), 3.0))
+    assert "up to scan 39: the scans are blind there, and the odometry was wrong" in reason
+    assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
+    assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
+
+
+def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
+    log, clouds, track = drive
+    lidar = replace(log, T_odom_base=None), clouds, replace(track, odometry_steps=None)
+    seen = track.information.copy()
+    assert reasons(lidar) == ()
+    seen[30:33] = np.diag([0.0, 1e5, 1e5])
+    assert reasons(lidar, information=seen) == ()
+    seen[30:40] = np.diag([0.0, 1e5, 1e5])
+    (reason,) = reasons(lidar, information=seen)
+    assert "up to scan 39: the scans are blind there, and no odometry helps" in reason
+
+
+def test_a_map_that_may_be_mirrored_is_told(drive):
+    log, clouds, track = drive
+    (reason,) = reasons((replace(log, turned_over=True), clouds, track))
+    assert "turn opposite ways" in reason

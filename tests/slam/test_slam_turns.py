@@ -1,0 +1,140 @@
+"""Odometry that runs behind the scans or ahead of them, or turns the other way: found, undone and said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
+from benchmarks.slam_logs import office_plan
+from turtlebag.datasets.bags.scans import turned_over
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
+
+CORNERS = [(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0)]
+ROUTE = np.array(CORNERS)
+DRIVE = Drive(v=0.7, w=1.2)
+IN_STEP = 0.0, False
+
+
+def drive(spec, *, lies=(), route=ROUTE):
+    wheels = Wheels(0.01, 0.03, 0.002)
+    return make_log("late", office_plan(1), route, Sensor(spec, 0.2), drive=DRIVE, wheels=wheels, lies=lies)
+
+
+@pytest.fixture(scope="module")
+def turning():
+    """A lidar that turns, with odometry at 30 Hz."""
+    return drive(replace(lds(), range_max=8.0))
+
+
+@pytest.fixture(scope="module")
+def paired():
+    """A lidar that sees at once, each scan with its odometry, as CARMEN logs have them."""
+    return drive(sick(180, 30.0))
+
+
+def late(recording, seconds):
+    """The recording with odometry that much behind (negative: ahead of) its scans."""
+    ns = round(seconds * 1e9)
+    stream = recording.odometry or Trajectory(recording.stamps_ns, recording.T_odom_base)
+    moved = recording.odometry and Trajectory(stream.stamps_ns + ns, stream.poses)
+    return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
+
+
+@pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
+def test_a_delay_is_found_and_undone(turning, seconds):
+    recording = late(turning.recording, seconds)
+    found, over = compared_turns(recording)
+    assert found == pytest.approx(seconds, abs=0.03)
+    mended = in_step(recording, found, over)
+    inside = slice(10, -10)  # beyond its ends the odometry is held
+    expected = turning.recording.T_odom_base[inside]
+    np.testing.assert_allclose(mended.T_odom_base[inside].xy, expected.xy, atol=0.03)
+    assert mended.odometry_late_s == found
+    side = "behind" if seconds > 0.0 else "ahead of"
+    assert mended.notes == (
+        f"the odometry runs {abs(found):.2f} s {side} the scans, by the turns of both: undone",
+    )
+
+
+@pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
+def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
+    assert compared_turns(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
+
+
+@pytest.mark.parametrize("log", ["turning", "paired"])
+def test_odometry_in_time_stays_as_it_is(log, request):
+    recording = request.getfixturevalue(log).recording
+    assert compared_turns(recording) == IN_STEP
+    assert in_step(recording, 0.0, False) is recording
+    assert compared_turns(replace(recording, T_odom_base=None, odometry=None)) == IN_STEP
+    assert compared_turns(late(recording, 0.02)) == IN_STEP
+
+
+@pytest.mark.parametrize("kind", ["freeze", "spin", "jump", "reverse"])
+def test_odometry_that_lies_is_not_called_late(kind):
+    log = drive(sick(180, 30.0), lies=tuple(Lie(kind, start, 3.0) for start in (8.0, 22.0, 40.0, 55.0)))
+    assert compared_turns(log.recording) == IN_STEP
+
+
+def test_a_robot_that_never_turns_shows_no_delay():
+    log = drive(replace(lds(), range_max=8.0), route=np.array([(10.0, 7.0), (26.0, 7.0)]))
+    assert compared_turns(late(log.recording, 0.5)) == IN_STEP
+
+
+@pytest.mark.parametrize("log", ["turning", "paired"])
+@pytest.mark.parametrize("seconds", [0.0, 0.4])
+def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
+    recording = request.getfixturevalue(log).recording
+    wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
+    found, over = compared_turns(wrong)
+    assert (found, over) == (pytest.approx(seconds, abs=0.06), True)
+    mended = in_step(wrong, found, over)
+    np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
+    assert mended.notes[0].startswith("the scans turn the other way than the odometry")
+
+
+def test_late_odometry_makes_no_map_worse(turning):
+    def worst(recording):
+        result = run_slam(recording, SlamConfig())
+        return np.linalg.norm(result.trajectory.poses.xy - turning.truth.poses.xy, axis=1).max()
+
+    assert worst(late(turning.recording, 0.5)) < 1.2 * worst(turning.recording)
+
+
+def test_map_and_localise_say_it(turning, tmp_path, capsys):
+    recording = late(turning.recording, 0.3)
+    with BagWriter(tmp_path / "bag", custom={}) as writer:
+        writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
+        for stamp, pose in zip(recording.odometry.stamps_ns, recording.odometry.poses.xyt, strict=True):
+            writer.odometry(Odometry(int(stamp), SE2(pose), Twist()))
+        for k in range(len(recording)):
+            scan = recording.scan(k)
+            writer.scan(scan.stamp_ns, scan)
+    assert main(["map", str(tmp_path / "bag"), "--out", str(tmp_path / "map"), "--no-cache"]) == 0
+    said = capsys.readouterr().err
+    assert "note: the odometry runs 0.30 s behind the scans, by the turns of both: undone" in said
+    assert json.loads((tmp_path / "map" / "metrics.json").read_text())["odometry_late_s"] == 0.3
+    start = ",".join(f"{value:.3f}" for value in turning.truth.poses.xyt[0])
+    args = ["localise", str(tmp_path / "bag"), "--map", str(tmp_path / "map"), f"--initial-pose={start}"]
+    assert main([*args, "--out", str(tmp_path / "loc")]) == 0
+    assert "the odometry runs 0.30 s behind the scans" in capsys.readouterr().err
+    assert json.loads((tmp_path / "loc" / "metrics.json").read_text())["odometry_late_s"] == 0.3
+
+
+@pytest.mark.parametrize(("sign", "sure"), [(1.0, True), (-1.0, False), (None, False)])
+def test_a_gyro_tells_whether_scans_or_odometry_are_mirrored(turning, sign, sure):
+    recording = turning.recording
+    if sign is not None:
+        stream = recording.odometry
+        rate = sign * np.gradient(np.unwrap(stream.poses.yaw), stream.stamps_ns * 1e-9)
+        turned = np.stack([0.0 * rate, 0.0 * rate, rate], axis=1)
+        recording = replace(recording, imu=ImuLog(stream.stamps_ns, turned, 0.0 * turned))
+    assert in_step(recording, 0.0, True).turned_over is not sure
+    assert not in_step(recording, 0.0, False).turned_over

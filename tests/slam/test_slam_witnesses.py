@@ -1,0 +1,53 @@
+"""Who is believed: the odometry that is caught lying, the scan that hardly sees."""
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.se2 import compose
+from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction, without_direction
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
+from turtlebag.pipeline.slam.track import OdometryNoise
+
+
+def believed(*told):
+    """Whether wheels are believed after each step: they told the way, the scan saw what comes with it, and
+    the robot drove 0.1 m."""
+    wheels, pose, out = OdometryTrust(OdometryNoise()), np.zeros(3), []
+    wheels.judge(np.zeros(3), pose, np.zeros((3, 3)))
+    for way, seen in told:
+        pose = compose(pose, np.array([0.1, 0.0, 0.0]))
+        wheels.judge(np.array([way, 0.0, 0.0]), pose, seen)
+        out.append(wheels.believed)
+    return out
+
+
+SEES, BLIND = np.diag([1e6, 1e6, 1e6]), np.diag([0.0, 1e6, 1e6])
+
+
+def test_wheels_caught_lying_three_times_are_not_believed_until_they_tell_the_truth():
+    lie, truth = (0.3, SEES), (0.1, SEES)
+    assert believed(lie, lie, truth, lie, lie) == [True] * 5
+    assert believed(lie, lie, lie, (0.3, BLIND), truth) == [True, True, False, False, True]
+    # where the scan is blind the robot went on steadily: wheels that say so are honest again
+    assert believed(lie, lie, lie, (0.1, BLIND)) == [True, True, False, True]
+
+
+def test_wheels_are_no_liars_for_what_nobody_saw_nor_for_a_start_told_late():
+    assert believed(*[(0.3, BLIND)] * 6) == [True] * 6
+    assert believed(*[(0.13, SEES)] * 6) == [True] * 6
+    assert believed((0.1, SEES), *[(0.0, SEES)] * 2, *[(0.1, SEES)] * 3) == [True] * 6
+
+
+def test_encoders_that_freeze_are_found_out():
+    assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_contradiction_is_in_standard_deviations_of_both(seed):
+    rng = np.random.default_rng(seed)
+    a, b = (m.T @ m for m in rng.normal(size=(2, 5, 3)))
+    apart = rng.normal(size=3)
+    both = np.linalg.inv(a) + STEP_INFLATION * np.linalg.inv(b)
+    assert contradiction(apart, a, b) == pytest.approx(apart @ np.linalg.solve(both, apart), rel=1e-3)
+    blind = without_direction(b, np.array([1.0, 0.0]), 0.0)
+    assert contradiction(np.array([1.0, 0.0, 0.0]), a, blind) == pytest.approx(0.0, abs=1e-6)

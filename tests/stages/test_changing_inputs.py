@@ -1,0 +1,107 @@
+"""Recordings that change while they are read: one line, and nothing of the mixture is kept."""
+
+import os
+from pathlib import Path
+
+import pytest
+from bag_samples import write_drive
+
+import turtlebag.pipeline.stages.map
+from turtlebag.datasets import files
+from turtlebag.datasets.bags import convert
+from turtlebag.datasets.bags.reader import bag_info
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import FileBytes
+from turtlebag.datasets.stage_cache import StageCache
+from turtlebag.pipeline.cli.main import main
+
+
+@pytest.fixture(params=["bag_0.mcap", "a.bag"])
+def bag(request, tmp_path, monkeypatch):
+    """A bag file of several reads."""
+    monkeypatch.setattr(files, "_PIECE", 10_000)
+    write_drive(tmp_path / "drive", seconds=5.0)
+    file = tmp_path / "drive" / "bag_0.mcap"
+    if request.param == "a.bag":
+        convert.to_ros1_bag(file, tmp_path / "a.bag")
+        file = tmp_path / "a.bag"
+    assert file.stat().st_size > 80_000
+    return file
+
+
+def cut(path):
+    os.truncate(path, 40_000)
+
+
+def replaced(path):
+    other = path.with_name("other")
+    other.write_bytes(path.read_bytes())
+    other.replace(path)
+
+
+def written_to(path):
+    with path.open("r+b") as file:
+        file.seek(path.stat().st_size - 100)
+        file.write(bytes(100))
+
+
+def grown(path):
+    with path.open("ab") as file:
+        file.write(bytes(100))
+
+
+CHANGES = [cut, replaced, written_to, grown, Path.unlink]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_bag_that_changes_while_it_is_read_is_one_line(bag, change):
+    def read():
+        for number, _ in enumerate(open_bag(bag).messages()):
+            if number == 10:
+                change(bag)
+
+    with pytest.raises(InputError, match="changed while it was read") as refused:
+        read()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_bag_that_changed_between_two_readings_is_refused(bag):
+    opened = open_bag(bag)
+    list(opened.messages())
+    written_to(bag)
+    with pytest.raises(InputError, match="changed"):
+        list(opened.messages())
+    bag_info(bag)  # who opens it now reads what is there now
+
+
+def test_what_changed_while_it_was_mapped_is_neither_written_nor_kept(bag, tmp_path, monkeypatch, capsys):
+    cache = StageCache(tmp_path / "cache")
+    load = turtlebag.pipeline.stages.map.load_recording
+
+    def meanwhile(path, **options):
+        recording = load(path, **options)
+        replaced(path)
+        return recording
+
+    monkeypatch.setattr(turtlebag.pipeline.stages.map, "load_recording", meanwhile)
+    monkeypatch.setattr("turtlebag.datasets.stage_cache.default_cache", lambda: cache)
+    assert main(["map", str(bag), "--out", str(tmp_path / "map")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "map").exists()
+    assert not (tmp_path / "map.partial").exists()
+    assert cache.found == []
+    assert not list(tmp_path.glob("cache/*"))
+
+
+def test_a_file_gives_the_same_bytes_however_it_is_asked(tmp_path):
+    content = os.urandom(3_000_000)
+    (tmp_path / "a").write_bytes(content)
+    file = FileBytes(tmp_path / "a")
+    assert len(file) == len(content)
+    for piece in (slice(5, 9), slice(0, 3_000_000), slice(2_999_990, None), slice(-8, None), slice(9, 5)):
+        assert file[piece] == content[piece]
+    assert (file[0], file[-1]) == (content[0], content[-1])
+    for at in (0, (1 << 20) - 2, 2_999_990):
+        assert file.find(content[at : at + 8], 0) == at
+    assert file.find(b"turtlebag turtlebag", 0) == -1

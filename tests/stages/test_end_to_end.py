@@ -1,0 +1,236 @@
+"""The whole way, by numbers: record, map, navigate, report; through the command line, as a user goes it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_fakes import rehash
+from viewer import unresolved
+
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.verify import verify
+
+ROOT = Path(__file__).parents[2]
+LAP = """\
+name: short_lap
+v: 0.2
+w: 0.8
+steps:
+  - {through: [[-1.5, -1.5], [0, -2], [1.5, -1.5], [2, 0], [1.5, 1.5], [0, 2], [-1.5, 1.5], [-2, -0.5]]}
+  - {spin: 1}
+"""
+WAYPOINTS = "waypoints:\n  - {x: -1.5, y: -1.5, yaw: 0.0}\n  - {x: 0.0, y: -2.0, yaw: 1.57}\n"
+
+
+def turtlebag(*words: object) -> int:
+    return main(["--quiet" if word == "-q" else str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory):
+    """Folder with record/, map/, run/ and report/ of one seeded chain."""
+    folder = tmp_path_factory.mktemp("chain")
+    (folder / "lap.yaml").write_text(LAP)
+    (folder / "two.yaml").write_text(WAYPOINTS)
+    record, built, run = folder / "record", folder / "map", folder / "run"
+    world = ("--world", "turtlebot3_world", "--seed", 5)
+    assert turtlebag("record", *world, "--teleop", folder / "lap.yaml", "--out", record) == 0
+    assert turtlebag("map", record, "--truth", record / "truth", "--out", built) == 0
+    told = ("--task", "patrol", "--waypoints", folder / "two.yaml", "--initial-pose", "-2,-0.5,0")
+    assert turtlebag("navigate", *world, "--map", built / "map.yaml", *told, "--out", run) == 0
+    assert turtlebag("report", record, built, run, "--out", folder / "report") == 0
+    return folder
+
+
+def metrics(folder):
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def test_a_viewer_finds_everything_of_its_layout_in_the_bags(stages):
+    layouts = {path.name: json.loads(path.read_text()) for path in stages.glob("report/foxglove-layout*")}
+    on_map, on_odometry = layouts["foxglove-layout.json"], layouts["foxglove-layout-odom.json"]
+    assert unresolved(on_map, stages / "run/bag", without={"/points"}) == []
+    assert unresolved(on_odometry, stages / "record/bag", without={"/points", "/amcl_pose"}) == []
+
+
+def test_the_pages_on_files_name_every_file_of_every_stage(stages):
+    page = (ROOT / "docs/files.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", page, re.M))
+    for folder in ("record", "map", "run", "report"):
+        manifest = json.loads((stages / folder / "manifest.json").read_text())
+        parts = {path.partition("/")[0] + "/" * ("/" in path) for path in manifest["outputs"]}
+        assert {part for part in parts if f"`{part}`" not in rows[manifest["stage"]]} == set()
+
+
+def test_the_map_trajectory_is_within_three_centimetres_of_the_truth(stages):
+    found = metrics(stages / "map")
+    assert found["ate_m"]["rmse"] < 0.03
+    assert found["loops"]["accepted"] > 0
+    scans = load_tum(stages / "record" / "truth" / "trajectory.tum")
+    estimate = load_tum(stages / "map" / "trajectory.tum")
+    np.testing.assert_array_equal(estimate.stamps_ns, scans.stamps_ns)
+
+
+def test_the_map_shows_the_pillars_and_no_second_wall(stages):
+    grid = load_map(stages / "map" / "map.yaml")
+    assert metrics(stages / "map")["map"]["occupied_error_m"]["p95"] <= 0.05 + 1e-9
+    rim = 0.15 * np.stack([np.cos(np.arange(0, 6.28, 0.2)), np.sin(np.arange(0, 6.28, 0.2))], axis=-1)
+    for pillar in [(x, y) for x in (-1.1, 0.0, 1.1) for y in (-1.1, 0.0, 1.1) if (x, y) != (0.0, 0.0)]:
+        around = grid.value_at(np.array(pillar) + rim)
+        assert (around == 100).sum() >= 8, f"pillar {pillar} is not on the map"
+    assert grid.value_at(np.array([[-2.0, -0.5], [0.0, 2.0], [2.0, 0.0]])).tolist() == [0, 0, 0]
+
+
+def test_both_waypoints_are_reached_without_a_touch(stages):
+    found = metrics(stages / "run")
+    assert found["success"]
+    assert [goal["status"] for goal in found["goals"]] == ["reached", "reached"]
+    assert all(goal["error_m"] < 0.05 and goal["error_rad"] < 0.09 for goal in found["goals"])
+    assert found["collisions"] == {"visible": 0, "low": 0}
+    assert found["localisation_error_m"]["rmse"] < 0.03
+
+
+def test_the_report_stands_alone_and_says_where_numbers_come_from(stages):
+    page = (stages / "report" / "index.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "<svg" in page or 'src="data:image/' in page
+    for stage in ("record", "map", "run"):
+        manifest = json.loads((stages / stage / "manifest.json").read_text())
+        assert manifest["outputs"]["config.yaml"][:12] in page
+    assert "turtlebag map" in page
+
+
+def test_every_number_of_the_report_is_computed_again_and_a_lie_of_the_maps_own_check_is_found(
+    stages, tmp_path
+):
+    for name in ("record", "map", "run", "report"):
+        shutil.copytree(stages / name, tmp_path / name)
+    # Nothing is left where it was made: all is found beside the report.
+    found = verify(tmp_path / "report", main)
+    assert (found.problems, found.unchecked, found.notes) == ([], [], [])
+    assert "turtlebot3_world/map:self_check.revisits" in {check.key for check in found.checks}
+    for file in (tmp_path / "map/metrics.json", tmp_path / "report/metrics.json"):
+        text = file.read_text()
+        file.write_text(re.sub(r'"revisits": \d+', '"revisits": 7', text))
+        assert file.read_text() != text
+        rehash(file.parent, "metrics.json")
+    problems = verify(tmp_path / "report", main).problems
+    assert any(line.startswith("turtlebot3_world/map:self_check.revisits: reported 7, ") for line in problems)
+    assert "turtlebot3_world/map:self_check.revisits" in verify(tmp_path / "report").unchecked
+
+
+def test_the_same_seed_gives_the_same_bytes_wherever_it_is_written(stages, tmp_path):
+    again = tmp_path / "elsewhere"
+    world = ("--world", "turtlebot3_world", "--seed", 5)
+    assert turtlebag("record", *world, "--teleop", stages / "lap.yaml", "--out", again / "record") == 0
+    assert sha256_tree(again / "record" / "bag") == sha256_tree(stages / "record" / "bag")
+    assert sha256_tree(again / "record" / "truth") == sha256_tree(stages / "record" / "truth")
+    assert turtlebag("map", stages / "record", "--out", again / "map") == 0
+    for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o"):
+        assert (again / "map" / name).read_bytes() == (stages / "map" / name).read_bytes(), name
+
+
+def test_mapping_without_any_truth_at_hand_changes_no_byte(stages, tmp_path):
+    shutil.copytree(stages / "record" / "bag", tmp_path / "bag")
+    assert turtlebag("map", tmp_path / "bag", "--out", tmp_path / "map") == 0
+    for name in ("map.pgm", "trajectory.tum"):
+        assert (tmp_path / "map" / name).read_bytes() == (stages / "map" / name).read_bytes(), name
+
+
+def test_quiet_stages_print_their_results_and_nothing_else(stages, tmp_path, capfd):
+    (tmp_path / "dash.yaml").write_text("name: dash\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.8, -0.5]]}\n")
+    world, grid = ("--world", "turtlebot3_world", "--seed", 5), ("--map", stages / "map" / "map.yaml")
+    record, page = tmp_path / "record", tmp_path / "report"
+    commands = {
+        "record": ("record", *world, "--teleop", tmp_path / "dash.yaml"),
+        "map": ("map", record, "--explain", "--name", "map_dash"),
+        "localise": ("localise", record, *grid, "--initial-pose=-2,-0.5,0"),
+        "plan": ("plan", "--map", stages / "map", "--start=-2,-0.5,0", "--goal=-1.5,-1.5,0"),
+        "avoid": ("navigate", *world, "--task", "avoid", "--duration", 1),
+        "explore": ("navigate", *world, "--task", "explore", "--duration", 1),
+        "report": ("report", "--no-animation", record, tmp_path / "map"),
+        "convert": ("bag", "convert", record),
+        "recover": ("bag", "recover", record),
+    }
+    for name, (verb, *words) in commands.items():
+        assert turtlebag(verb, "-q", *words, "--out", tmp_path / name) in (0, 1), name
+        assert capfd.readouterr() == (f"{page / 'index.html'}\n" if name == "report" else "", ""), name
+    for ending in ("pgm", "yaml"):
+        kept, called = (tmp_path / f"map/{name}.{ending}" for name in ("map", "map_dash"))
+        assert called.read_bytes() == kept.read_bytes().replace(b"image: map.pgm", b"image: map_dash.pgm")
+
+
+def wrong_inputs(stages):
+    map_yaml = stages / "map" / "map.yaml"
+    lonely = stages / "lonely.yaml"
+    lonely.write_text(map_yaml.read_text().replace("map.pgm", "gone.pgm"))
+    record = ("record", "--teleop", "tour", "--seed", 1)
+    goal = (
+        "navigate",
+        "--world",
+        "turtlebot3_world",
+        "--task",
+        "goal",
+        "--seed",
+        1,
+        "--initial-pose",
+        "start",
+    )
+    return {
+        "unknown world": (*record, "--world", "mars"),
+        "unknown robot": (*record, "--world", "turtlebot3_world", "--robot", "r2d2"),
+        "unknown teleop": ("record", "--seed", 1, "--world", "turtlebot3_world", "--teleop", "moonwalk"),
+        "no such bag": ("map", stages / "nothing"),
+        "not a bag": ("map", stages / "lap.yaml"),
+        "image missing": (*goal, "--map", lonely, "--goal=0,2,0"),
+        "goal in a wall": (*goal, "--map", map_yaml, "--goal=0,2.58,0"),
+        "goal in a pillar": (*goal, "--map", map_yaml, "--goal=1.1,1.1,0"),
+        "goal off the map": (*goal, "--map", map_yaml, "--goal=50,0,0"),
+        "yaw not finite": (*goal, "--map", map_yaml, "--goal=0,2,nan"),
+        "unknown setting": ("map", stages / "record", "--set", "voxle=1"),
+    }
+
+
+CASES = [
+    "unknown world",
+    "unknown robot",
+    "unknown teleop",
+    "no such bag",
+    "not a bag",
+    "image missing",
+    "goal in a wall",
+    "goal in a pillar",
+    "goal off the map",
+    "yaw not finite",
+    "unknown setting",
+]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_one_line_exit_2_and_nothing_written(stages, tmp_path, capfd, case):
+    out = tmp_path / "out"
+    assert turtlebag(*wrong_inputs(stages)[case], "--out", out) == 2
+    complaint = capfd.readouterr().err.strip()
+    assert complaint.startswith("turtlebag: ")
+    assert "\n" not in complaint
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_robot_that_was_not_told_its_pose_refuses_and_says_so(stages, tmp_path):
+    goal = ("--task", "goal", "--goal=0,2,0", "--map", stages / "map" / "map.yaml")
+    assert turtlebag("navigate", "--world", "turtlebot3_world", *goal, "--out", tmp_path / "run") == 1
+    found = metrics(tmp_path / "run")
+    assert found["goals"][0]["status"] == "rejected"
+    assert "no initial pose" in found["goals"][0]["reason"]
+    assert found["distance_m"] < 0.01
+    # It ended before the first scan; that can be shown, and checked, too.
+    assert turtlebag("report", tmp_path / "run", "--no-animation", "--out", tmp_path / "report") == 0
+    seen = verify(tmp_path / "report", main)
+    assert (seen.problems, seen.unchecked) == ([], [])
+    assert "0 of 1 task succeeded" in (tmp_path / "report" / "index.html").read_text()

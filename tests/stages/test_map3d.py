@@ -1,0 +1,101 @@
+"""`turtlebag map` on bags with point clouds: which scans are taken, what is written, the same bytes again."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_bags import TYPES, header, laser_scan, write_foreign
+
+from benchmarks.slam3d_drives import ROUND, changed, make_drive, room, without_wheels
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.ply import read_ply
+from turtlebag.datasets.trajectories import load_tum
+from turtlebag.pipeline.stages.map import build_map
+
+CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
+
+
+def message(stamp_ns, cloud):
+    """As a driver sends it: float32 x, y, z and times in seconds, no return as NaN."""
+    rows = np.column_stack([cloud.points, cloud.times]).astype("<f4")
+    rows = np.vstack([rows, [[np.nan] * 3 + [0.0]]]).astype("<f4")
+    fields = [TYPES[FIELD](name, 4 * k, 7, 1) for k, name in enumerate(("x", "y", "z", "time"))]
+    data = np.frombuffer(rows.tobytes(), dtype=np.uint8)
+    return TYPES[CLOUD](
+        header(stamp_ns, "velodyne"), 1, len(rows), fields, False, 16, 16 * len(rows), data, False
+    )
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Five seconds, nothing but clouds."""
+    return changed(without_wheels(make_drive(room(), ROUND, v=0.8)), lambda k, c: c if 4 < k < 30 else None)
+
+
+@pytest.fixture(scope="module")
+def bag(drive, tmp_path_factory):
+    recording = drive.recording
+    folder = tmp_path_factory.mktemp("bags") / "foreign"
+    stamps = recording.stamps_ns.tolist()
+    clouds = zip(stamps, recording.clouds, strict=True)
+    return write_foreign(
+        folder, [("/velodyne_points", CLOUD, stamp, message(stamp, cloud)) for stamp, cloud in clouds]
+    )
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.name != "manifest.json"}
+
+
+def test_a_bag_of_clouds_alone_is_mapped_in_3d_and_again_to_the_same_bytes(bag, drive, tmp_path):
+    assert build_map(bag, tmp_path / "a", explain=True) == 0
+    assert build_map(bag, tmp_path / "b", explain=True, topic="/velodyne_points") == 0
+    assert files(tmp_path / "a") == files(tmp_path / "b")
+    names = (
+        "config.yaml explain.json graph.g2o graph.json map.pgm map.ply map.yaml metrics.json trajectory.tum"
+    )
+    assert sorted(files(tmp_path / "a")) == names.split()
+    trajectory = load_tum(tmp_path / "a" / "trajectory.tum")
+    np.testing.assert_array_equal(trajectory.stamps_ns, drive.recording.stamps_ns)
+    metrics = json.loads((tmp_path / "a" / "metrics.json").read_text())
+    assert metrics["scans"] == len(drive.recording)
+    assert {"keyframes", "loops", "log_s", "self_check"} <= metrics.keys()
+    assert (load_map(tmp_path / "a" / "map.yaml").cells == 100).sum() > 100
+    assert len(read_ply(tmp_path / "a" / "map.ply")) > 5000
+
+
+def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
+    stamps = drive.recording.stamps_ns.tolist()[:3]
+    both = [
+        ("/points", CLOUD, s, message(s, c)) for s, c in zip(stamps, drive.recording.clouds, strict=False)
+    ]
+    both += [("/scan", SCAN, stamp, laser_scan(stamp, [2.0] * 360)) for stamp in stamps]
+    path = write_foreign(tmp_path / "both", both)
+    assert build_map(path, tmp_path / "flat") == 0
+    assert "map.ply" not in files(tmp_path / "flat")
+    assert build_map(path, tmp_path / "deep", topic="/points") == 0
+    assert "map.ply" in files(tmp_path / "deep")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"topic": "/nothing"}, "--topic /nothing is not in this bag"),
+        ({"also": [Path("other")]}, "--also: only for planar scans"),
+        ({"settings": ["grid.resolution_m=0.1"]}, "grid"),
+        ({"settings": ["slice.low_m=0.5", "slice.high_m=0.2"]}, "low_m must be below high_m"),
+    ],
+)
+def test_what_does_not_fit_is_one_line_and_nothing_written(bag, tmp_path, arguments, words):
+    arguments = {key: [bag] if key == "also" else value for key, value in arguments.items()}
+    with pytest.raises(InputError, match=words):
+        build_map(bag, tmp_path / "out", **arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_3d_are_refused_for_planar_scans(tmp_path):
+    path = write_foreign(tmp_path / "flat", [("/scan", SCAN, 0, laser_scan(0, [2.0] * 360))])
+    with pytest.raises(InputError, match="slice"):
+        build_map(path, tmp_path / "out", settings=["slice.high_m=0.5"])

@@ -1,0 +1,356 @@
+"""Campaigns: expansion, failures, resuming, the table, the statistics."""
+
+import json
+import math
+import sys
+import uuid
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pytest
+
+from turtlebag.datasets.claims import MARKER, claimed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
+from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, cases, load_campaign
+from turtlebag.pipeline.campaign.case import run_case
+from turtlebag.pipeline.campaign.table import query, write_parquet
+from turtlebag.reports.campaign import compare_pairs, summarise
+from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
+
+CAMPAIGN = """
+name: small
+question: Does it?
+factors:
+  size: [1, 2, 3]
+  kind: {plain: "", strange: "--odd 'two words'"}
+  seed: {first: 1, last: 4}
+stages:
+  make: "fake --size {size} --seed {seed} {kind}"
+  check: "fake --size {size} --of {make}/metrics.json"
+results: {error_m: {at: "make:error.rmse", label: error, unit: cm}, good: "check:good"}
+compare: size
+against: 1
+figures:
+  - {x: size, y: error_m, lines: kind}
+  - {x: size, y: good, panels: kind}
+"""
+
+
+def fake_main(argv):
+    """Stands in for the command line: a stage that knows its answer at once."""
+    given = dict(zip(argv[1::2], argv[2::2], strict=False))
+    size = int(given["--size"])
+    if size == 99:
+        raise RuntimeError("a defect")
+    if size == 98:
+        print("turtlebag: bad size 98", file=sys.stderr)
+        return 2
+    out = Path(argv[argv.index("--out") + 1])
+    out.mkdir(parents=True)
+    noise = 0.001 * int(given.get("--seed", 0))
+    write_json(out / "metrics.json", {"error": {"rmse": 0.1 * size + noise}, "good": size < 3})
+    (out / "big.bin").write_bytes(b"0" * 100)
+    write_manifest(out, stage="fake", command=argv, inputs={}, seed=None, wall_s=0.0)
+    return 0
+
+
+def load(tmp_path, text=CAMPAIGN):
+    (tmp_path / "campaign.yaml").write_text(text)
+    return load_campaign(str(tmp_path / "campaign.yaml"))
+
+
+def test_the_grid_has_every_combination_once(tmp_path):
+    found = cases(load(tmp_path))
+    assert len(found) == 24
+    assert len({case.name for case in found}) == 24
+    strange = next(case for case in found if case.factors["kind"] == "strange")
+    assert strange.commands["make"][-2:] == ["--odd", "two words"]
+    assert strange.commands["check"][-1] == "{make}/metrics.json"
+
+
+def test_levels_can_be_scaled_and_can_name_each_other(tmp_path):
+    text = CAMPAIGN.replace(
+        "\"--odd 'two words'\"", '"--a={size:1-0.25*x} --b={size:0.1*x} --c={size:-2+0.5*x}"'
+    )
+    strange = next(case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange")
+    assert strange.commands["make"][-3:] == ["--a=0.75", "--b=0.1", "--c=-1.5"]
+    with pytest.raises(InputError, match="not of the form"):
+        cases(load(tmp_path, text.replace("0.1*x", "x*x")))
+
+
+def test_levels_can_stand_for_texts(tmp_path):
+    text = CAMPAIGN.replace("\"--odd 'two words'\"", '"{size:--a [0, 0]|--b|--c [1]}"')
+    found = [case for case in cases(load(tmp_path, text)) if case.factors["kind"] == "strange"]
+    assert found[0].commands["make"][-3:] == ["--a", "[0,", "0]"]
+    assert [case.commands["make"][-1] for case in found[4::4]] == ["--b", "[1]"]
+    with pytest.raises(InputError, match="no text for level 3"):
+        cases(load(tmp_path, text.replace("|--c [1]", "")))
+
+
+def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
+    text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
+    with pytest.raises(InputError, match="needs `sample`"):
+        load(tmp_path, text)
+    found = cases(load(tmp_path, text + "sample: 50\n"))
+    sizes = [case.factors["size"] for case in found]
+    assert len(sizes) == 50
+    assert 0.5 <= min(sizes) < max(sizes) <= 2.0
+    assert cases(load(tmp_path, text + "sample: 50\n")) == found
+    assert cases(load(tmp_path, text + "sample: 50\nseed: 2\n")) != found
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("compare: size", "compare: shape", "no factor"),
+        ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
+        ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
+        ("y: good", "y: bad", "no result"),
+        ("question:", "questoin:", "unknown key"),
+        ("compare: size", "shared: [cook]", "cook is no stage"),
+        ("unit: cm", "unit: inch", "unit inch: known are"),
+        ("panels: kind", "panels: colour", "colour is no factor"),
+        ("size: [1, 2, 3]", "size: []", "factors.size: has no levels"),
+        ("{first: 1, last: 4}", "{first: 4, last: 1}", "factors.seed: first 4 is after last 1"),
+        ("against: 1", "against: 4", "against: 4 is no level of size"),
+        ("  seed: {first", "  error: [1]\n  seed: {first", "factors.error: the table has a column"),
+        ("  seed: {first", "  case: [1]\n  seed: {first", "factors.case: the table has a column"),
+        (' good: "check', ' failed: "check', "results.failed: the table has a column"),
+        (' good: "check', ' size: "check', "size is both a factor and a result"),
+        ('/metrics.json"', "/metrics.json 'x\"", "stages.check: .* 'x`: no closing quotation"),
+    ],
+)
+def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
+    assert old in CAMPAIGN
+    with pytest.raises(InputError, match=message):
+        cases(load(tmp_path, CAMPAIGN.replace(old, new)))
+
+
+@pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
+def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
+    write_parquet([{"size": 1}], tmp_path / "runs.parquet")
+    assert query(tmp_path / "runs.parquet", "SELECT size FROM runs") == (["size"], [(1,)])
+    with pytest.raises(InputError, match="asks nothing"):
+        query(tmp_path / "runs.parquet", sql)
+
+
+def row_of(tmp_path, run=fake_main, **factors):
+    commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
+    case = {"name": "c", "factors": factors, "commands": commands}
+    return run_case(case, {"error_m": "make:error.rmse"}, str(tmp_path / "c"), ["metrics.json"], run)
+
+
+def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path):
+    row = row_of(tmp_path, size=2)
+    assert row == {"case": "c", "size": 2, "failed": False, "error": "", "error_m": pytest.approx(0.202)}
+    assert json.loads((tmp_path / "c/row.json").read_text()) == row
+    assert not (tmp_path / "c/make/big.bin").exists()
+    assert (tmp_path / "c/make/metrics.json").exists()
+
+
+@pytest.mark.parametrize(("size", "reason"), [(98, "turtlebag: bad size 98"), (99, "RuntimeError: a defect")])
+def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, size, reason):
+    row = row_of(tmp_path, size=size)
+    assert row["failed"]
+    assert row["error"] == f"make: {reason}"
+    assert row["error_m"] is None
+
+
+def test_a_finished_case_is_not_run_again(tmp_path):
+    first = row_of(tmp_path, size=2)
+    assert row_of(tmp_path, lambda argv: pytest.fail("ran again"), size=2) == first
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, scheduler):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
+    names, rows = query(
+        tmp_path / "out/results.parquet",
+        "SELECT size, median(error_m) AS m, "
+        "count(*) FILTER (failed) AS f FROM runs GROUP BY size ORDER BY size",
+    )
+    assert names == ["size", "m", "f"]
+    assert rows == [(1, pytest.approx(0.1025), 0), (2, pytest.approx(0.2025), 0), (99, None, 8)]
+    page = (tmp_path / "out/index.html").read_text()
+    assert "8 of them failed" in page
+    assert "RuntimeError: a defect" in page
+    assert "24 cases (size 3, kind 2, seed 4)" in page
+    assert (
+        "<strong>error</strong>: 2 10.0\u202fcm (10.0\u202fcm to 10.0\u202fcm); no clear difference for 99"
+        in page
+    )
+    assert "Good over size, for each kind." in page
+    assert page.count('<td class="clear">') == 1
+    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    pair = next(p for p in summary["pairs"] if p["level"] == 2 and p["result"] == "error_m")
+    assert pair["found"]["difference"]["value"] == pytest.approx(0.1)
+    assert pair["found"]["difference"]["n"] == 8
+    with pytest.raises(InputError):
+        query(tmp_path / "out/results.parquet", "SELECT nothing FROM runs")
+
+
+def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, scheduler, monkeypatch):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "whole", fake_main, scheduler=scheduler) == 0
+
+    def stopped(found, description, total):
+        for count, row in enumerate(found):
+            if count == 10:
+                raise KeyboardInterrupt
+            yield row
+
+    monkeypatch.setattr("turtlebag.pipeline.campaign.sweep.track", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler)
+    done = len(list((tmp_path / "parts.partial/cases").glob("*/row.json")))
+    assert 10 <= done <= 24
+    monkeypatch.undo()
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler) == 0
+    assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
+
+
+def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    ran = tmp_path / "ran"  # what is run goes to the workers as a copy: it counts in files
+    ran.mkdir()
+
+    def counted(argv):
+        (ran / uuid.uuid4().hex).touch()
+        return fake_main(argv)
+
+    text = CAMPAIGN.replace("--seed {seed} {kind}", "--seed {seed}").replace(
+        "metrics.json", "metrics.json {kind}"
+    )
+    (tmp_path / "campaign.yaml").write_text(text)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "alone", counted, scheduler=scheduler) == 0
+    assert len(list(ran.iterdir())) == 2 * 24
+    (tmp_path / "campaign.yaml").write_text(text + "shared: [make]\n")
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "together", counted, scheduler=scheduler) == 0
+    assert len(list(ran.iterdir())) == 2 * 24 + 24 + 12
+    rows = [(tmp_path / name / "summary.json").read_bytes() for name in ("alone", "together")]
+    assert rows[0] == rows[1]
+    shared = list((tmp_path / "together/shared").iterdir())
+    assert len(shared) == 12
+    assert {path.name for path in shared[0].iterdir()} == {"metrics.json", "manifest.json"}
+    assert not (tmp_path / "together/cache").exists()
+
+
+def test_without_a_terminal_lines_say_how_much_is_left(monkeypatch, caplog):
+    from turtlebag.pipeline.campaign import sweep
+
+    monkeypatch.setattr(sweep, "TELL_S", -1.0)
+    monkeypatch.setattr(sweep.Stopwatch, "seconds", lambda watch: 600.0)
+    with caplog.at_level("INFO", logger="turtlebag"):
+        assert list(sweep._told(iter([{"case": "a"}, {"case": "b"}]), 4)) == [{"case": "a"}, {"case": "b"}]
+    assert [record.message for record in caplog.records] == [
+        "1 of 4 cases, about 30 min left",
+        "2 of 4 cases, about 10 min left",
+    ]
+
+
+def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, scheduler):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / MARKER).write_text("turtlebag\n")
+    (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    with pytest.raises(InputError, match="another campaign"):
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler)
+
+
+def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatch):
+    from turtlebag.pipeline.campaign import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
+    for _ in range(2):
+        with claimed(arguments[1]) as claim:
+            folder = sweep._work_folder(load_campaign(arguments[0]), claim)
+            (folder / "cases/row").write_text("old")
+    monkeypatch.setattr(sweep, "surroundings", lambda sources: "of tomorrow")
+    with pytest.raises(InputError, match=r"other code.*--force"):
+        sweep.sweep(*arguments, scheduler=scheduler)
+    assert (folder / "cases/row").exists()
+    assert sweep.sweep(*arguments, scheduler=scheduler, force=True) == 0
+    assert not (arguments[1] / "cases/row").exists()
+    assert not (arguments[1] / sweep.MARK).exists()
+
+
+def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_read(tmp_path, scheduler):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "own.yaml").write_text("a: 1\n")
+    text = CAMPAIGN.replace("--odd 'two words'", f"--world={tmp_path}/own.yaml:gate=open")
+    (tmp_path / "campaign.yaml").write_text(text)
+    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 0
+    inputs = json.loads((tmp_path / "out/manifest.json").read_text())["inputs"]
+    assert inputs["campaign"]["sha256"] == {"campaign.yaml": sha256_text(text)}
+    assert inputs[str(tmp_path / "own.yaml")]["sha256"] == {"own.yaml": sha256_text("a: 1\n")}
+
+
+def test_every_shipped_study_can_be_expanded():
+    for path in FOLDER.glob("*.yaml"):
+        campaign = load_campaign(path.stem)
+        assert campaign.name == path.stem
+        assert len(cases(campaign)) > 1
+
+
+def test_the_median_interval_covers_the_true_median_about_as_often_as_it_says():
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(100):
+        found = median_interval(rng.exponential(size=30), rng)
+        hits += found.low <= math.log(2.0) <= found.high
+    assert 85 <= hits <= 100
+
+
+def test_wilsons_interval_is_the_published_one():
+    found = share_interval(15, 20)
+    assert (found.low, found.high) == (pytest.approx(0.531, abs=1e-3), pytest.approx(0.888, abs=1e-3))
+    assert share_interval(20, 20).high == 1.0
+    assert 0.8 < share_interval(20, 20).low < 0.9
+    assert share_interval(0, 0).value is None
+
+
+def test_pairs_see_a_small_shift_that_the_spread_hides():
+    rng = np.random.default_rng(0)
+    a = {key: float(rng.normal()) for key in range(40)}
+    b = {key: value + 0.05 + float(rng.normal(scale=0.02)) for key, value in a.items()}
+    found = paired(a, {**b, "alone": 9.0}, rng)
+    assert found.difference.n == 40
+    assert found.difference.low > 0.0
+    assert found.less < 0.1
+
+
+def test_failed_cases_count_against_a_share_and_not_in_a_median():
+    rows = [
+        {"f": "a", "failed": False, "good": True, "error_m": 1.0},
+        {"f": "a", "failed": True, "good": None, "error_m": None},
+        {"f": "b", "failed": False, "good": False, "error_m": 3.0},
+    ]
+    good, _, error, _ = summarise(rows, "f", ["good", "error_m"], 1)
+    assert (good.kind, good.interval.value, good.failed) == ("share", 0.5, 1)
+    assert (error.kind, error.interval.value, error.interval.n) == ("median", 1.0, 1)
+    (pair,) = compare_pairs(rows[:1] + rows[2:], "f", "a", [], ["error_m"], 1)
+    assert pair.found.difference.value == 2.0
+
+
+def test_a_campaign_needs_its_keys():
+    with pytest.raises(ValueError, match="stages"):
+        Campaign.model_validate({"name": "x", "factors": {}, "results": {}})
