@@ -51,23 +51,11 @@ PARTS = (*TABLES, *EPISODES)
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
 ROS_DEFAULTS = AmclConfig(
-    aggregation="cubes", sigma_hit=0.2, z_hit=0.95, z_rand=0.05, max_beams=30, min_particles=100,
+    sigma_hit=0.2, z_hit=0.95, z_rand=0.05, max_beams=30, min_particles=100,
     max_particles=5000, update_min_d=0.2, update_min_a=math.pi / 6, alpha1=0.2, alpha2=0.2, alpha3=0.2,
     alpha4=0.2, recovery_alpha_slow=0.0, recovery_alpha_fast=0.0, refine=False,
 )  # fmt: skip
-MODELS = {
-    "default": AmclConfig(),
-    **{
-        f"{model}, {aggregation}{', mean only' * (not refine)}": AmclConfig(
-            laser_model_type=model, aggregation=aggregation, refine=refine
-        )
-        for model in ("likelihood_field", "beam")
-        for aggregation in ("product", "cubes")
-        for refine in (True, False)
-        if not (model == "likelihood_field" and aggregation == "product" and refine)
-    },
-    "ROS's numbers": ROS_DEFAULTS,
-}
+MODELS = {"default": AmclConfig(), "mean only": AmclConfig(refine=False), "ROS's numbers": ROS_DEFAULTS}
 
 
 def follow(amcl: Amcl, log: list[Sweep], *, deskew: bool = True) -> Array:

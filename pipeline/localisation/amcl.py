@@ -21,7 +21,7 @@ from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.push_detection import StandingWatch
-from turtlebag.pipeline.localisation.sensor import make_sensor_model
+from turtlebag.pipeline.localisation.sensor import LikelihoodField
 
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
@@ -64,7 +64,7 @@ class Amcl:
             else lidar.range_max,
         )
         self._field = distance_field(grid, config.likelihood_max_dist)
-        self._sensor = make_sensor_model(config, self._field, self._limits[1])
+        self._sensor = LikelihoodField(config, self._field, self._limits[1])
         self.searches = 0
         """How often poses from a search over the whole map were taken in."""
         self.pushes = 0

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.localisation.beam_model import expected_ranges
 from turtlebag.pipeline.localisation.field import DistanceField
+from turtlebag.pipeline.localisation.ray_casting import expected_ranges
 
 # Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
 # heading), and ranges so far from all of them [m] are clearly others.

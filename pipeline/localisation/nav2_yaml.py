@@ -19,7 +19,6 @@ _SAME = [
     "update_min_a",
     "resample_interval",
     "selective_resampling",
-    "laser_model_type",
     "laser_min_range",
     "laser_max_range",
     "recovery_alpha_slow",
@@ -29,10 +28,7 @@ _SAME = [
     "initial_cov_aa",
     "sigma_hit",
     "z_hit",
-    "z_short",
-    "z_max",
     "z_rand",
-    "lambda_short",
     "max_beams",
     "alpha1",
     "alpha2",
@@ -47,15 +43,8 @@ NAMES: dict[str, str] = {
     "laser_likelihood_max_dist": "likelihood_max_dist",
     "likelihood_max_dist": "likelihood_max_dist",
     **{f"odom_alpha{i}": f"alpha{i}" for i in range(1, 5)},
-    **{f"laser_{name}": name for name in ("max_beams", "z_hit", "z_short", "z_max", "z_rand")},
+    **{f"laser_{name}": name for name in ("max_beams", "z_hit", "z_rand")},
     "laser_sigma_hit": "sigma_hit",
-    "laser_lambda_short": "lambda_short",
-}
-# Their laser model -> ours and how it joins beams: their plain likelihood field adds up cubes.
-MODELS: dict[str, tuple[str, str]] = {
-    "likelihood_field": ("likelihood_field", "cubes"),
-    "likelihood_field_prob": ("likelihood_field", "product"),
-    "beam": ("beam", "product"),
 }
 
 
@@ -74,17 +63,15 @@ def is_nav2(data: dict[str, Any]) -> bool:
 
 
 def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
-    """Parameters of the `amcl` node; InputError when its laser model is unknown."""
+    """Parameters of the `amcl` node; InputError when there is none.
+
+    Whatever their laser model, ours is the likelihood field with its probabilities multiplied.
+    """
     node = {"ros__parameters": data} if _is_flat(data) else _amcl_node(data)
     parameters = node.get("ros__parameters") if isinstance(node, dict) else None
     if not isinstance(parameters, dict):
         raise InputError(f"{where}: no amcl: ros__parameters: in it")
     known = {NAMES[name]: value for name, value in parameters.items() if name in NAMES}
-    if "laser_model_type" in known:
-        model = known["laser_model_type"]
-        if model not in MODELS:
-            raise InputError(f"{where}: laser_model_type {model}: known are {', '.join(MODELS)}")
-        known["laser_model_type"], known["aggregation"] = MODELS[model]
     return ForeignParameters(known, tuple(sorted(str(name) for name in parameters if name not in NAMES)))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -37,18 +36,13 @@ class AmclConfig(BaseModel):
     alpha3: float = Field(default=0.01, ge=0.0)  # translation from translation
     alpha4: float = Field(default=0.005, ge=0.0)  # translation [m] from rotation [rad]
 
-    laser_model_type: Literal["likelihood_field", "beam"] = "likelihood_field"
-    aggregation: Literal["product", "cubes"] = "product"
     max_beams: int = Field(default=60, ge=1)
     laser_min_range: float = -1.0  # -1: the sensor's own
     laser_max_range: float = -1.0
     likelihood_max_dist: float = Field(default=2.0, gt=0.0, le=100.0)
     sigma_hit: float = Field(default=0.05, gt=0.0)
     z_hit: float = Field(default=0.7, gt=0.0)
-    z_short: float = Field(default=0.05, ge=0.0)  # beam model only
-    z_max: float = Field(default=0.05, ge=0.0)  # beam model only
     z_rand: float = Field(default=0.3, gt=0.0)
-    lambda_short: float = Field(default=0.1, gt=0.0)  # beam model only
 
     recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)
     recovery_alpha_fast: float = Field(default=0.1, ge=0.0, le=1.0)

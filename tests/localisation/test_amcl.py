@@ -141,11 +141,9 @@ def test_a_blind_scan_leaves_the_estimate_to_odometry(room, log, reading):
     assert errors(amcl, seen)[:, 0].max() < 0.06
 
 
-@pytest.mark.parametrize(
-    "settings", [{"laser_model_type": "beam"}, {"aggregation": "cubes", "sigma_hit": 0.2}, {"refine": False}]
-)
-def test_every_model_tracks(room, log, settings):
-    amcl = make(room, **settings)
+@pytest.mark.parametrize("refine", [True, False])
+def test_the_filter_tracks_with_and_without_the_fine_pose(room, log, refine):
+    amcl = make(room, refine=refine)
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
     assert rms(errors(amcl, log[:150])[10:, 0]) < 0.05
 

@@ -10,7 +10,6 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import global_search as search
-from turtlebag.pipeline.localisation.beam_model import BeamModel, beam_probability, expected_ranges
 from turtlebag.pipeline.localisation.beams import prepare, spread
 from turtlebag.pipeline.localisation.distinguishing_views import (
     _beyond,
@@ -22,7 +21,8 @@ from turtlebag.pipeline.localisation.field import bilinear, distance_field, hit_
 from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.local_search import NEIGHBOURS, climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.sensor import LikelihoodFieldModel, make_sensor_model
+from turtlebag.pipeline.localisation.ray_casting import expected_ranges
+from turtlebag.pipeline.localisation.sensor import LikelihoodField
 
 
 def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):
@@ -137,39 +137,20 @@ def test_a_beam_is_as_likely_as_its_path_and_its_end_say(seed):
     assert len(np.unique(found[:, 7:])) == 2
 
 
-def test_the_beam_model_weighs_spread_beams_and_counts_silence_as_the_farthest_range():
+def test_the_likelihood_field_multiplies_what_spread_beams_say():
     room, rng = l_shaped_room(), np.random.default_rng(11)
     T = SE2.from_xyt(2.0, 2.0, 0.3)
     ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), LIDAR.angles, 2.0)
     beams = prepare(Scan(0, ranges.astype(np.float32), LIDAR), T_BASE_LIDAR)
-    assert len(beams.silent_origins) > 40
-    field = distance_field(room.grid(), 2.0)
+    field, config = distance_field(room.grid(), 2.0), AmclConfig(max_beams=30)
     poses = T.xyt + rng.normal(0.0, 0.1, (5, 3))
-    for aggregation in ("product", "cubes"):
-        config = AmclConfig(max_beams=30, aggregation=aggregation, laser_model_type="beam")
-        model = make_sensor_model(config, field, 2.0)
-        assert isinstance(model, BeamModel)
-        silent = spread(len(beams.silent_origins), 30 * len(beams.silent_origins) // beams.total)
-        hits = spread(len(beams), 30 - len(silent))
-        way = (beams.points - beams.origins)[hits]
-        directions = np.vstack([way / np.linalg.norm(way, axis=1)[:, None], beams.silent_directions[silent]])
-        starts = np.vstack([beams.origins[hits], beams.silent_origins[silent]])
-        expected = expected_ranges(field.distance, frame_of(field), poses, starts, directions, 2.0)
-        measured = np.r_[beams.ranges[hits], [2.0] * len(silent)]
-        p = beam_probability(measured, expected, config, 2.0)
-        wanted = np.log(p).sum(axis=1) if aggregation == "product" else np.log(1.0 + (p**3).sum(axis=1))
-        np.testing.assert_allclose(model.weigh(poses, beams), wanted)
-        field_model = make_sensor_model(
-            config.model_copy(update={"laser_model_type": "likelihood_field"}), field, 2.0
-        )
-        assert isinstance(field_model, LikelihoodFieldModel)
-        distance, factor = field.finer()
-        p = hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, 2.0)
-        table = (np.log(p) if aggregation == "product" else p**3).astype(np.float32)
-        points = (beams.points[spread(len(beams), 30)] * factor / 0.05).astype(np.float32)
-        total = sum_over_beams(table, float(table.min()), frame_of(field, factor), poses, points)
-        wanted = total if aggregation == "product" else np.log(1.0 + total)
-        np.testing.assert_allclose(field_model.weigh(poses, beams), wanted, rtol=1e-6)
+    distance, factor = field.finer()
+    table = np.log(hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, 2.0)).astype(
+        np.float32
+    )
+    points = (beams.points[spread(len(beams), 30)] * factor / 0.05).astype(np.float32)
+    wanted = sum_over_beams(table, float(table.min()), frame_of(field, factor), poses, points)
+    np.testing.assert_allclose(LikelihoodField(config, field, 2.0).weigh(poses, beams), wanted, rtol=1e-6)
 
 
 def test_a_field_four_times_finer_is_interpolated_between_the_same_centres():

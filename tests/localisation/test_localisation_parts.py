@@ -13,7 +13,6 @@ from turtlebag.datasets.grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.beam_model import beam_probability, expected_ranges
 from turtlebag.pipeline.localisation.beams import deskewed, prepare, spread
 from turtlebag.pipeline.localisation.estimate import main_cluster
 from turtlebag.pipeline.localisation.field import distance_field, hit_probability, sum_over_beams
@@ -21,6 +20,7 @@ from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.global_search import path_probabilities, tempered
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.ray_casting import expected_ranges
 
 
 def grid_with(occupied, shape=(20, 30), resolution=0.1, T_map_grid=None):
@@ -223,14 +223,6 @@ def test_expected_ranges_are_those_of_the_room():
     assert np.mean(np.abs(found - true) < 0.04) > 0.95
 
 
-def test_beam_model_mixes_four_causes():
-    c = AmclConfig(z_hit=0.5, z_short=0.2, z_max=0.1, z_rand=0.2, sigma_hit=0.1, lambda_short=0.5)
-    p = beam_probability(np.array([1.0, 3.5, 3.0]), np.array([[2.0, 3.5, 2.0]]), c, 3.5)[0]
-    assert p[0] == pytest.approx(0.2 * 0.5 * math.exp(-0.5) + 0.2 / 3.5)
-    assert p[1] == pytest.approx(0.5 + 0.1)
-    assert p[2] == pytest.approx(0.2 / 3.5)
-
-
 def test_a_beam_through_a_wall_and_a_silent_one_into_a_wall_speak_against_a_pose():
     grid = grid_with([(r, 10) for r in range(20)] + [(r, 20) for r in range(20)])
     field = distance_field(grid, 2.0)
@@ -272,12 +264,11 @@ def test_a_nav2_file_is_read_and_its_strange_keys_are_named():
     }
     assert is_nav2(data)
     found = read_nav2(data, where="x.yaml")
-    assert found.ignored == ("base_frame_id", "robot_model_type")
+    assert found.ignored == ("base_frame_id", "laser_model_type", "robot_model_type")
     config = AmclConfig(**found.known)
-    assert (config.alpha1, config.kld_err, config.aggregation) == (0.2, 0.05, "cubes")
-    data["amcl"]["ros__parameters"]["laser_model_type"] = "magic"
-    with pytest.raises(InputError, match="laser_model_type magic"):
-        read_nav2(data, where="x.yaml")
+    assert (config.alpha1, config.kld_err) == (0.2, 0.05)
+    with pytest.raises(InputError, match="no amcl"):
+        read_nav2({"amcl": {}}, where="x.yaml")
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
