@@ -44,6 +44,7 @@ def commands(text):
     return [(line, int((re.findall(r"# exit (\d)$", line) or ["0"])[0])) for line in lines if line.strip()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page.read_text())], ids=name_of)
 def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 BELOW = ["datasets", "sim", "planners", "reports"]
 MAY_IMPORT = {

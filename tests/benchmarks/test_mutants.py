@@ -108,6 +108,7 @@ def tree(tmp_path):
     return Tree(root, tmp_path / "home")
 
 
+@pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
     monkeypatch.setattr("benchmarks.mutants_run.GRACE_S", 5.0)
     source = (tree.path / "planners/a.py").read_text()

@@ -41,6 +41,7 @@ def same(a, b):
     return np.array_equal(a.xyt, b.xyt)
 
 
+@pytest.mark.slow
 def test_an_episode_comes_from_its_seed_alone():
     known = {scenario.name: scenario for scenario in scenarios(OneMap(), False)}
     for name in ("house burger", "kidnap, house"):
@@ -63,6 +64,7 @@ def test_other_sensors_change_nothing_else_of_an_episode():
     assert with_sensors(kidnap, "realistic").make(3).name == "kidnap, house"
 
 
+@pytest.mark.slow
 def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():
     for seed in range(2):
         case = faults.kidnap(OneMap(), "house", "kidnap, house", seed)

@@ -35,6 +35,7 @@ def test_headings_go_round_once_and_no_gap_is_wider_than_the_docstring_says():
     assert gaps.max() < math.radians(18.5)
 
 
+@pytest.mark.slow
 def test_a_straight_way_is_as_long_as_the_straight_line():
     a, b = SE2.from_xyt(0.525, 0.525, 0.3), SE2.from_xyt(1.525, 3.325, -2.0)
     assert Lattice(hall(), BURGER).shortest(a, b) == pytest.approx(math.hypot(1.0, 2.8), rel=1e-6)

@@ -6,6 +6,8 @@ import time
 from collections import Counter
 from functools import partial
 
+import pytest
+
 from benchmarks import slam_campaign, slam_rows, slam_targets
 from benchmarks.numbers import counted
 from benchmarks.slam_cases import drive_cases
@@ -74,6 +76,7 @@ def test_rows_of_the_same_code_are_kept_and_a_cut_line_is_none(tmp_path):
     assert [row["m"] for row in Rows(file, "code 2", keep=True).of(cases)] == [4.0, 2.0, 3.0]
 
 
+@pytest.mark.slow
 def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
     cases = [
         Case("raises", partial(int, "x"), {"kind": 1}),

@@ -26,12 +26,14 @@ TRIES = {"stage folders": 8, "sweep": 5, "waypoints": 6, "localise": 8, "blame":
 """Variants of a case; the slower ones are fewer."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
     found = [attempt(case, CASES[case], chain, seed) for seed in range(TRIES.get(case, 12))]
     assert not any(found), "\n".join(filter(None, found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
@@ -57,6 +59,7 @@ def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path
     assert code in (0, 1), said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", [lambda: None, lambda: time.sleep(0.1)], ids=["computes", "waits"])
 def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path, what):
     def endless(words):
@@ -68,6 +71,7 @@ def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path
     assert "more than 0.2 s" in complaint(["map", "x"], tmp_path, seconds=0.2)
 
 
+@pytest.mark.slow
 def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
     @njit(cache=False)
     def kernel(values):
@@ -96,6 +100,7 @@ def refusal(read, given):
     return ""
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.text(max_size=60), name=st.sampled_from(["tum", "relations"]))
 def test_text_files_are_read_or_refused_in_one_line(tmp_path_factory, data, name):
@@ -129,6 +134,7 @@ def test_any_text_is_yaml_or_refused_in_one_line(text):
     assert "\n" not in refusal(lambda text: parsed(text, where="--set x"), text)
 
 
+@pytest.mark.slow
 def test_a_variant_is_the_same_whenever_it_is_made(chain, tmp_path):
     for case in ("world", "bag to map", "truth"):
         made = []
@@ -158,6 +164,7 @@ def test_a_waypoint_of_numbers_beyond_floats_is_rejected_alone():
     assert found.waypoints[1].T_map_goal.xyt == pytest.approx([1.0, 2.0, 1.5707963267948966])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "key", "value"),
     [
@@ -175,6 +182,7 @@ def test_verify_refuses_a_report_whose_manifest_is_of_another_make(chain, tmp_pa
     assert key in said
 
 
+@pytest.mark.slow
 def test_report_refuses_goals_that_are_none(chain, tmp_path):
     shutil.copytree(chain / "run", tmp_path / "run")
     path = tmp_path / "run" / "metrics.json"
@@ -184,6 +192,7 @@ def test_report_refuses_goals_that_are_none(chain, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["1" + "0" * 400, "1" + "0" * 9000, "1e400", "[" * 5000])
 def test_numbers_beyond_floats_are_no_trouble_to_compare_and_verify(chain, tmp_path, number):
     for stage in ("run", "report"):

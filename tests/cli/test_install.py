@@ -147,6 +147,7 @@ def test_a_set_up_that_was_killed_is_made_anew_by_the_same_make(machine):
     assert not (machine.folder / ".venv/half").exists()
 
 
+@pytest.mark.slow
 def test_pip_that_outlives_a_killed_make_is_waited_for(machine):
     machine.todo.write_text("slow")
     process = machine.start()
@@ -234,6 +235,7 @@ MISSING = {
 WITHOUT = "import sys; sys.modules['{}'] = None; from turtlebag.pipeline.__main__ import run; sys.exit(run())"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", MISSING)
 def test_a_package_that_is_not_there_is_one_line(tmp_path, package):
     floor = np.zeros((40, 40), dtype=np.int8)

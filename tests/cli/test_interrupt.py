@@ -40,6 +40,7 @@ def test_an_interrupted_stage_leaves_nothing(tmp_path, stop):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_mapping_is_interrupted_inside_compiled_code_without_a_crash(tmp_path):
     script = tmp_path / "kernel.py"
     script.write_text(

@@ -103,6 +103,7 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a/b", "../x", "config", "map", "", ".x"])
 def test_a_name_for_a_map_that_would_be_another_file_is_refused(tmp_path, capsys, name):
     (tmp_path / "in").mkdir()
@@ -135,6 +136,7 @@ def test_looking_at_a_bag_loads_what_reads_it_and_no_more(tmp_path):
     assert loaded_after("from turtlebag.pipeline.cli.main import main\n" + look) == set()
 
 
+@pytest.mark.slow
 def test_a_drive_loads_no_pose_graph_and_no_plots():
     modules = "import turtlebag.pipeline.stages.navigate, turtlebag.pipeline.navigation.setup"
     assert not loaded_after(modules) & {"gtsam", "open3d", "matplotlib", "duckdb"}

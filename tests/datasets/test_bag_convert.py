@@ -16,7 +16,7 @@ from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.topics import definition
 from turtlebag.datasets.recordings import load_recording
 
-RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
+RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,7 @@ def contents(path):
     return sorted((m.topic.name, m.log_time_ns, m.topic.msgtype, m.data) for m in open_bag(path).messages())
 
 
+@pytest.mark.slow
 def test_ros1_and_back_keeps_every_byte(drive, tmp_path):
     count, notes = to_ros1_bag(drive, tmp_path / "a.bag")
     assert notes == []
@@ -46,6 +47,7 @@ def test_sqlite3_and_back_keeps_every_byte(drive, tmp_path):
     assert contents(tmp_path / "a") == contents(drive) == contents(tmp_path / "back")
 
 
+@pytest.mark.slow
 def test_others_read_the_converted_bags(drive, tmp_path):
     to_ros1_bag(drive, tmp_path / "a.bag")
     to_sqlite3(drive, tmp_path / "a")
@@ -74,6 +76,7 @@ def test_latching_and_quality_of_service_survive(drive, tmp_path):
     assert open_bag(tmp_path / "a").custom_data() == {"seed": "7"}
 
 
+@pytest.mark.slow
 def test_recordings_of_all_kinds_are_the_same(drive, tmp_path):
     to_ros1_bag(drive, tmp_path / "a.bag")
     to_sqlite3(drive, tmp_path / "a")
@@ -105,6 +108,7 @@ def test_a_carmen_log_is_the_same_recording_as_a_bag(tmp_path):
     np.testing.assert_allclose(bag.lidar.angles, log.lidar.angles, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convert", [to_mcap, to_sqlite3, to_ros1_bag])
 def test_the_files_of_a_split_bag_share_their_topics(drive, tmp_path, convert):
     folder = tmp_path / "bag"
@@ -120,6 +124,7 @@ def test_the_files_of_a_split_bag_share_their_topics(drive, tmp_path, convert):
         assert reader.message_count == count
 
 
+@pytest.mark.slow
 def test_what_cannot_be_translated_is_left_out_and_named(drive, tmp_path):
     with BagFolder(tmp_path / "bag", custom={}) as bag:
         copier = into_mcap(bag)

@@ -55,7 +55,7 @@ def drive(tmp_path_factory):
 def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(tmp_path, after_s):
     progress, folder = tmp_path / "progress", tmp_path / "bag"
     progress.write_bytes(bytes(8))
-    arguments = [sys.executable, "-c", CHILD, str(Path(__file__).parents[2]), str(folder), str(progress)]
+    arguments = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1]), str(folder), str(progress)]
     child = subprocess.Popen(arguments)
     while not any(progress.read_bytes()):
         assert child.poll() is None
@@ -75,6 +75,7 @@ def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(
         assert messages_of(tmp_path / "saved") == expected
 
 
+@pytest.mark.slow
 def test_random_cuts_and_flips_never_give_wrong_data_or_silence(drive, tmp_path):
     outcomes = campaign(drive, 15, 0, tmp_path)
     assert len(outcomes) == 6
@@ -84,6 +85,7 @@ def test_random_cuts_and_flips_never_give_wrong_data_or_silence(drive, tmp_path)
     assert outcomes["mcap flip, recover"] == {"recovered": 15}
 
 
+@pytest.mark.slow
 def test_formats_without_checksums_end_in_data_or_one_error(drive, tmp_path):
     for counter in bags_damage.other_formats(drive, 6, 0, tmp_path).values():
         assert not [outcome for outcome in counter if outcome.startswith("BAD")]

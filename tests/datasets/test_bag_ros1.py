@@ -48,6 +48,7 @@ def compressed(plain, path, compression):
 FORMATS = [None, *Writer.CompressionFormat]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", FORMATS)
 def test_the_same_messages_as_rosbags_reads(plain, tmp_path, compression):
     path = compressed(plain, tmp_path / "b.bag", compression)
@@ -57,6 +58,7 @@ def test_the_same_messages_as_rosbags_reads(plain, tmp_path, compression):
     assert open_bag(path).notes == []
 
 
+@pytest.mark.slow
 def test_a_cut_bag_gives_what_is_there_and_says_so(plain, tmp_path):
     path = compressed(plain, tmp_path / "b.bag", None)
     whole, content = contents(path), path.read_bytes()
@@ -71,6 +73,7 @@ def test_a_cut_bag_gives_what_is_there_and_says_so(plain, tmp_path):
     assert "damaged file" in {finding.check for finding in examine(path)}
 
 
+@pytest.mark.slow
 def test_an_active_bag_without_an_index_is_read_and_recovered(plain, tmp_path):
     content = bytearray(plain.read_bytes())
     place = content.index(b"index_pos=") + len(b"index_pos=")
@@ -86,6 +89,7 @@ def test_an_active_bag_without_an_index_is_read_and_recovered(plain, tmp_path):
     assert a.stamps_ns.tolist() == b.stamps_ns.tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", FORMATS)
 def test_recovery_steps_over_a_damaged_chunk(plain, tmp_path, compression):
     path = compressed(plain, tmp_path / "b.bag", compression)

@@ -1,9 +1,13 @@
 """Mapping cannot see the truth: without it in the bag and beside it, every output is the same."""
 
+import pytest
+
 from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.record import record
+
+pytestmark = pytest.mark.slow
 
 SCRIPT = """
 name: short

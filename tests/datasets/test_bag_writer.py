@@ -34,6 +34,7 @@ def messages(folder, topic):
         ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", sorted(TOPICS))
 def test_every_message_has_the_bytes_of_the_reference_serialiser(bag, topic):
     found = messages(bag, topic)
@@ -42,6 +43,7 @@ def test_every_message_has_the_bytes_of_the_reference_serialiser(bag, topic):
         assert bytes(typestore().serialize_cdr(message, msgtype)) == raw
 
 
+@pytest.mark.slow
 def test_rates_and_order(bag):
     assert len(messages(bag, "/odom")) == len(messages(bag, "/joint_states")) == 150
     assert len(messages(bag, "/scan")) == 25
@@ -50,6 +52,7 @@ def test_rates_and_order(bag):
     assert times == sorted(times)
 
 
+@pytest.mark.slow
 def test_scan_odometry_and_transform_values(bag):
     sample = observation(6)
     time, scan, _, _ = messages(bag, "/scan")[0]

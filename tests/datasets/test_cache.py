@@ -51,6 +51,7 @@ def everything(result):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "made"),
     [
@@ -73,12 +74,14 @@ def test_only_what_a_setting_reaches_is_done_again_and_nothing_differs(log, fill
     assert everything(with_cache) == everything(run_slam(log, config))
 
 
+@pytest.mark.slow
 def test_other_scans_are_another_recording(filled):
     cache = StageCache(filled)
     run_slam(recording(ROOM, POSES, odometry=drifted(POSES), seed=1), SlamConfig(), cache=cache)
     assert cache.found == []
 
 
+@pytest.mark.slow
 def test_joined_sessions_keep_their_steps(log, tmp_path):
     other = recording(ROOM, POSES[::-1] + np.array([0.1, 0.1, np.pi]), seed=4)
     plain = run_slam(log, SlamConfig(), more=[other])
@@ -112,6 +115,7 @@ def test_a_damaged_entry_is_made_again(tmp_path, damage):
     assert entry.read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_a_map_of_broken_entries_is_the_map(log, tmp_path):
     plain = everything(run_slam(log, SlamConfig()))
     rng = np.random.default_rng(3)
@@ -264,6 +268,7 @@ def bag(log, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TURTLEBAG_STAGE_CACHE", str(tmp_path / "cache"))
 
@@ -291,6 +296,7 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     assert "grid.resolution_m" in page
 
 
+@pytest.mark.slow
 def test_a_changed_bag_is_read_anew(bag, tmp_path, monkeypatch):
     monkeypatch.setenv("TURTLEBAG_STAGE_CACHE", str(tmp_path / "cache"))
     shutil.copytree(bag, tmp_path / "bag")

@@ -14,7 +14,7 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.returns import no_return_value
 
-RADISH = Path(__file__).parents[2] / "shared" / "data" / "radish"
+RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
 
 
@@ -141,6 +141,7 @@ def test_parameter_places_the_laser_when_the_poses_do_not(tmp_path):
     np.testing.assert_allclose(load_recording(write(tmp_path, text)).T_base_lidar.xyt, [-0.04, 0.0, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
 def test_packed_logs_read_the_same_and_cut_ones_up_to_the_cut(tmp_path, pack):
     rng = np.random.default_rng(1)

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from fuzz_inputs import files_below, outcome
 
+pytestmark = pytest.mark.slow
+
 
 def commands(chain):
     """Every command that writes, by a name and its words without --out."""

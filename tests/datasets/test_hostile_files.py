@@ -46,6 +46,7 @@ def test_many_small_streams_take_no_longer_than_one(tmp_path, pack):
     assert time.process_time() - started < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pack", [bz2.compress, gzip.compress])
 @pytest.mark.parametrize("size", [0, 1, 1 << 16, (1 << 20) + 1, 5_000_000])
 def test_what_is_within_bounds_is_unpacked_whole(tmp_path, pack, size):

@@ -58,6 +58,7 @@ def pull(tree, **environment):
     return tuple(map(int, done.stdout.split()))
 
 
+@pytest.mark.slow
 def test_a_kernel_follows_the_sources_it_has_inlined(tree):
     """The clearance is lowered in one file; the compiled shortcut of the other must see it."""
     source = tree / "turtlebag/planners/footprint.py"
@@ -225,6 +226,7 @@ def hits_of_a_worker(place):
     return hits()
 
 
+@pytest.mark.slow
 def test_workers_share_what_is_compiled(tmp_path):
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         assert pool.submit(hits_of_a_worker, str(tmp_path)).result() == 0

@@ -40,6 +40,7 @@ def test_pixel_205_stays_unknown_at_0196_and_becomes_free_at_025(tmp_path):
     assert load_map(write(tmp_path, [[205]], YAML.replace("0.196", "0.25"))).cells[0, 0] == FREE
 
 
+@pytest.mark.slow
 @given(
     cells=arrays(
         np.int8, array_shapes(min_dims=2, max_dims=2), elements=st.sampled_from([UNKNOWN, FREE, OCCUPIED])
@@ -59,6 +60,7 @@ def test_negated_and_scaled_maps(tmp_path):
     assert load_map(write(tmp_path, [[147]], YAML + "mode: scale\n")).cells[0, 0] == 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "message"),
     [

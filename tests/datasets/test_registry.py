@@ -11,7 +11,7 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.registry import DATASETS, fetch
 from turtlebag.pipeline.cli.main import main
 
-SHARED = Path(__file__).parents[2] / "shared" / "data"
+SHARED = Path(__file__).parents[3] / "shared" / "data"
 mirrored = pytest.mark.skipif(not (SHARED / "radish").is_dir(), reason="no mirror of the public logs here")
 
 

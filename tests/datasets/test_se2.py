@@ -20,6 +20,7 @@ def assert_same(a: SE2, b: SE2) -> None:
     np.testing.assert_allclose(wrap(a.yaw - b.yaw), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(poses(4), poses(4), poses(4))
 def test_composition_is_associative(a, b, c):
     assert_same((a @ b) @ c, a @ (b @ c))

@@ -70,6 +70,7 @@ class Small(BaseModel):
     size: int = 3
 
 
+@pytest.mark.slow
 def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
     path = tmp_path / "a.yaml"
     for text, says in (

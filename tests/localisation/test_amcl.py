@@ -94,6 +94,7 @@ def test_finds_itself_from_nothing(room, log):
     assert amcl.converged
 
 
+@pytest.mark.slow
 def test_a_kidnapped_robot_recovers(room, log):
     amcl = make(room)
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
@@ -119,6 +120,7 @@ def test_a_bad_initial_pose_is_corrected(room, log):
     assert errors(amcl, log[:60])[-1, 0] < 0.05
 
 
+@pytest.mark.slow
 def test_a_third_of_the_view_blocked_does_not_move_the_estimate(room, log):
     amcl = make(room)
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))

@@ -51,6 +51,7 @@ def test_the_twin_of_a_place_is_found_and_the_estimate_stays_the_first():
     assert abs(fits[0] - fits[1]) < 0.05
 
 
+@pytest.mark.slow
 def test_a_wrong_estimate_gives_way_to_the_place_that_explains_the_scans():
     rivals, glimpses = seen_from(WITH_A_BOX, DRIVE)
     (only,) = rivals.find(glimpses, SE2.identity())

@@ -131,6 +131,7 @@ def test_patches_are_what_a_plain_flood_joins(seed, monkeypatch):
     assert 3 < count < len(cells)
 
 
+@pytest.mark.slow
 def test_a_patch_is_at_most_sixty_cells_from_where_it_began():
     index = np.full((5, 150), -1, dtype=np.int32)
     index[2, :140] = np.arange(140)
@@ -285,6 +286,7 @@ def test_a_step_and_its_spread_are_the_kalman_filters(seed):
     np.testing.assert_allclose(posterior(before, prior, over, information, gradient), found, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_correction_is_as_surprising_as_it_was_expected():
     P, less = covariance(3, 5), 0.3 * covariance(3, 5)
     step = np.array([0.02, -0.03, 0.05])

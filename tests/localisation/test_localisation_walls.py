@@ -17,6 +17,7 @@ from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
 
+@pytest.mark.slow
 def test_a_slanted_wall_is_found_finer_than_its_cells():
     angle = 0.4
     normal = np.array([-math.sin(angle), math.cos(angle)])

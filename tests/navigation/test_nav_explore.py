@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from turtlebag.datasets.grid import FREE
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -17,6 +18,7 @@ from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
 
+@pytest.mark.slow
 def test_exploring_widens_the_map_without_a_contact():
     robot, explore = load_robot("burger"), ExploreConfig()
     config = NavigateConfig(goal_checker=explore.checker)
@@ -74,6 +76,7 @@ class Holding:
         return 1.0
 
 
+@pytest.mark.slow
 def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():
     robot, explore = load_robot("burger"), ExploreConfig()
     config = NavigateConfig(goal_checker=explore.checker)

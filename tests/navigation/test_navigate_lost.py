@@ -37,6 +37,7 @@ def run(map_path, faults, **request):
         return drive(simulator, mission, NoBag(), lambda line: None)
 
 
+@pytest.mark.slow
 def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
     kidnap = FaultConfig(kidnap=((4.0, 1.6, -0.55, 2.0),))
     episode = run(arena_map, kidnap, goal=SE2.from_xyt(-0.55, 1.75, 1.57), timeout_s=120.0)
@@ -51,6 +52,7 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
     assert episode.metrics["distance_m"] == pytest.approx(steps[steps < 0.1].sum())
 
 
+@pytest.mark.slow
 def test_a_robot_told_a_pose_in_a_wall_looks_about_before_it_calls_the_goal_unreachable(arena_map):
     told = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)
@@ -62,6 +64,7 @@ def test_a_robot_told_a_pose_in_a_wall_looks_about_before_it_calls_the_goal_unre
     assert not any(episode.metrics["collisions"].values())
 
 
+@pytest.mark.slow
 def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
     house = load_world("turtlebot3_house")
     wrong = save_map(house.rasterize(BURGER.lidar_height), tmp_path, "house")
@@ -71,6 +74,7 @@ def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
     assert (outcome["status"], outcome["reason"]) == ("unreachable", LOST)
 
 
+@pytest.mark.slow
 def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map):
     episode = run(arena_map, FaultConfig(scan_silent=((3.0, 5.0),)), goal=SE2.from_xyt(-0.55, 0.55, 0.0))
     log = episode.log
@@ -94,6 +98,7 @@ def test_without_a_map_it_stands_in_the_dark_too(task):
     assert np.any(np.abs(log.v[t > 5.3]) > 0.02)
 
 
+@pytest.mark.slow
 def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
     episode = run(arena_map, FaultConfig(scan_silent=((3.0, 1e6),)), goal=SE2.from_xyt(0.55, 1.75, 0.0))
     goal = episode.metrics["goals"][0]

@@ -48,6 +48,7 @@ def test_plan_writes_a_free_path_and_repeats_to_the_byte(true_map, tmp_path):
     assert metrics["length_m"] == pytest.approx(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).sum())
 
 
+@pytest.mark.slow
 def test_plan_without_a_way_fails_with_complete_outputs(true_map, tmp_path):
     # Walled in by keeping the robot too wide for every gap between the pillars.
     words = plan_words(true_map, tmp_path / "out", "0.5,0.5,0", "--set", "plan.margins=[0.4]")
@@ -63,6 +64,7 @@ def test_plan_refuses_bad_goals(true_map, tmp_path, capsys, goal):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_goal_without_a_map_is_reached_by_what_the_scans_show(tmp_path):
     request = Request(task="goal", seed=2, goal=SE2.from_xyt(0.55, -0.55, 0.0), timeout_s=90.0)
     assert navigate(WORLD, request, tmp_path / "run") == 0
@@ -72,6 +74,7 @@ def test_a_goal_without_a_map_is_reached_by_what_the_scans_show(tmp_path):
     assert metrics["collisions"] == {"visible": 0, "low": 0}
 
 
+@pytest.mark.slow
 def test_a_wrong_initial_pose_is_wiggled_right(true_map, tmp_path):
     request = Request(
         task="goal",

@@ -28,6 +28,7 @@ def true_map(tmp_path_factory) -> Path:
     return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
 
 
+@pytest.mark.slow
 def test_a_goal_that_only_the_robot_believes_reached_is_a_failure(true_map, tmp_path, capfd):
     words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--seed", "1"]
     # The arena's mirror image: the scans fit there as well.

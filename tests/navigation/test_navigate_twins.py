@@ -76,6 +76,7 @@ def turning_at(x, y):
     return [SE2.from_xyt(x, y, yaw) for yaw in (0.3, 0.8, 1.3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("T_map_odom", [SE2.identity(), TWIN])
 def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
     glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
@@ -88,6 +89,7 @@ def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
     assert abs(wrap(there.yaw - other.yaw)) < 0.05
 
 
+@pytest.mark.slow
 def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
     glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
     rivals = rivals_of(room().grid())
@@ -101,6 +103,7 @@ def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
     assert fits[0] > fits[1] + 2.0 * ALIKE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("x", "y"), [(2.0, 2.0), (0.7, 0.8), (4.3, 2.2), (2.6, 0.5)])
 def test_a_world_without_a_twin_has_one_hypothesis(x, y):
     place = l_shaped_room()
@@ -111,6 +114,7 @@ def test_a_world_without_a_twin_has_one_hypothesis(x, y):
     np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
 
 
+@pytest.mark.slow
 def test_in_a_crowd_nothing_is_said_about_other_places():
     glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
     rivals = rivals_of(room().grid())
@@ -134,6 +138,7 @@ def test_a_heading_a_little_off_is_no_other_place():
     assert apart(here, SE2.from_xyt(-5.25, 1.2, 2.41))
 
 
+@pytest.mark.slow
 def test_the_same_seed_finds_the_same_rivals():
     glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
     one, other = (rivals_of(room().grid(), 5).find(glimpses, SE2.identity()) for _ in range(2))
@@ -212,6 +217,7 @@ def run(place, tmp_path, config, seed=2, **request):
         return drive(simulator, mission, NoBag(), lambda line: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [SE2.from_xyt(5.0, 2.4, 0.3), TWIN @ SE2.from_xyt(5.0, 2.4, 0.3)])
 def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(tmp_path, start):
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
@@ -223,6 +229,7 @@ def test_a_robot_that_wakes_up_in_one_of_two_places_finds_out_which_and_arrives(
     assert not any(episode.metrics["collisions"].values())
 
 
+@pytest.mark.slow
 def test_where_nothing_tells_them_apart_no_goal_counts_and_the_reason_is_said(tmp_path):
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
     episode = run(world(cupboard=False), tmp_path, NavigateConfig(), initial_pose="global", goal=goal)
@@ -232,6 +239,7 @@ def test_where_nothing_tells_them_apart_no_goal_counts_and_the_reason_is_said(tm
     assert REASON in outcome["reason"] or LOST in outcome["reason"]
 
 
+@pytest.mark.slow
 def test_telling_apart_is_bounded_in_time(tmp_path):
     config = NavigateConfig(relocalise=RelocaliseConfig(tell_apart=2.0))
     goal = SE2.from_xyt(4.8, 3.0, 0.0)
@@ -242,6 +250,7 @@ def test_telling_apart_is_bounded_in_time(tmp_path):
     assert states.sum() / 30.0 < 2.5
 
 
+@pytest.mark.slow
 def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_knows(tmp_path):
     arena = load_world("turtlebot3_world")
     kidnap = FaultConfig(kidnap=((6.0, -1.12, -1.87, 1.63),))
@@ -254,6 +263,7 @@ def test_carried_off_beside_its_own_twin_a_robot_does_not_count_goals_before_it_
     assert outcome["error_m"] < 0.05
 
 
+@pytest.mark.slow
 def test_carried_off_at_the_goal_the_last_scan_is_asked_before_the_goal_counts(tmp_path):
     arena = load_world("turtlebot3_world")
     quiet = run(arena, tmp_path, NavigateConfig(), initial_pose="start", goal=SE2.from_xyt(-1.5, 0.6, 1.57))

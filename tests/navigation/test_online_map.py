@@ -48,6 +48,7 @@ def test_clouds_grown_scan_by_scan_are_those_made_at_once():
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_estimate_stays_true_while_odometry_drifts_and_the_map_comes_bit_by_bit():
     online = OnlineMap(SE2.identity(), SlamConfig())
     errors, sizes = [], []
@@ -66,6 +67,7 @@ def test_the_estimate_stays_true_while_odometry_drifts_and_the_map_comes_bit_by_
     assert sizes == pytest.approx([17700] * 3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_finished_map_is_that_of_the_offline_mapper():
     from turtlebag.pipeline.slam.slam import run_slam
 

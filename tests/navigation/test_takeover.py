@@ -65,6 +65,7 @@ def owners_in(bag: Path) -> list[tuple[int, str]]:
         return [(t, reader.deserialize(raw, c.msgtype).data) for c, t, raw in reader.messages(wanted)]
 
 
+@pytest.mark.slow
 def test_the_goal_is_reached_after_a_takeover_and_metrics_count_it(taken):
     _, metrics = taken
     assert metrics["goals"][0]["status"] == "reached"
@@ -72,6 +73,7 @@ def test_the_goal_is_reached_after_a_takeover_and_metrics_count_it(taken):
     assert metrics["collisions"] == {"visible": 0, "low": 0}
 
 
+@pytest.mark.slow
 def test_log_and_bag_say_who_owned_each_tick(taken):
     out, _ = taken
     log = RunLog.load(out / "runlog.csv")
@@ -81,6 +83,7 @@ def test_log_and_bag_say_who_owned_each_tick(taken):
     assert owners_in(out / "bag") == [(2 * S, "teleop"), (4500000000, "navigation")]
 
 
+@pytest.mark.slow
 def test_what_was_asked_for_is_driven_within_the_limits(taken):
     log = RunLog.load(taken[0] / "runlog.csv")
     last_of_first = int(np.searchsorted(log.t_ns, 3 * S)) - 1
@@ -89,6 +92,7 @@ def test_what_was_asked_for_is_driven_within_the_limits(taken):
     assert np.abs(np.diff(log.v)).max() <= load_robot("burger").model.max_dv / 30.0 + 1e-5
 
 
+@pytest.mark.slow
 def test_a_run_drives_again_from_its_own_takeover_file(taken, true_map, tmp_path):
     out, metrics = taken
     assert load_script(out / "takeover.yaml") == SCRIPT
@@ -98,6 +102,7 @@ def test_a_run_drives_again_from_its_own_takeover_file(taken, true_map, tmp_path
     assert sha256_tree(again) == sha256_tree(once)
 
 
+@pytest.mark.slow
 def test_the_monitor_stops_a_takeover_short_of_a_wall_unless_it_is_off(tmp_path):
     push = (Interval(begin=0.0, end=9.0, v=0.2),)
     contacts = {}
@@ -140,6 +145,7 @@ def test_the_end_of_a_pipe_hands_back():
     assert [keys.asked(k) for k in range(3)] == [Twist(0.02, 0.0), None, None]
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, monkeypatch, capfd):
     def wait(step):
         if step == 3 * 30:
@@ -173,6 +179,7 @@ def test_ctrl_c_during_a_keyboard_takeover_keeps_the_drive(true_map, tmp_path, m
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["-q", "-v"])
 def test_the_table_of_keys_is_shown_unless_it_is_to_be_quiet(tmp_path, monkeypatch, capsys, noise):
     with open(os.devnull) as stdin:
@@ -218,6 +225,7 @@ def test_bad_takeover_files_are_one_line(tmp_path, capsys, text, said):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_log_written_before_there_were_owners_is_still_read(taken, tmp_path):
     lines = (taken[0] / "runlog.csv").read_text().splitlines()
     (tmp_path / "old.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines) + "\n")

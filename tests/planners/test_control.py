@@ -176,6 +176,7 @@ def test_the_tutorials_tolerances_are_a_preset():
     assert checker.reached(0, SE2.from_xyt(0.045, 0.0, 0.16), Twist())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal_yaw", [-1.5, 3.1])
 def test_dwa_goes_round_a_block_that_the_path_does_not_know_and_settles(goal_yaw):
     costmap = big_room()
@@ -237,6 +238,7 @@ def test_dwa_turns_round_rather_than_driving_a_long_way_backwards():
     assert DwaConfig().backward_bias == 1.5
 
 
+@pytest.mark.slow
 def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_acceleration():
     burger = resolved(DwaConfig(preset="tutorial"), BURGER)
     assert (burger.sim_time, burger.vx_samples, burger.vth_samples) == (1.5, 20, 40)

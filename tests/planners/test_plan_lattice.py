@@ -110,6 +110,7 @@ def test_cells_are_blocked_wide_or_numbered_row_by_row():
     assert count == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_states_are_joined_when_dijkstra_gets_from_one_to_the_other(seed):
     floor, rng = Floor(seed), np.random.default_rng(seed)
@@ -126,6 +127,7 @@ def test_states_are_joined_when_dijkstra_gets_from_one_to_the_other(seed):
     assert flood(*floor.args(), np.array(starts), np.array(both))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_the_way_through_the_lattice_is_the_cheapest(seed):
     floor, rng = Floor(seed), np.random.default_rng(seed + 100)

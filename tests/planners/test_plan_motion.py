@@ -266,6 +266,7 @@ def test_shortcuts_are_the_longest_free_chords_from_the_front_and_then_from_the_
     np.testing.assert_array_equal(shortcut(field, RES, 0.07, path), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_elastic_band_is_that_of_a_plain_loop(seed):
     field = floor(seed, share=0.01)

@@ -150,6 +150,7 @@ def test_what_the_cells_join_is_planned_though_the_planner_finds_nothing():
     assert free_from(costmap.clearance, RES, BURGER.footprint, plan.poses.xyt) == 0
 
 
+@pytest.mark.slow
 def test_room_that_is_asked_for_is_kept_in_a_narrow_gap_too():
     costmap = partitions(np.random.default_rng(2), (8, 9))
     start, goal = SE2.from_xyt(0.6, 0.75, 1.0), SE2.from_xyt(2.5, 0.75, -1.0)

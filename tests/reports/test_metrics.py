@@ -154,6 +154,7 @@ def test_a_map_one_cell_off_loses_plain_iou_but_not_the_tolerant_one():
     assert found["occupied_error_m"]["p95"] == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["turtlebot3_world", "turtlebot3_house"])
 def test_the_true_map_itself_half_a_cell_beside_loses_most_of_plain_iou(world):
     """What the report says of plain IoU, where it asks not to trust it."""

@@ -73,18 +73,21 @@ def tags(page):
     return parser
 
 
+@pytest.mark.slow
 def test_the_page_is_self_contained(tags):
     assert tags.images == 15
     for reference in tags.references:
         assert reference.startswith(("#", "data:")), reference
 
 
+@pytest.mark.slow
 def test_every_fragment_points_to_something_and_ids_are_unique(tags):
     assert len(tags.ids) == len(set(tags.ids))
     targets = {reference[1:] for reference in tags.references if reference.startswith("#")}
     assert targets <= set(tags.ids)
 
 
+@pytest.mark.slow
 def test_the_page_says_what_happened(tags):
     text = " ".join(tags.text)
     assert "0 of 1 task succeeded" in text
@@ -112,6 +115,7 @@ def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(pag
     assert "--map room/map/map.yaml --task patrol --seed 1 --out room/patrol" in recipe
 
 
+@pytest.mark.slow
 def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp_path):
     for folder in stages:
         shutil.copytree(folder, tmp_path / folder.name)
@@ -121,6 +125,7 @@ def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp
     assert sha256_tree(again.parent) == sha256_tree(page.parent)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [[1], [2]])
 def test_any_subset_of_stages_makes_a_page(stages, chosen, tmp_path):
     page = make_report([stages[k] for k in chosen], tmp_path / "out", animate=False)
@@ -157,6 +162,7 @@ def test_stages_are_grouped_by_shared_files_and_labelled_uniquely(stages, tmp_pa
     assert [stage.title for stage in groups[0].stages] == ["Mapping", "Patrol", "Patrol, no. 2"]
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_page_and_refuses_to_overwrite(stages, tmp_path, capsys):
     argv = ["report", str(stages[0]), "--out", str(tmp_path / "out")]
     assert main(argv) == 0

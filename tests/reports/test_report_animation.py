@@ -35,6 +35,7 @@ def drive():
     return path, Recording("fake", stamps, ranges, LIDAR, SE2.identity())
 
 
+@pytest.mark.slow
 def test_an_animation_is_small_has_its_frames_and_repeats_byte_for_byte(drive):
     path, recording = drive
     first, again = (gif(mapping(recording, path, path, mapped_room())) for _ in range(2))
@@ -45,6 +46,7 @@ def test_an_animation_is_small_has_its_frames_and_repeats_byte_for_byte(drive):
         assert max(image.size) <= 400
 
 
+@pytest.mark.slow
 def test_the_last_frame_shows_the_whole_drive(drive):
     path, recording = drive
     goals = [{"x": 1.0, "y": 1.0, "status": "reached"}, {"x": -1.0, "y": 1.0, "status": "timeout"}]

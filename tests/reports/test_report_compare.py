@@ -46,6 +46,7 @@ def test_an_output_compared_with_itself_differs_in_nothing(tree):
     assert {row.difference for row in found.rows} == {"="}
 
 
+@pytest.mark.slow
 def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
     write_comparison(tree / "a", tree / "b", tmp_path / "out")
     page = (tmp_path / "out/index.html").read_text()
@@ -97,6 +98,7 @@ def test_a_comparison_says_how_both_were_made_and_whether_of_the_same_recording(
     assert compare_outputs(record, record).same_source is None
 
 
+@pytest.mark.slow
 def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
     record = fake_record(tmp_path / "record")
     built = fake_map(tmp_path / "map", record)

@@ -173,6 +173,7 @@ def test_what_a_viewer_could_not_show_is_noticed(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_the_layout_beside_a_report_is_in_a_frame_its_bags_have_and_shows_all_the_ground(tmp_path):
     record = fake_record(tmp_path / "record")
     make_report([record], tmp_path / "report", animate=False)

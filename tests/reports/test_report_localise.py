@@ -20,6 +20,7 @@ from turtlebag.reports.draw_localise import given_map, read_path, rival_paths
 from turtlebag.reports.stages import Group, load_stage
 
 
+@pytest.mark.slow
 def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     record = fake_record(tmp_path / "record")
     built = fake_map(tmp_path / "map", record)
@@ -76,6 +77,7 @@ def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
     assert "out of iterations" in page
 
 
+@pytest.mark.slow
 def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_as_that(tmp_path):
     record = fake_record(tmp_path / "record")
     built = fake_map(tmp_path / "map", record)
@@ -92,6 +94,7 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     assert "<strong>The map it made.</strong>" in page
 
 
+@pytest.mark.slow
 def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):
     record = fake_record(tmp_path / "record")
     first, given = fake_map(tmp_path / "first", record), fake_map(tmp_path / "given", record)
@@ -115,6 +118,7 @@ def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):
     np.testing.assert_array_equal(seen.cells, load_map(tmp_path / "far/truth/map.yaml").cells)
 
 
+@pytest.mark.slow
 def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
     record = fake_record(tmp_path / "record")
     first, given = fake_map(tmp_path / "first", record), fake_map(tmp_path / "given", record)
@@ -127,6 +131,7 @@ def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
     assert pointer_of(Group("room", group.stages[:2])).rows == 90
 
 
+@pytest.mark.slow
 def test_without_a_run_the_headline_says_what_there_is_and_whether_it_was_found(tmp_path):
     record = fake_record(tmp_path / "record")
     built = fake_map(tmp_path / "map", record)

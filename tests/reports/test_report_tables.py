@@ -36,6 +36,7 @@ def report(base, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_the_csv_holds_every_number_in_si_units(report):
     with (report / "tables/numbers.csv").open() as file:
         rows = {row["number"]: row for row in csv.DictReader(file)}
@@ -44,6 +45,7 @@ def test_the_csv_holds_every_number_in_si_units(report):
     assert int(rows["loops.accepted"]["value"]) == 5
 
 
+@pytest.mark.slow
 def test_the_csv_holds_the_goals_and_says_the_unit_of_every_value(base, tmp_path):
     make_report([base / "runs/missed"], tmp_path / "out", animate=False)
     with (tmp_path / "out/tables/numbers.csv").open() as file:
@@ -56,6 +58,7 @@ def test_the_csv_holds_the_goals_and_says_the_unit_of_every_value(base, tmp_path
     assert set(SI) == set(DISPLAY)
 
 
+@pytest.mark.slow
 def test_the_latex_table_has_a_row_for_each_number(report):
     (path,) = (report / "tables").glob("*.tex")
     assert len(table_rows(path.read_text())) == len(list(csv.reader((report / "tables/numbers.csv").open())))
@@ -99,6 +102,7 @@ def tables(report, base, tmp_path_factory):
     return [*report.glob("tables/*.tex"), *out.rglob("*.tex")]
 
 
+@pytest.mark.slow
 def test_the_latex_tables_are_balanced_even_and_escaped(tables):
     assert len(tables) >= 9
     for path in tables:
@@ -108,6 +112,7 @@ def test_the_latex_tables_are_balanced_even_and_escaped(tables):
             table_rows(latex_table(("x", "y"), [("1", "2")], "lr").replace(r"1 & 2 \\", bad))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex (texlive-latex-recommended)")
 def test_latex_sets_the_tables(tables, tmp_path):
     inputs = "\\par\n".join(rf"\input{{{path}}}" for path in tables)
@@ -128,6 +133,7 @@ def test_latex_is_escaped_and_has_symbols():
     assert latex_table(("x",), [("1",)], "r").splitlines()[0] == r"\begin{tabular}{r}"
 
 
+@pytest.mark.slow
 def test_paper_figures_are_pdf_and_svg_without_a_date(report):
     names = {path.suffix for path in (report / "figures").iterdir()}
     assert names == {".png", ".pdf", ".svg"}
@@ -149,6 +155,7 @@ def test_the_index_has_a_line_for_each_output(base):
     assert any(text.endswith("cm") and float(value) < 0.02 for text, value in values.values() if text)
 
 
+@pytest.mark.slow
 def test_the_index_gives_a_map_the_world_and_robot_of_its_recording_and_hides_empty_columns(base):
     lines = index_lines([base])
     assert {(line.world, line.robot, line.seed) for line in lines if line.stage in ("map", "record")} == {

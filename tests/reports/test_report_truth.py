@@ -34,6 +34,7 @@ def page(folders):
     return make_report(stages, folders / "report", animate=False)
 
 
+@pytest.mark.slow
 def test_a_run_that_only_believes_it_succeeded_is_a_failure_in_title_headline_tile_and_verdict(page):
     text = page.read_text()
     said = "1 of 2 tasks succeeded; the robot believed 2"
@@ -49,18 +50,21 @@ def test_a_run_that_only_believes_it_succeeded_is_a_failure_in_title_headline_ti
     )
 
 
+@pytest.mark.slow
 def test_what_the_robot_said_and_what_was_true_stand_in_columns_of_their_own(page):
     row = re.search(r"<tr><td>3</td><td>0.00\u202fm, 1.20\u202fm(.*?)</tr>", page.read_text()).group(1)
     assert ">reached</td>" in row
     assert '<td class="status elsewhere">elsewhere</td>' in row
 
 
+@pytest.mark.slow
 def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folders, page):
     text = make_report([folders / "map", folders / "lost"], folders / "alone", animate=False).read_text()
     assert re.findall(r'<circle class="(good|bad)"', text) == ["good", "good", "bad"]
     assert re.findall(r'<circle class="(good|bad)"', page.read_text()) == ["good", "good", "good"]
 
 
+@pytest.mark.slow
 def test_a_page_that_contradicts_the_robot_verifies(page):
     found = verify(page.parent)
     assert found.problems == []
@@ -102,6 +106,7 @@ def test_a_success_the_truth_denies_is_bad_whatever_the_goals_say():
     assert verdict(Stage(Path("nowhere"), "navigate", "explore", {}), metrics)[0] == "bad"
 
 
+@pytest.mark.slow
 def test_runs_of_one_task_are_named_by_what_tells_them_apart(page, folders):
     stages = [load_stage(folders / name) for name in ("record", "map", "there", "lost")]
     (group,) = group_stages(stages)

@@ -49,6 +49,7 @@ def test_a_late_scan_keeps_its_stamp_and_its_truth():
     np.testing.assert_array_equal(a.ranges, b.ranges)
 
 
+@pytest.mark.slow
 def test_scans_are_lost_at_the_stated_rate():
     _, _, scans = run(1200, command=Twist(), scan_loss=0.3)
     assert len(scans) / 200 == pytest.approx(0.7, abs=0.1)

@@ -59,6 +59,7 @@ def test_noise_and_bias_have_the_stated_deviations():
     assert np.std(biases) == pytest.approx(5e-4, rel=0.15)
 
 
+@pytest.mark.slow
 def test_bias_walks_with_the_root_of_time():
     ends = []
     for seed in range(60):

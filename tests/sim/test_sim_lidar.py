@@ -42,6 +42,7 @@ def arena():
         yield physics
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @example(x=1.8984375, y=1.84375, yaw=0.0)
 @example(x=1.8984375, y=1.75, yaw=0.0)
@@ -142,6 +143,7 @@ def circle(solid):
     return np.array(solid.center) + solid.radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
+@pytest.mark.slow
 def test_footprint_distance_matches_dense_sampling():
     rng = np.random.default_rng(2)
     solids = [

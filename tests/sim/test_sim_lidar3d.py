@@ -27,6 +27,7 @@ def sensor(solids, mount=MOUNT):
     return Lidar3d(solids, mount, 0.0, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_beams_meet_floor_side_top_and_underside():
     h = MOUNT.position[2]
     mount = MOUNT.model_copy(update={"position": (0.0, 0.0, h), "elevation_deg": (-45.0, 45.0), "n_rings": 3})
@@ -92,6 +93,7 @@ def test_beams_agree_with_bullets_rays():
     assert np.isfinite(expected).mean() > 0.8  # the rest leaves over the walls
 
 
+@pytest.mark.slow
 def test_a_recording_holds_clouds_with_times_in_their_own_frame(tmp_path):
     script = tmp_path / "s.yaml"
     script.write_text("name: s\nsteps: [{drive: 0.2}]\n")
@@ -117,6 +119,7 @@ def brick(name, center, size):
     return mesh(name, corners[np.array(faces)])
 
 
+@pytest.mark.slow
 def test_a_mesh_is_seen_as_the_same_box_is():
     spots = [((2.0, 0.5, 0.4), (0.6, 0.8, 0.8)), ((-1.5, 1.0, 0.9), (0.5, 0.5, 0.3))]
     boxes = [box("b", c[:2], s[:2], 0.0, (c[2] - s[2] / 2, c[2] + s[2] / 2)) for c, s in spots]

@@ -78,6 +78,7 @@ def test_against_a_wall_the_wheels_spin_and_odometry_advances_but_the_robot_does
         assert simulator.clearance() < 0.01
 
 
+@pytest.mark.slow
 def test_lower_friction_raises_drift():
     def drift(friction):
         config = SimConfig(physics={"friction": friction}, odometry=EXACT)

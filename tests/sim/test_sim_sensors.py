@@ -79,6 +79,7 @@ def test_a_turn_is_too_long_or_too_short_as_a_whole():
     assert errors.std(axis=1).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_unit_keeps_its_own_errors_and_each_seed_is_another_unit():
     units = [
         [turns(lidar(ring(r), seed, offset=0.01, scale=0.02, square=0.005), 3) - r for r in (0.5, 2.0)]

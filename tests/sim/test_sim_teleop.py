@@ -42,6 +42,7 @@ def script(*steps, **options):
     return Script(name="test", steps=list(steps), **options)
 
 
+@pytest.mark.slow
 def test_built_in_scripts_load_in_every_kind_of_world():
     assert {"fast", "perimeter_then_rooms", "random_walk", "spiral", "tour", "wall_follow"} <= set(
         script_names()
@@ -50,6 +51,7 @@ def test_built_in_scripts_load_in_every_kind_of_world():
         next(commands(load_script(name), load_world(world), BURGER, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["turtlebot3_world", "maze:1,cells=5", "office:2", "forest:3,size=8"])
 @pytest.mark.parametrize("name", sorted(ROUTES))
 def test_a_planned_route_keeps_clear_and_passes_near_all_of_the_floor(world, name):
@@ -77,6 +79,7 @@ def test_a_worlds_own_route_is_for_robots_that_fit():
     assert wide.fits(route("tour", wide)[1:])
 
 
+@pytest.mark.slow
 def test_turn_then_drive_does_one_at_a_time_and_flowing_does_not_stop():
     points = {"through": [[-2.0, 0.3], [-1.7, 0.55], [-0.6, 0.55]]}
     slow, _ = drive(script(points))
@@ -88,6 +91,7 @@ def test_turn_then_drive_does_one_at_a_time_and_flowing_does_not_stop():
     assert np.mean(speed[90:-30] < 0.02) < 0.05
 
 
+@pytest.mark.slow
 def test_spiral_turns_while_driving_all_the_time():
     poses, clearance = drive(
         script({"through": [[-1.9, 0.0], [-1.7, 0.55], [0.0, 0.55]]}, style="spiral", w=1.2)
@@ -99,6 +103,7 @@ def test_spiral_turns_while_driving_all_the_time():
     assert clearance > 0.1
 
 
+@pytest.mark.slow
 def test_wall_follow_keeps_the_wall_at_its_distance_to_the_right():
     world = load_world("turtlebot3_world")
     outlines = world.touchable(BURGER.height)
@@ -112,6 +117,7 @@ def test_wall_follow_keeps_the_wall_at_its_distance_to_the_right():
     assert np.mean(np.array(nearer) < np.array(room)) > 0.95
 
 
+@pytest.mark.slow
 def test_random_walk_depends_on_the_seed_alone():
     planner = RoutePlanner(load_world("office:2"), BURGER)
     walks = [random_goals(planner, np.random.default_rng(seed), 20.0) for seed in (1, 1, 2)]
@@ -137,6 +143,7 @@ def test_an_unknown_route_names_the_known():
         commands(script({"route": "scenic"}), load_world("turtlebot3_world"), BURGER, 1)
 
 
+@pytest.mark.slow
 def test_driving_into_a_wall_ends_as_stuck():
     with pytest.raises(Stuck):
         drive(script({"turn_deg": 180}, {"drive": 3.0}), contacts_allowed=True)

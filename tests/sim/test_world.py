@@ -11,7 +11,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.sim.shapes import as_rectangle, box, prism
 from turtlebag.sim.worlds import load_world, world_names
 
-FACTS = Path(__file__).parents[2] / "shared" / "facts"
+FACTS = Path(__file__).parents[3] / "shared" / "facts"
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +124,7 @@ def test_house_has_the_published_walls_and_furniture():
             assert np.sin(rectangle[4] - fact["yaw"]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
     rooms = [(-6.3, 3.2), (-6.3, -2.5), (-3, 1), (1, 3.5), (4, 1), (5.5, -4.5)]
     outside = np.array([0.0, -2.5])
@@ -140,6 +141,7 @@ def test_house_has_six_connected_rooms_and_no_way_out_with_the_gate_shut():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["turtlebot3_house:gate=ajar", "turtlebot3_house:roof=off", "empty:gate=open"]
 )

@@ -23,6 +23,7 @@ def test_the_seed_alone_decides(name):
     assert outlines(load_world(f"{name}:4")) != outlines(load_world(f"{name}:5"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["maze", "office", "forest"])
 def test_a_burger_reaches_every_place_from_the_spawn(name, seed):

@@ -16,7 +16,7 @@ from turtlebag.sim.shapes import Ball, Mesh, as_rectangle, contains
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
-BARN = sorted((Path(__file__).parents[2] / "shared" / "data" / "barn").glob("*.world"))
+BARN = sorted((Path(__file__).parents[3] / "shared" / "data" / "barn").glob("*.world"))
 
 
 def write(tmp_path, body, name="w.world"):

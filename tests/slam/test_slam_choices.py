@@ -44,6 +44,7 @@ def off(poses, log):
     return score(poses, Trajectory(log.stamps_ns, SE2.from_array(TRUTH))).ate_aligned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("front_end", "match"), CHOICES)
 def test_every_front_end_maps_with_every_loop_matcher(log, front_end, match):
     result = run_slam(log, settings(front_end, match))
@@ -52,6 +53,7 @@ def test_every_front_end_maps_with_every_loop_matcher(log, front_end, match):
     assert off(log.T_odom_base, log) > 20.0 * off(result.trajectory.poses, log)
 
 
+@pytest.mark.slow
 def test_libraries_alone_map_and_give_the_same_bits_again(log):
     alone = {"refine": {"rounds": 0}, "posing": {"enabled": False}, "tracking": {"calibration": False}}
     first, again = (run_slam(log, settings("kiss_icp", "open3d", **alone)) for _ in range(2))
@@ -61,6 +63,7 @@ def test_libraries_alone_map_and_give_the_same_bits_again(log):
     np.testing.assert_array_equal(first.grid.cells, again.grid.cells)
 
 
+@pytest.mark.slow
 def test_without_odometry_kiss_icp_maps_by_a_steady_motion(log):
     result = run_slam(replace(log, T_odom_base=None), settings("kiss_icp", "open3d"))
     assert off(result.trajectory.poses, log) < 0.02
@@ -82,6 +85,7 @@ def test_wheels_without_odometry_are_one_line(log, tmp_path, capsys):
         run_slam(log, settings("kiss_icp").model_copy(update={"sensors": "odometry"}))
 
 
+@pytest.mark.slow
 def test_the_manifest_names_the_parts(log, tmp_path):
     path = tmp_path / "log.clf"
     path.write_text(carmen_text(log))
@@ -143,6 +147,7 @@ class PointToPoint:
         return Placed(pose, point_information(points[near]) / 0.1**2, float(near.mean()), rmse)
 
 
+@pytest.mark.slow
 def test_a_front_end_of_one_s_own_fits_in(log):
     made = []
 
@@ -228,6 +233,7 @@ def test_the_line_matcher_asks_open3d_about_a_pose_in_doubt():
     assert not matcher.confirms(clouds, one, other, wrong)
 
 
+@pytest.mark.slow
 def test_where_the_front_end_is_told_nothing_it_answers_what_it_expects(log):
     """A scan without a return in the middle of the log, whoever places it."""
     holed = log.ranges.copy()

@@ -78,6 +78,7 @@ def place(i: int, j: int, T_j_i: np.ndarray) -> Recognised:
     )
 
 
+@pytest.mark.slow
 def test_two_places_agree_when_the_cycle_closes_as_well_as_what_it_is_made_of_is_known():
     T = there_and_back()
     track, rng = driven(T, 300), np.random.default_rng(2)

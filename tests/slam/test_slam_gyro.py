@@ -105,6 +105,7 @@ def test_holes_are_filled_by_the_wheels():
     assert yaw_error(fused).max() < 0.1
 
 
+@pytest.mark.slow
 def test_wheels_that_spin_while_no_scan_sees_it_do_not_bend_the_path():
     log = office(Lie("spin", 20.0, 4.0))
     late = (log.recording.stamps_ns - log.recording.stamps_ns[0]) * 1e-9

@@ -73,6 +73,7 @@ LIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lies", LIES.values(), ids=LIES.keys())
 def test_odometry_that_lies_is_found_out(lies):
     log = office(*lies)
@@ -87,12 +88,14 @@ DAMAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 def test_damaged_logs_are_mapped(damage):
     log = damage(office())
     assert_right(log, mapped(log), ate=0.03)
 
 
+@pytest.mark.slow
 def test_person_walking_through_half_of_the_scans_is_not_in_the_map():
     log = office(person=True)
     result = mapped(log)
@@ -105,16 +108,19 @@ def test_person_walking_through_half_of_the_scans_is_not_in_the_map():
     assert np.mean(log.plan.clearance(walls[inside]) <= 0.15) > 0.98
 
 
+@pytest.mark.slow
 def test_featureless_corridor_of_thirty_metres_is_as_long_as_the_wheels_say():
     log = hall(2, tours=1, period=0.4)
     assert_right(log, mapped(log), ate=0.05)
 
 
+@pytest.mark.slow
 def test_corridor_seen_by_the_lidar_alone_is_called_doubtful():
     recording = hall(2, tours=1, period=0.4).recording
     assert not run_slam(replace(recording, T_odom_base=None), SlamConfig()).check.good
 
 
+@pytest.mark.slow
 def test_corridor_walked_while_the_wheels_run_backwards_is_right_or_called_doubtful():
     log = hall(1, lies=(Lie("reverse", 25.0, 5.0),), tours=1, period=0.4)
     result = mapped(log)
@@ -165,6 +171,7 @@ def worst(poses: SE2, log: Log, result: SlamResult) -> float:
     return float(np.abs((true.inverse() @ true[0] @ poses[0].inverse() @ poses).xy).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "ten at random", "a stretch"])
 def test_false_loops_forced_into_the_graph_are_overruled(plain, kind):
     log, result = plain
@@ -177,6 +184,7 @@ def test_false_loops_forced_into_the_graph_are_overruled(plain, kind):
     assert worst(refined, log, result) < 0.05
 
 
+@pytest.mark.slow
 def test_kernel_ends_where_graduated_non_convexity_does_after_refinement(plain):
     log, result = plain
     steps, loops = graph_of(result)

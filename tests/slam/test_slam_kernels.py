@@ -119,6 +119,7 @@ def plain_align(clouds, scan, stride, pose, keys, key_poses, gate, sigma, iterat
 NO_PRIOR = (np.zeros(3), np.zeros((3, 3)), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("off", "stride", "gate", "sigma", "keys"),
     [
@@ -140,6 +141,7 @@ def test_what_a_scan_tells_of_its_pose_is_what_the_lines_it_meets_say(clouds, of
     assert found[5:] == pytest.approx(expected[5:], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_steps_follow_one_another_until_they_are_tiny(clouds):
     keys, prior = np.array([0, 1, 2]), (POSES[4] + [0.02, 0.0, 0.03], np.diag([400.0, 200.0, 900.0]), 2.0)
     pose = POSES[4] + np.array([0.09, -0.07, 0.06])
@@ -156,6 +158,7 @@ def test_steps_follow_one_another_until_they_are_tiny(clouds):
     assert abs(turned[0][2]) < math.pi
 
 
+@pytest.mark.slow
 def test_the_outcome_is_in_shares_of_the_points_and_every_nth_of_many_is_used(clouds):
     total = int(clouds.starts[5] - clouds.starts[4])
     keys = np.array([0, 1])
@@ -204,6 +207,7 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
     np.testing.assert_allclose(seen @ alone, toward, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_weaker_direction_loses_what_normals_fake(seed):
     h = spread(seed) * np.array([1.0, 3.0, 0.5])[:, None] * np.array([1.0, 3.0, 0.5])
@@ -244,6 +248,7 @@ def test_a_partner_is_found_all_round_and_where_the_bearing_turns_over(clouds):
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gate", "sigma"), [(0.3, 0.06), (0.1, 0.03), (0.03, 0.01)])
 def test_a_pair_is_linearised_as_both_scans_lines_say(clouds, gate, sigma):
     rng = np.random.default_rng(2)

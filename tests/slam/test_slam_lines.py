@@ -31,7 +31,7 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
     distance = np.linalg.norm(ray)
     ray, spacing = ray / distance, distance * increment
     reach = min(max(module.MIN_REACH_M, module.REACH_BEAMS * spacing), 2.0 * module.MAX_REACH_M)
-    gap = min(reach, module.MAX_REACH_M)
+    gap = min(max(module.MIN_GAP_M, module.GRAZING * spacing), module.MAX_REACH_M)
     members, alive = [i], [True, True]
     normal, variance, turn_var = None, range_var[i], 1e9
     while any(alive):

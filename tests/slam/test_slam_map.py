@@ -47,6 +47,7 @@ def error(result, log):
     return ate(result.trajectory, Trajectory(log.stamps_ns, SE2.from_array(TRUTH)), align=False)
 
 
+@pytest.mark.slow
 def test_every_scan_is_within_a_centimetre(log, result):
     raw = ate(
         Trajectory(log.stamps_ns, log.T_odom_base), Trajectory(log.stamps_ns, SE2.from_array(TRUTH)), False
@@ -60,12 +61,14 @@ def test_every_scan_is_within_a_centimetre(log, result):
     assert result.check.good
 
 
+@pytest.mark.slow
 def test_same_recording_same_result(log, result):
     again = run_slam(log, SlamConfig())
     np.testing.assert_array_equal(again.trajectory.poses.xyt, result.trajectory.poses.xyt)
     np.testing.assert_array_equal(again.grid.cells, result.grid.cells)
 
 
+@pytest.mark.slow
 def test_odometry_that_runs_backwards_is_not_believed(log):
     lying = drifted(TRUTH)
     steps = (SE2(lying[:-1]).inverse() @ SE2(lying[1:])).xyt
@@ -78,6 +81,7 @@ def test_odometry_that_runs_backwards_is_not_believed(log):
     assert error(run_slam(liar, SlamConfig()), log)["rmse"] < 0.01
 
 
+@pytest.mark.slow
 def test_lidar_alone_suffices_in_a_room(log):
     result = run_slam(replace(log, T_odom_base=None), SlamConfig())
     truth = Trajectory(log.stamps_ns, SE2.from_array(TRUTH))
@@ -85,6 +89,7 @@ def test_lidar_alone_suffices_in_a_room(log):
     np.testing.assert_allclose(result.trajectory.poses.xyt[0], 0.0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_odometry_alone_is_the_odometry(log):
     result = run_slam(log, SlamConfig(sensors="odometry"))
     np.testing.assert_allclose(result.trajectory.poses.xyt, log.T_odom_base.xyt, atol=1e-9)
@@ -92,6 +97,7 @@ def test_odometry_alone_is_the_odometry(log):
         run_slam(replace(log, T_odom_base=None), SlamConfig(sensors="odometry"))
 
 
+@pytest.mark.slow
 def test_scans_without_a_return_are_carried_by_odometry(log):
     ranges = log.ranges.copy()
     ranges[:3] = np.nan
@@ -102,6 +108,7 @@ def test_scans_without_a_return_are_carried_by_odometry(log):
     assert ate(holed.trajectory, truth, align=True)["rmse"] < 0.01
 
 
+@pytest.mark.slow
 def test_a_log_of_nothing_is_mapped_to_nothing(log):
     empty = replace(log, ranges=np.full_like(log.ranges, np.nan))
     result = run_slam(empty, SlamConfig())
@@ -111,6 +118,7 @@ def test_a_log_of_nothing_is_mapped_to_nothing(log):
         run_slam(replace(log, stamps_ns=log.stamps_ns[:0], ranges=log.ranges[:0]), SlamConfig())
 
 
+@pytest.mark.slow
 def test_map_shows_the_walls_and_clears_the_rest(result):
     grid = result.grid
     along = np.stack([np.linspace(0.5, 7.5, 100), np.full(100, 5.99)], axis=1)
@@ -172,6 +180,7 @@ def test_grid_says_how_decided_its_cells_are():
     assert np.isnan(certainty(hits * 0, misses * 0, 2).entropy_bits)
 
 
+@pytest.mark.slow
 def test_map_drawn_along_drifting_wheels_is_called_doubtful(log, result):
     along = run_slam(log, SlamConfig(sensors="odometry"))
     assert any("contradict each other" in reason for reason in along.check.reasons)
@@ -203,6 +212,7 @@ def test_graph_spreads_a_square_s_error_and_shrugs_off_a_false_loop():
     assert int(np.argmax(squared)) == 5
 
 
+@pytest.mark.slow
 def test_graph_file_is_read_back_by_gtsam(tmp_path, result):
     import gtsam
 
@@ -241,6 +251,7 @@ def test_relations_by_both_definitions():
     assert relations_metrics(estimate, away)["relations"]["trans_m"]["mean"] is None
 
 
+@pytest.mark.slow
 def test_explanation_names_every_loop(result):
     record = loop_record(result)
     assert len(record["loops"]) == len(result.loops)
@@ -259,6 +270,7 @@ def carmen_text(log):
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 def test_command_writes_the_contract_s_files(tmp_path, log):
     source = tmp_path / "room.clf"
     source.write_text(carmen_text(replace(log, ranges=log.ranges[:60], stamps_ns=log.stamps_ns[:60])))
@@ -274,6 +286,7 @@ def test_command_writes_the_contract_s_files(tmp_path, log):
     assert main(["map", str(source), "--out", str(out), "-q"]) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -29,6 +29,7 @@ def arrays(one):
     return {name: np.asarray(value) for name, value in one._asdict().items()}
 
 
+@pytest.mark.slow
 def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
     line = carmen(recording(ROOM, POSES[:1], SICK, odometry=POSES[:1]))
     content = (line * 3000).encode()
@@ -43,6 +44,7 @@ def test_a_log_is_read_in_little_more_memory_than_its_text_and_its_numbers():
     assert peak < 2 * len(content) + 6 * numbers  # all words at once take 15 times the numbers
 
 
+@pytest.mark.slow
 def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
     usual = run_slam(LOG, SlamConfig())
     made, make = [], make_clouds
@@ -113,6 +115,7 @@ def test_two_submaps_are_compared_with_one_transform_there_and_one_back(monkeypa
     assert sorted(calls) == ["irfft2", "rfft2"]
 
 
+@pytest.mark.slow
 def test_arrays_that_are_done_with_go_back_to_the_system():
     program = """
 import sys

@@ -93,6 +93,7 @@ def test_localisation_sees_a_sweep_in_motion_as_it_was(lidar):
         assert off_the_walls(T[k] @ beams.points).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_a_turning_robot_maps_as_well_whichever_way_its_lidar_turns(lidar):
     sensor = Sensor(lidar, SWEEP_S, T_base_lidar=(0.1, 0.05, 0.4))

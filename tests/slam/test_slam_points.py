@@ -23,6 +23,7 @@ def hall():
     return posts(1, size=14.0)
 
 
+@pytest.mark.slow
 def test_posts_are_mapped_by_points_where_no_line_can_be_fitted(hall):
     clouds = make_clouds(hall.recording, 30.0)
     by = [clouds.placed_by(scan) for scan in range(len(clouds.starts) - 1)]
@@ -60,6 +61,7 @@ def test_point_information_is_that_of_its_residuals():
     np.testing.assert_allclose(point_information(points), jacobian.T @ jacobian, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_lidar_alone_undoes_its_own_turning():
     log = arena(1, "fast")
     n = 250

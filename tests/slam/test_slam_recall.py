@@ -43,6 +43,7 @@ BREAKS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", BREAKS.values(), ids=BREAKS.keys())
 def test_log_broken_in_two_is_put_together_again(broken):
     log = broken(office())
@@ -59,6 +60,7 @@ def test_log_broken_in_two_is_put_together_again(broken):
         assert np.hypot(*apart[:2]) < 0.2
 
 
+@pytest.mark.slow
 def test_broken_log_without_place_recognition_is_called_doubtful():
     log = BREAKS["gap in which odometry jumps"](office())
     off = SlamConfig.model_validate({"recall": {"enabled": False}})
@@ -67,6 +69,7 @@ def test_broken_log_without_place_recognition_is_called_doubtful():
     assert any("breaks" in reason for reason in result.check.reasons)
 
 
+@pytest.mark.slow
 def test_rooms_like_one_another_are_not_taken_for_one():
     log = twins(1, rooms=6)
     result = run_slam(log.recording, SlamConfig())
@@ -75,6 +78,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
     assert result.check.good, result.check.reasons
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("there_and_back", [False, True])
 def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
     log = twins(2, rooms=6, there_and_back=there_and_back)
@@ -205,6 +209,7 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
     assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
 
+@pytest.mark.slow
 def test_recall_costs_nothing_where_the_chain_holds():
     truth = around_the_room(60)
     log = recording(ROOM, truth, odometry=truth)

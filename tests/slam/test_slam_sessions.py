@@ -65,6 +65,7 @@ def test_joined_clouds_keep_every_scan():
     np.testing.assert_array_equal(both.points[kept], b.points[b.table[0][b.table[0] >= 0]])
 
 
+@pytest.mark.slow
 def test_second_session_joins_the_first_map():
     a = recording(ROOM, FIRST, odometry=drifted(FIRST))
     elsewhere = SE2.from_xyt(-4.0, 9.0, -2.2) @ SE2.from_array(SECOND)
@@ -77,6 +78,7 @@ def test_second_session_joins_the_first_map():
     assert both["rmse"] < 0.01
 
 
+@pytest.mark.slow
 def test_sessions_drawn_along_their_odometry_are_not_bent_by_scans():
     a = recording(ROOM, FIRST, odometry=drifted(FIRST))
     b = recording(ROOM, SECOND, odometry=drifted(SECOND, seed=3), seed=7)

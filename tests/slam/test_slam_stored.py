@@ -17,6 +17,8 @@ from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.slam import SlamConfig, continue_slam, run_slam
 from turtlebag.pipeline.slam.stored import FILE, load_session, save_session
 
+pytestmark = pytest.mark.slow
+
 FIRST = around_the_room(90)
 SECOND = around_the_room(80) + np.array([0.1, 0.1, 0.0])
 

@@ -66,6 +66,7 @@ def test_beams_are_counted_in_the_cells_between_the_lines_they_cross(seed):
     np.testing.assert_array_equal(misses, expected[1])
 
 
+@pytest.mark.slow
 def test_each_beam_starts_where_the_lidar_was_when_it_was_measured():
     rng = np.random.default_rng(5)
     n, beams, res, corner = 3, 7, 0.1, np.array([-3.0, -2.5])
@@ -224,6 +225,7 @@ def test_a_sweep_in_motion_is_drawn_by_its_own_odometry_or_by_what_it_is_told():
         assert walls.max() == pytest.approx(farthest, abs=0.04)
 
 
+@pytest.mark.slow
 def test_a_field_holds_how_near_the_nearest_point_is():
     clouds = make_clouds(recording(ROOM, around_the_room(3)), 30.0)
     poses, res, sigma = around_the_room(3) + np.array([0.1, -0.2, 0.3]), 0.1, 0.15

@@ -47,6 +47,7 @@ def late(recording, seconds):
     return replace(recording, T_odom_base=stream.at(recording.stamps_ns - ns), odometry=moved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
@@ -68,6 +69,7 @@ def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds)
     assert compared_turns(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["turning", "paired"])
 def test_odometry_in_time_stays_as_it_is(log, request):
     recording = request.getfixturevalue(log).recording
@@ -88,6 +90,7 @@ def test_a_robot_that_never_turns_shows_no_delay():
     assert compared_turns(late(log.recording, 0.5)) == IN_STEP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["turning", "paired"])
 @pytest.mark.parametrize("seconds", [0.0, 0.4])
 def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
@@ -100,6 +103,7 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     assert mended.notes[0].startswith("the scans turn the other way than the odometry")
 
 
+@pytest.mark.slow
 def test_late_odometry_makes_no_map_worse(turning):
     def worst(recording):
         result = run_slam(recording, SlamConfig())
@@ -108,6 +112,7 @@ def test_late_odometry_makes_no_map_worse(turning):
     assert worst(late(turning.recording, 0.5)) < 1.2 * worst(turning.recording)
 
 
+@pytest.mark.slow
 def test_map_and_localise_say_it(turning, tmp_path, capsys):
     recording = late(turning.recording, 0.3)
     with BagWriter(tmp_path / "bag", custom={}) as writer:

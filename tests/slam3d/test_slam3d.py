@@ -13,6 +13,8 @@ from turtlebag.datasets.types import Cloud
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
 from turtlebag.reports.metrics.trajectory import ate
 
+pytestmark = pytest.mark.slow
+
 FEW = Slam3dConfig.model_validate(
     {
         "tracking": {"fit_points": 1200, "key_points": 3000},

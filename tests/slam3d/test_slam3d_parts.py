@@ -42,6 +42,7 @@ def place(points, voxel=0.3):
     return make_surfels(points, np.zeros_like(points), voxel)
 
 
+@pytest.mark.slow
 def test_transforms_are_those_of_the_matrix_exponential():
     for angle in (0.0, 1e-8, 1e-3, 1.0, 3.0):
         xi = RNG.normal(size=(20, 6))
@@ -187,6 +188,7 @@ def test_a_place_is_recognised_whatever_the_heading():
     assert [k for k, _ in Contexts(all_).like(1, np.array([0, 2]), 1, 0.5)] == [0]
 
 
+@pytest.mark.slow
 def test_open3d_finds_the_pose_from_nothing_and_rejects_another_room():
     here = room_points(1500)
     T = se3.exp(np.array([0.0, 0.0, 2.2, 0.6, -0.4, 0.0]))
@@ -263,6 +265,7 @@ def test_the_file_of_a_cloud_has_the_same_bytes_again_and_no_lone_points(tmp_pat
     np.testing.assert_allclose(read_ply(tmp_path / "a.ply"), points, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_open3d_adds_up_in_one_order():
     o3d, rng = open3d(), np.random.default_rng(0)
     registration = o3d.pipelines.registration

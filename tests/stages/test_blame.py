@@ -32,6 +32,7 @@ from turtlebag.sim.worlds import load_world
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_only_the_study_may_import_the_truth():
     users = set()
     for folder in ("datasets", "sim", "planners", "reports", "pipeline"):
@@ -92,12 +93,14 @@ def left_over(room, parts, **settings):
     return found, result
 
 
+@pytest.mark.slow
 def test_the_true_front_end_is_exact_until_others_move_it(room):
     off = {"loops": {"enabled": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}}
     assert left_over(room, [], **off)[0] > 0.004
     assert left_over(room, ["front_end"], **off)[0] < 1e-9
 
 
+@pytest.mark.slow
 def test_true_loops_are_all_closed_where_they_truly_are(room):
     truth = room[1]
     _, usual = left_over(room, [])
@@ -111,6 +114,7 @@ def test_true_loops_are_all_closed_where_they_truly_are(room):
     assert left_over(room, ["loops"], **off)[0] < left_over(room, [], **off)[0]
 
 
+@pytest.mark.slow
 def test_what_the_truth_made_is_never_kept_for_others(room, tmp_path):
     cache = StageCache(tmp_path)
     run_slam(room[0], SlamConfig(), cache=cache, steps=true_steps(room[1], ["front_end"]))
@@ -131,6 +135,7 @@ def short_drive(tmp_path_factory):
     return world, prepare(request, robot, NavigateConfig(sim=sim), world.keepout), true_map
 
 
+@pytest.mark.slow
 def test_parts_of_the_drive_are_replaced_alone(short_drive):
     world, mission, true_map = short_drive
     usual, located, wheels = (

@@ -16,6 +16,8 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.verify import verify
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 LAP = """\
 name: short_lap

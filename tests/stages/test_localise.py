@@ -50,6 +50,7 @@ def run(room_log, out, *more):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ["2,2,0", "global"])
 def test_a_log_is_localised(room_log, tmp_path, start):
     out = tmp_path / "out"
@@ -65,6 +66,7 @@ def test_a_log_is_localised(room_log, tmp_path, start):
     assert (out / "manifest.json").is_file()
 
 
+@pytest.mark.slow
 def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, capsys):
     grid = l_shaped_room().grid()
     rng = np.random.default_rng(5)
@@ -106,6 +108,7 @@ def test_the_truth_of_another_time_is_one_line(room_log, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quiet", [True, False])
 def test_one_line_sums_up_what_was_found(room_log, tmp_path, capsys, quiet):
     assert run(room_log, tmp_path / "out", "--initial-pose=2,2,0", *(["-q"] if quiet else [])) == 0
@@ -116,6 +119,7 @@ def test_one_line_sums_up_what_was_found(room_log, tmp_path, capsys, quiet):
     assert len(said) == (0 if quiet else 1)
 
 
+@pytest.mark.slow
 def test_the_same_seed_writes_the_same_bytes(room_log, tmp_path):
     for name in ("a", "b"):
         assert run(room_log, tmp_path / name, "--initial-pose=2,2,0", "--seed", "4") == 0

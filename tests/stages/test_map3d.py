@@ -49,6 +49,7 @@ def files(folder):
     return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.name != "manifest.json"}
 
 
+@pytest.mark.slow
 def test_a_bag_of_clouds_alone_is_mapped_in_3d_and_again_to_the_same_bytes(bag, drive, tmp_path):
     assert build_map(bag, tmp_path / "a", explain=True) == 0
     assert build_map(bag, tmp_path / "b", explain=True, topic="/velodyne_points") == 0

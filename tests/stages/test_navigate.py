@@ -43,6 +43,7 @@ def goal_run(true_map, tmp_path_factory):
     return out, metrics
 
 
+@pytest.mark.slow
 def test_a_goal_is_reached_in_position_and_heading(goal_run):
     _, metrics = goal_run
     (goal,) = metrics["goals"]
@@ -54,6 +55,7 @@ def test_a_goal_is_reached_in_position_and_heading(goal_run):
     assert metrics["localisation_error_m"]["rmse"] < 0.03
 
 
+@pytest.mark.slow
 def test_a_run_leaves_the_contracts_files(goal_run):
     out, metrics = goal_run
     files = set(sha256_tree(out))
@@ -66,6 +68,7 @@ def test_a_run_leaves_the_contracts_files(goal_run):
     assert (out / "manifest.json").is_file()
 
 
+@pytest.mark.slow
 def test_commands_obey_the_limits(goal_run):
     log = RunLog.load(goal_run[0] / "runlog.csv")
     model = load_robot("burger").model
@@ -74,6 +77,7 @@ def test_commands_obey_the_limits(goal_run):
     assert log.v[-1] == 0.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(goal_run, true_map, tmp_path):
     out, _ = goal_run
     run(tmp_path / "again", map_path=true_map, goal=SE2.from_xyt(-0.6, -1.6, 1.2))

@@ -61,6 +61,7 @@ def hashes(folder: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 def test_outputs_are_the_contracts(recorded):
     assert set(hashes(recorded)) == {
         "bag/bag_0.mcap",
@@ -74,6 +75,7 @@ def test_outputs_are_the_contracts(recorded):
     assert not recorded.with_name("rec.partial").exists()
 
 
+@pytest.mark.slow
 def test_truth_has_one_line_per_scan_at_the_scans_stamp_and_the_map_of_the_world(recorded):
     log = load_recording(recorded)
     truth = load_tum(recorded / "truth" / "trajectory.tum")
@@ -90,6 +92,7 @@ def test_truth_has_one_line_per_scan_at_the_scans_stamp_and_the_map_of_the_world
     assert 5 * seconds(int(np.ptp(log.odometry.stamps_ns))) == pytest.approx(len(log), abs=2)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_path):
     code = "import sys, pathlib, turtlebag.pipeline.stages.record as r; "
     code += "r.record('turtlebot3_world', None, sys.argv[1], 1, pathlib.Path(sys.argv[2]))"
@@ -102,6 +105,7 @@ def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_
     assert hashes(tmp_path / "c")["bag/bag_0.mcap"] != hashes(recorded)["bag/bag_0.mcap"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, monkeypatch, number, code):
     out = tmp_path / "rec"
@@ -178,6 +182,7 @@ def test_script_actions_do_what_they_say(script):
     assert turned == pytest.approx(np.pi / 2 + np.pi + np.pi, abs=0.15)
 
 
+@pytest.mark.slow
 def test_tour_is_slow_turns_on_the_spot_and_touches_nothing():
     poses, clearances, contacts = drive("tour", "turtlebot3_world")
     assert contacts == 0
@@ -206,6 +211,7 @@ def test_every_route_keeps_clear_of_everything_the_robot_could_touch(name):
                 assert room > robot.model.circumscribed_radius + 0.1, f"{name}: {x:.2f}, {y:.2f}"
 
 
+@pytest.mark.slow
 def test_a_robot_that_gets_stuck_ends_the_recording_with_complete_outputs(tmp_path):
     path = tmp_path / "into_the_wall.yaml"
     path.write_text("name: wall\nsteps: [{turn_deg: 180}, {drive: 3.0}]\n")
@@ -213,6 +219,7 @@ def test_a_robot_that_gets_stuck_ends_the_recording_with_complete_outputs(tmp_pa
     assert len(load_recording(tmp_path / "rec")) > 20
 
 
+@pytest.mark.slow
 def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes(tmp_path, script):
     for number in range(2):
         left_over = tmp_path / "rec.partial" / "bag" / "bag_0.mcap"
@@ -240,6 +247,7 @@ def test_what_a_killed_run_left_is_set_aside_too_but_not_by_a_command_that_is_re
     assert "turtlebag bag recover" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
     for number, source in enumerate((recorded, recorded / "bag", recorded / "bag" / "bag_0.mcap")):
         out = tmp_path / str(number)
@@ -249,6 +257,7 @@ def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path
         assert again == before
 
 
+@pytest.mark.slow
 def test_a_bags_commands_drive_another_robot_too(recorded, tmp_path):
     assert record("empty", "waffle_pi", str(recorded), 1, tmp_path / "rec") == 0
     path = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum")

@@ -171,6 +171,7 @@ def scheduler():
         yield cluster.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, scheduler):
     from turtlebag.pipeline.campaign.sweep import sweep
 
@@ -201,6 +202,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
         query(tmp_path / "out/results.parquet", "SELECT nothing FROM runs")
 
 
+@pytest.mark.slow
 def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, scheduler, monkeypatch):
     from turtlebag.pipeline.campaign.sweep import sweep
 
@@ -223,6 +225,7 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
     assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler):
     from turtlebag.pipeline.campaign.sweep import sweep
 
@@ -274,6 +277,7 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, scheduler):
         sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler)
 
 
+@pytest.mark.slow
 def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatch):
     from turtlebag.pipeline.campaign import sweep
 
@@ -292,6 +296,7 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     assert not (arguments[1] / sweep.MARK).exists()
 
 
+@pytest.mark.slow
 def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_read(tmp_path, scheduler):
     from turtlebag.pipeline.campaign.sweep import sweep
 

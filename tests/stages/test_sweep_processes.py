@@ -12,6 +12,8 @@ import pytest
 
 from turtlebag.datasets.outputs import sha256_tree
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 CAMPAIGN = """
 name: small

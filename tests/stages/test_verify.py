@@ -45,6 +45,7 @@ def edit_metrics(folder, change):
     rehash(folder, "metrics.json")
 
 
+@pytest.mark.slow
 def test_an_honest_report_verifies(tree):
     found = verify(tree / "report", main)
     assert found.problems == []
@@ -53,6 +54,7 @@ def test_an_honest_report_verifies(tree):
     assert set(found.unchecked) >= {"room/map:loops.accepted", "room/map:curious.value"}
 
 
+@pytest.mark.slow
 def test_every_number_on_the_page_has_a_key_that_is_checked_or_told(tree):
     found = verify(tree / "report", main)
     known = {check.key for check in found.checks} | set(found.unchecked)
@@ -74,6 +76,7 @@ LIES = [
 ]
 
 
+@pytest.mark.slow
 def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
     for stage, _, change in LIES:
         edit_metrics(tree / stage, change)
@@ -84,6 +87,7 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
         assert any(problem.startswith(f"{key}: reported") for problem in problems), key
 
 
+@pytest.mark.slow
 def test_a_number_changed_on_the_page_only_is_named(tree):
     page = tree / "report/index.html"
     key, value, text = next(item for item in page_numbers(page) if item[0] == "room/map:ate_m.max")
@@ -94,6 +98,7 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
     assert any("room/map:ate_m.max" in problem for problem in problems)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("said", "lie"),
     [
@@ -115,6 +120,7 @@ def test_a_tile_a_verdict_and_a_caption_changed_on_the_page_are_named(tree, said
     assert re.sub("<[^>]*>", "", said) in problem.partition("; computed ")[2]
 
 
+@pytest.mark.slow
 def test_a_tile_that_shows_another_number_than_the_stages_is_named(tree):
     page = tree / "report/index.html"
     key, value, text = next(item for item in page_numbers(page) if item[0] == "room/map:ate_m.rmse")
@@ -124,18 +130,21 @@ def test_a_tile_that_shows_another_number_than_the_stages_is_named(tree):
     assert any("room/map:ate_m.rmse" in line for line in verify(tree / "report", main).problems)
 
 
+@pytest.mark.slow
 def test_a_number_changed_in_the_reports_metrics_only_is_named(tree):
     edit_metrics(tree / "report", lambda m: m["room"]["record"].update(distance_m=100.0))
     problems = verify(tree / "report", main).problems
     assert any(problem.startswith("room/record:distance_m") for problem in problems)
 
 
+@pytest.mark.slow
 def test_a_changed_data_file_is_named(tree):
     path = tree / "map/trajectory.tum"
     path.write_text(path.read_text().replace("0 0 0", "0 0 0 ", 1))
     assert "room/map/trajectory.tum: not what its manifest says" in verify(tree / "report", main).problems
 
 
+@pytest.mark.slow
 def test_a_truth_that_is_not_the_bags_is_named(tree):
     path = tree / "record/truth/trajectory.tum"
     lines = path.read_text().splitlines()
@@ -145,6 +154,7 @@ def test_a_truth_that_is_not_the_bags_is_named(tree):
     assert any("/ground_truth/odom" in problem for problem in verify(tree / "report", main).problems)
 
 
+@pytest.mark.slow
 def test_the_command_names_what_differs_and_exits_1(tree, capsys):
     assert main(["verify", str(tree / "report")]) == 0
     edit_metrics(tree / "map", lambda m: m["ate_m"].update(rmse=0.001))
@@ -152,12 +162,14 @@ def test_the_command_names_what_differs_and_exits_1(tree, capsys):
     assert "DIFFERS room/map:ate_m.rmse" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_one_number_can_be_asked_for(tree, capsys):
     assert main(["verify", str(tree / "report"), "--only", "room/map:scans"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "same    room/map:scans  150"
     assert main(["verify", str(tree / "report"), "--only", "room/map:nothing"]) == 2
 
 
+@pytest.mark.slow
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
     for folder in (tree / "map", tmp_path, tree / "gone"):
         assert main(["verify", str(folder)]) == 2
@@ -202,6 +214,7 @@ def test_loops_are_read_from_their_record(tmp_path):
         read_loops(tmp_path / "graph.json")
 
 
+@pytest.mark.slow
 def test_a_clearance_the_true_map_does_not_leave_is_named(tree):
     log = RunLog.load(tree / "run/runlog.csv")
     replace(log, clearance_m=np.full(len(log), 5.0)).save(tree / "run/runlog.csv")
