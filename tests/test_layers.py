@@ -57,6 +57,11 @@ def test_imports_follow_the_arrows(room):
         assert not wrong, f"{path.relative_to(ROOT)} imports {sorted(wrong)}"
 
 
+def test_the_table_of_the_docs_has_a_row_for_each_room():
+    rows = re.findall(r"^\| `([a-z0-9/]+)` \|", (ROOT / "docs/architecture.md").read_text(), re.M)
+    assert sorted(rows) == sorted(set(MAY_IMPORT) - {"pipeline"})
+
+
 def test_no_imports_go_round_in_a_circle():
     graph = {path.relative_to(ROOT).with_suffix("").as_posix(): imported(path) for path in SOURCES}
     assert sum(map(len, graph.values())) > 1000

@@ -117,6 +117,6 @@ def test_the_verdict_is_by_the_truth():
         {**run, "true_success": False, "goals": [goal, far], "collisions": {"visible": 2, "low": 1}}
     )
     assert bad.startswith(
-        "failed: 1 of 2 goals reached (the robot reported 2), 3 collisions (2 with what the"
+        "failed: 1 of 2 goals reached (the robot reported 2), 3 collisions (2 visible to the lidar, 1"
     )
     assert (length(0.0123), length(3.9968)) == ("1.2 cm", "4.00 m")
