@@ -86,7 +86,7 @@ def render_index(lines: Sequence[Line]) -> str:
 
 def fill(template: str, **values: object) -> str:
     """A template of this package with the style and script all pages share."""
-    folder = files("reports") / "templates"
+    folder = files("turtlebag.reports") / "templates"
     environment = Environment(
         loader=FunctionLoader(lambda name: (folder / name).read_text()),
         autoescape=True,

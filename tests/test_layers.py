@@ -79,6 +79,12 @@ def test_every_package_is_installed_and_imported_by_one_name():
             for node in ast.walk(ast.parse(path.read_text())):
                 module = node.module if isinstance(node, ast.ImportFrom) else None
                 assert (module or "").split(".")[0] not in (*BELOW, "pipeline"), path
+                if (
+                    isinstance(node, ast.Call)
+                    and getattr(node.func, "attr", getattr(node.func, "id", "")) == "files"
+                ):
+                    package = [arg.value for arg in node.args if isinstance(arg, ast.Constant)]
+                    assert all(name.startswith("turtlebag.") for name in package), path
 
 
 def names_read(path: Path) -> set[str]:

@@ -89,7 +89,7 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     page = make_report([record, located, run], tmp_path / "out", animate=False).read_text()
     assert "Rejected: no initial pose." in page
     assert "<strong>Not localised.</strong>" in page
-    assert "<strong>The map it made.</strong>" in page
+    assert "<strong>The map it built.</strong>" in page
 
 
 def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):

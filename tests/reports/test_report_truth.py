@@ -183,4 +183,4 @@ def test_a_comparison_says_of_both_how_they_truly_went(folders):
     lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
     assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]
     assert re.search(r"success \(ground truth\)</td><td[^>]*>no</td><td[^>]*>yes</td>", text)
-    assert re.search(r"success \(robot's estimate\)</td><td[^>]*>yes</td><td[^>]*>yes</td>", text)
+    assert re.search(r"success \(robot&#39;s estimate\)</td><td[^>]*>yes</td><td[^>]*>yes</td>", text)
