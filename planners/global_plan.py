@@ -57,7 +57,7 @@ class PlanConfig(BaseModel):
     replan_period: Seconds = 1.0
     """A blocked path is planned anew no more often than this [s]."""
     snap: float = Field(default=0.35, ge=0.0, le=10.0)
-    """How far the start may be moved to reach free floor, when the robot stands too near an obstacle."""
+    """How far the start may be moved to reach free floor, when the robot is too close to an obstacle."""
 
 
 class NoPath(Exception):
@@ -109,7 +109,7 @@ def plan_path(
         # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
         smaller = padded(model.footprint, -0.3 * costmap.resolution)
         if _blocked_until(costmap, smaller, poses) > 2.0 * config.snap:
-            raise NoPath("no way leads there")
+            raise NoPath("no path leads there")
     return plan
 
 
@@ -118,7 +118,7 @@ def _disc_way(
 ) -> tuple[_Way | None, str]:
     """The way of the disc round the footprint with most room that is not too long, or why there is none."""
     best: _Way | None = None
-    reason, limit = "the goal is too near an obstacle", None
+    reason, limit = "the goal is too close to an obstacle", None
     for margin in config.margins:
         last = margin == config.margins[-1]
         if last and best is not None:
@@ -127,10 +127,10 @@ def _disc_way(
         entry, exit_ = search.entry(start.xy), search.entry(goal.xy) if last else search.cell(goal.xy)
         if entry is None or exit_ is None:
             if entry is None:
-                reason = "the robot stands too near an obstacle"
+                reason = "the robot is too close to an obstacle"
             continue
         if not search.connected(entry, exit_):
-            reason = "no way leads there"
+            reason = "no path leads there"
             continue
         found = search.run(entry, exit_, seed)
         if limit is None:
@@ -201,12 +201,12 @@ def _plan_poses(
 ) -> Plan:
     """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
-        raise NoPath("the robot stands in an obstacle or off the map")
+        raise NoPath("the robot is in an obstacle or off the map")
     if not inner_disc_joins(costmap, model.footprint, start, goal):
-        raise NoPath("no way leads there")
+        raise NoPath("no path leads there")
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
-        raise NoPath("no way leads there in any heading")
+        raise NoPath("no path leads there in any heading")
     name = f"{config.ompl.planner} in {config.ompl.space}"
     if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
         there = SE2(np.stack([start.xyt, goal.xyt]))

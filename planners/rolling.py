@@ -50,14 +50,14 @@ class RollingLayer(LiveLayer):
         free = costmap.clearance > radius
         start = _nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
         if start is None:
-            raise NoPath("the robot stands too near an obstacle")
+            raise NoPath("the robot is too close to an obstacle")
         ways = wave(free, *start, math.inf) * res
         rim = _rim(len(free), round(RIM_M / res))
         rest = np.linalg.norm((rim[:, ::-1] + 0.5) * res - costmap.T_grid_map @ goal.xy, axis=1)
         total = ways[rim[:, 0], rim[:, 1]] + rest
         best = int(np.argmin(total))
         if not math.isfinite(total[best]):
-            raise NoPath("no way leads out of what is seen")
+            raise NoPath("no path leads out of the area in view")
         place = costmap.T_map_grid @ ((rim[best, ::-1] + 0.5) * res)
         ahead = goal.xy - place
         return SE2.from_xyt(place[0], place[1], math.atan2(ahead[1], ahead[0]))

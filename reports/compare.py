@@ -146,8 +146,8 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
     if a.map is not None and b.map is not None:
         both, only_a, only_b = map_overlap(a.map, b.map)
         caption = (
-            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Colour away "
-            "from the grey is a wall that only one of the two has."
+            f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Coloured "
+            "walls away from the grey exist in only one of the two."
         )
         album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
     path_a, path_b = driven(a), driven(b)
@@ -175,9 +175,9 @@ def same_input(a: Stage, b: Stage) -> bool:
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
     time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
-    caption = "Distance between A's and B's estimate of the same instant."
+    caption = "Distance between the estimates of A and B at the same instant."
     figure = partial(comparison.apart, time_s, pairs.position_errors())
-    album.add("apart", "How far apart", caption, figure)
+    album.add("apart", "Difference", caption, figure)
 
 
 def driven(stage: Stage) -> Trajectory | None:

@@ -219,11 +219,11 @@ def _goals_sentence(goals: Sequence[Mapping[str, Any]]) -> str:
     asides = [f"{count} {end}" for end, count in ends.items()]
     if len(goals) == 1:
         if away:
-            return f"goal not reached: the robot believed it was there, but it was {shown(away[0], 'm')} away"
+            return f"goal not reached: the robot reported it as reached, but was {shown(away[0], 'm')} away"
         return "goal reached" if reached else f"goal not reached ({', '.join(asides).removeprefix('1 ')})"
     if away:
         asides.insert(
-            0, f"the robot believed {reached + len(away)}, but was up to {shown(max(away), 'm')} away"
+            0, f"the robot reported {reached + len(away)}, but was up to {shown(max(away), 'm')} away"
         )
     return f"{reached} of {len(goals)} goals reached" + (f" ({'; '.join(asides)})" if asides else "")
 
@@ -242,9 +242,9 @@ def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[
         return (GOOD if near >= GOOD_WALLS else BAD), sentence
     if relations is not None:
         return NEUTRAL, f"{scans} scans; mean relations error {shown(relations, 'm4')}."
-    sentence = f"{scans} scans; no truth was given, so no error is known"
+    sentence = f"{scans} scans; no ground truth was given, so the error is unknown"
     check = lookup(metrics, "self_check.verdict")
-    return NEUTRAL, sentence + (f"; by its own check the map is {check}." if check else ".")
+    return NEUTRAL, sentence + (f"; self-check: {check}." if check else ".")
 
 
 def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
@@ -252,7 +252,7 @@ def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     if rivals:
         found = sum(bool(entry.get("success")) for entry in rivals)
         good = bool(metrics.get("success", found))
-        sentence = f"{found} of {len(rivals)} planners found a path; the one asked for "
+        sentence = f"{found} of {len(rivals)} planners found a path; the chosen one "
         return GOOD if good else BAD, sentence + ("did." if good else "did not.")
     if not metrics.get("success", True):
         return BAD, f"No path was found: {metrics.get('reason') or 'no reason is given'}."
@@ -267,9 +267,8 @@ def _localise_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     good = believed and bool(metrics.get("true_success", True))
     status = str(metrics.get("status", "localised"))
     if believed and not good:
-        status = (
-            f"not localised: it believed so, but was {shown(metrics.get('last_error_m'), 'm')} off at the end"
-        )
+        off = shown(metrics.get("last_error_m"), "m")
+        status = f"not localised: the filter reported success, but was {off} off at the end"
     reason = f": {metrics['reason']}" if metrics.get("reason") else ""
     return (GOOD if good else BAD), f"{status[0].upper()}{status[1:]}{reason}{known}."
 

@@ -57,10 +57,10 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     record = group.record_of(stage)
     truth = record.truth if record is not None else None
     if stage.metrics.get("status") == "rejected":
-        caption = "The robot was not told where it was. The odometry is shown in place of an estimate."
+        caption = "The robot had no initial pose. The odometry is shown in place of an estimate."
         draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": estimate})
         return [album.add(f"{prefix}-path", "Not localised", caption, draw)]
-    caption = "Where the particle filter (AMCL) believed the robot was"
+    caption = "The path estimated by the particle filter (AMCL)"
     caption += (
         "; the thin line should run along the middle of the wide pale one." if truth is not None else "."
     )
@@ -68,7 +68,7 @@ def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list
     pictures = [album.add(f"{prefix}-path", "Localised path", caption, draw)]
     if truth is not None:
         draw = partial(series.localisation, associate(estimate, truth), int(truth.stamps_ns[0]), [], [])
-        caption = "Distance between the estimate and the truth at each scan. It should stay low."
+        caption = "Distance between the estimated and the true position at each scan. It should stay low."
         pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, draw))
     return pictures
 
@@ -82,8 +82,8 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
     rivals = rival_paths(stage)
     if rivals:
         caption = (
-            "Each planner's path from the same start to the same goal. Look for paths that are shorter but "
-            "keep less room, and for those that take another route altogether."
+            "Each planner's path from the same start to the same goal. Look for paths that are shorter "
+            "but keep less clearance, and for those that take another route."
         )
         draw = partial(maps.plans, grid, rivals)
         return [album.add(f"{prefix}-path", "Planners compared", caption, draw)]

@@ -37,8 +37,8 @@ def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[P
         return []
     paths = {"truth": stage.truth, "odometry": read_poses(stage.folder / "bag", "/odom")}
     caption = (
-        "Where the robot went (truth), and where its wheels say it went (odometry). The further apart, the "
-        "more mapping has to put right."
+        "The robot's true path, and its path by wheel odometry. The farther apart they are, the more "
+        "mapping has to correct."
     )
     draw = partial(maps.trajectories, stage.true_map, paths)
     return [album.add(f"{prefix}-drive", "The drive", caption, draw)]
@@ -62,18 +62,20 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
         pictures.append(album.add(f"{prefix}-error", "Map over truth", caption, draw))
     if slam is not None and truth is not None:
         caption = (
-            "SLAM's path should run along the middle of the wide pale band, which is the truth. The odometry "
-            "alone drifts away from it."
+            "SLAM's path should run along the middle of the wide pale band, which is the truth. "
+            "Odometry alone drifts away from it."
         )
         draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": odometry, "slam": slam})
         pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
         pictures.append(_error_picture(album, prefix, slam, odometry, truth))
     elif grid is not None:
-        caption = "The map and the robot's path. No truth is known here: look for walls that appear twice."
+        caption = (
+            "The map and the robot's path. The truth is not known here; look for walls that appear twice."
+        )
         draw = partial(maps.plain_map, grid, {"slam": slam})
         pictures.append(album.add(f"{prefix}-map", "Map", caption, draw))
         if odometry is not None and slam is not None:
-            caption = "The path by odometry alone, and after SLAM."
+            caption = "The path by odometry alone and the path by SLAM."
             draw = partial(maps.trajectories, grid, {"odometry": odometry, "slam": slam})
             pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
     if stage.has("map.ply"):
@@ -109,7 +111,7 @@ def _mapping_animation(
         "The scans as SLAM places them, with its path in blue and the odometry's in purple. Walls seen again "
         "on a later visit should fall on those seen before."
     )
-    return [album.add_animation(f"{prefix}-animation", "How the map grew", caption, draw)]
+    return [album.add_animation(f"{prefix}-animation", "Animation of the map", caption, draw)]
 
 
 def read_again(folder: Path) -> Recording | None:
@@ -126,13 +128,13 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     pairs, residual_m = shown_edges(graph, record)
     what = "loops" if record is not None else "edges between distant keys"
     caption = (
-        "Dots are key scans. Lines join places that were recognised again: blue where they agree with the "
-        f"map, orange where they pull against it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges; "
+        "Dots are key scans. Lines join visits to the same place: blue where they agree with the "
+        f"map, orange where they conflict with it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges; "
         f"the {len(pairs)} {what} are drawn"
     )
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
-        caption += f". What remains of a loop's error: median {middle}, largest {worst}"
+        caption += f". Residual of a loop: median {middle}, largest {worst}"
     draw = partial(pose_graph, graph, grid, record)
     return album.add(f"{prefix}-graph", "Pose graph", caption + ".", draw)
 
@@ -147,8 +149,8 @@ def _error_picture(
         return series.error_over_time(associate(slam, truth), at_scans, truth)
 
     caption = (
-        "Top: the errors of SLAM and of the odometry. Bottom: how the robot moved at the time. SLAM's error "
-        "should fall again after every turn; the odometry's does not. An axis that goes beyond 3 is "
+        "Top: the errors of SLAM and of the odometry. Bottom: the robot's speeds. SLAM's error should "
+        "fall again after every turn; the odometry's does not. An axis that goes beyond 3 is "
         "logarithmic above 1."
     )
     return album.add(f"{prefix}-time", "Error over time", caption, draw)
@@ -192,29 +194,29 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     ends = goal_ends(log)
     if estimate is not None:
         caption = (
-            "Distance between where the robot believed it was and where it was. It should stay low. Dotted "
-            "lines mark the end of a goal, orange bands contact."
+            "Distance between the estimated and the true position. It should stay low. Dotted lines "
+            "mark the end of a goal, orange bands contact."
         )
         pairs = associate(estimate, truth)
         draw = partial(series.localisation, pairs, int(log.t_ns[0]), episodes, ends)
         pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, draw))
     caption = (
-        "Top: the distance from the footprint to the nearest surface (0 is contact). Bottom: the commands "
-        "of the controller at the time, smooth in the open and ragged where it had to dodge."
+        "Top: the distance from the footprint to the nearest surface (0 is contact). Bottom: the "
+        "controller's commands, smooth in open space and uneven where it had to avoid something."
     )
     commands = np.stack([log.v, log.w], axis=1)
     draw = partial(series.clearance, log.t_ns, log.clearance_m, commands, episodes, ends)
     pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, draw))
-    caption = "The true path, coloured by clearance: orange where it was tight, \u25bc where it was least."
+    caption = "The true path, coloured by clearance: orange where it was tight, ▼ where it was smallest."
     draw = partial(runs.clearance_on_map, world, truth, log.clearance_m)
     pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, draw))
     if stage.map is not None and stage.true_map is not None:
         caption = (
-            "The map made on the way: every wall cell, coloured by its distance from the nearest true "
-            "surface (grey)."
+            "The map built during the run: every wall cell, coloured by its distance from the nearest "
+            "true surface (grey)."
         )
         draw = partial(maps.map_over_truth, stage.map, stage.true_map)
-        pictures.append(album.add(f"{prefix}-map", "The map it made", caption, draw))
+        pictures.append(album.add(f"{prefix}-map", "The map it built", caption, draw))
     pictures += _particle_pictures(stage, world, truth, album, prefix)
     if album.animate:
         pictures.append(_run_animation(stage, world, truth, estimate, log, album, prefix))
@@ -230,9 +232,9 @@ def decisions_of(log: RunLog) -> runs.Decisions:
 def _run_caption(localised: bool, goals: bool, decisions: runs.Decisions | None) -> str:
     caption = "The true path"
     if localised:
-        caption = "The true path (wide, pale), and on it where the robot believed it was (thin)"
+        caption = "The true path (wide, pale) and the robot's estimate of it (thin)"
     if goals:
-        return f"{caption}. Goals are numbered in order; colour and shape say how they truly ended."
+        return f"{caption}. Goals are numbered in order; colour and shape show the true outcome."
     if decisions is None:
         return f"{caption}."
     turns = sum(word in runs.DECISIONS for word in decisions.words)
@@ -256,11 +258,11 @@ def _run_animation(
         return animation.gif(animation.run(world, truth, log.goal_index, goals, recording, scans_at))
 
     caption = (
-        "The true path (pale), and the scan (green) drawn from where the robot believes it is: it should lie "
+        "The true path (pale), and the scan (green) drawn from the estimated pose. The scan should lie "
         "on the walls."
     )
     caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
-    return album.add_animation(f"{prefix}-animation", "The run, moving", caption, draw)
+    return album.add_animation(f"{prefix}-animation", "Animation of the run", caption, draw)
 
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
@@ -279,9 +281,9 @@ def _particle_pictures(
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
     caption = (
-        "Each green stroke is one guess of where the robot is, the arrow with a dot the truth. Every picture "
-        "is zoomed to the cloud, so look at its scale bar: the cloud should shrink and keep to the arrow. "
-        "More pictures are from the start of the run."
+        "Each green stroke is one particle, a hypothesis of the robot's pose; the arrow with a dot is "
+        "the truth. Each panel is zoomed to the particles, so note its scale bar: they should converge "
+        "and stay around the arrow. More panels are from the start of the run."
     )
     draw = partial(particles, world, snapshots, truth)
     return [album.add(f"{prefix}-particles", "Particles", caption, draw)]

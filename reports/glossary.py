@@ -25,53 +25,64 @@ class Word:
 WORDS = (
     Word(
         "odometry",
-        "Where the robot thinks it is by counting the turns of its wheels. Exact over a metre, wrong over "
-        "a house: slip and a wheel a hair too large add up.",
+        "The robot's pose computed from the rotation of its wheels. Accurate over a metre; over longer "
+        "distances, slip and small errors of the wheel size accumulate.",
     ),
     Word(
         "SLAM",
-        "Simultaneous localisation and mapping: from lidar scans and odometry, the path and the map at once.",
+        "Simultaneous localisation and mapping: the path and the map are estimated together from lidar "
+        "scans and odometry.",
     ),
     Word(
         "key scan",
-        "One of the scans the map is built from, taken every so far and every so much of a turn; a node of "
-        "the pose graph.",
+        "One of the scans that are nodes of the pose graph: a new one is taken after a set distance or turn.",
         ("key scans",),
     ),
-    Word("scan", "One turn of the lidar: the distance to what it hit in each direction.", ("scans",)),
-    Word("cell", "One square of the map, free, occupied or unknown; usually 5 cm wide.", ("cells",)),
-    Word("truth", "Where the robot really was, known to the simulator. No algorithm ever reads it."),
-    Word("yaw", "Heading, counted from the x axis, left positive."),
+    Word(
+        "scan",
+        "One revolution of the lidar: the distance to the nearest object in each direction.",
+        ("scans",),
+    ),
+    Word("cell", "One square of the map: free, occupied or unknown; usually 5 cm wide.", ("cells",)),
+    Word("truth", "Ground truth: the robot's real pose, which the simulator knows. No algorithm reads it."),
+    Word("yaw", "Heading: the angle from the x axis, positive to the left."),
     Word("RMSE", "Root mean square error: like a mean, but large errors count more."),
     Word(
         "ATE", "Absolute trajectory error: the distance between estimated and true position, over all scans."
     ),
     Word(
         "drift per metre",
-        "Relative pose error (RPE): how wrong a step of one metre is, wherever it starts.",
+        "Relative pose error (RPE): the error over one metre of path, wherever it starts.",
     ),
     Word(
         "alignment",
-        "Moving the whole path rigidly onto the truth before measuring. Simulated maps are measured without: "
-        "map and world share their origin.",
+        "Moving the whole path rigidly onto the truth before measuring. Simulated maps are measured "
+        "without it, because map and world share their origin.",
     ),
     Word(
         "loop",
-        "A loop closure: a place recognised on a later visit, which ties the path's two ends together and "
-        "takes the drift out of what lies between.",
+        "A loop closure: a place recognised on a later visit. It ties the two visits together and "
+        "removes the drift between them.",
         ("loops",),
     ),
-    Word("pose graph", "Key scans joined by measured steps; SLAM moves them until all agree best."),
-    Word("IoU", "Intersection over union: cells both maps call wall, over cells either of them does."),
+    Word(
+        "pose graph",
+        "Key scans joined by measured relative poses; SLAM moves them until the measurements agree best.",
+    ),
+    Word(
+        "IoU",
+        "Intersection over union: cells that are wall in both maps, divided by cells that are wall in "
+        "either.",
+    ),
     Word(
         "AMCL",
-        "Adaptive Monte Carlo localisation: many guesses (particles) of where the robot is, moved with the "
-        "odometry and weighed by how well the scan fits the map there.",
+        "Adaptive Monte Carlo localisation: many hypotheses (particles) of the robot's pose, moved "
+        "with the odometry and weighted by how well the scan fits the map.",
         ("particle filter",),
     ),
     Word("footprint", "The outline of the robot on the floor."),
-    Word("clearance", "The room between the footprint and the nearest surface."),
-    Word("goal checker", "Says when a goal is reached; it knows the robot's own estimate only."),
+    Word("clearance", "The distance between the footprint and the nearest surface."),
+    Word("goal checker", "Decides when a goal is reached; it knows only the robot's estimate."),
 )
 
 

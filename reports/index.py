@@ -21,7 +21,7 @@ COLUMNS = (
     ("surfaces found", "map.coverage", "percent"),
     ("relations error", "relations.trans_m.mean", "m4"),
     ("localisation error", "localisation_error_m.rmse", "cm"),
-    ("least clearance", "min_clearance_m", "cm"),
+    ("minimum clearance", "min_clearance_m", "cm"),
     ("distance", "distance_m", "m"),
     ("time", "time_s", "s"),
 )

@@ -33,7 +33,8 @@ def viewer_layouts(stages: Sequence[Stage]) -> dict[str, str]:
 
 
 def _layout(stages: Sequence[Stage], frame: str) -> str:
-    layout: dict[str, Any] = json.loads((files("reports") / "templates/foxglove-layout.json").read_text())
+    template = files("turtlebag.reports") / "templates/foxglove-layout.json"
+    layout: dict[str, Any] = json.loads(template.read_text())
     panel = layout["configById"][PANEL]
     panel["followTf"] = frame
     if frame != "map":

@@ -86,7 +86,7 @@ def render_index(lines: Sequence[Line]) -> str:
 
 def fill(template: str, **values: object) -> str:
     """A template of this package with the style and script all pages share."""
-    folder = files("reports") / "templates"
+    folder = files("turtlebag.reports") / "templates"
     environment = Environment(
         loader=FunctionLoader(lambda name: (folder / name).read_text()),
         autoescape=True,
@@ -115,7 +115,7 @@ def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
     if runs:
         good = sum(part.verdict[0] == GOOD for part in runs)
         believed = sum(part.believed for part in runs)
-        aside = f"; the robot believed {believed}" if believed != good else ""
+        aside = f"; the robot reported {believed}" if believed != good else ""
         headline = f"{good} of {counted(len(runs), 'task')} succeeded{aside}"
         return (GOOD if good == len(runs) else BAD), headline
     moods = {part.verdict[0] for part in parts}
@@ -140,20 +140,22 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         reached = sum(truly_reached(goal) for goal in goals)
         believed = sum(goal.get("status") == "reached" for goal in goals)
         mood = GOOD if reached == len(goals) else BAD
-        meaning = "Goals of all runs at which the robot truly was when it took them to be reached."
-        note = f"the robot believed {believed}" if believed != reached else _tasks(runs)
+        meaning = "Goals of all runs that the robot had truly reached when it reported them as reached."
+        note = f"the robot reported {believed}" if believed != reached else _tasks(runs)
         found.append(Tile("goals reached", f"{reached} of {len(goals)}", note, meaning, mood))
     if runs:
         hits = sum(collision_count(part.metrics) for part in runs)
         note = f"in {len(runs)} run{'s' * (len(runs) > 1)}"
-        meaning = "Episodes of contact with anything but the floor, of all runs, counted by the simulator."
+        meaning = (
+            "Episodes of contact with anything but the floor, over all runs, as counted by the simulator."
+        )
         found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
     for path, label, unit, worst, kinds in (
         ("ate_m.rmse", "map trajectory error, RMSE", "cm", max, ("map",)),
         ("relations.trans_m.mean", "relations error", "m4", max, ("map",)),
         ("localisation_error_m.rmse", "localisation error, RMSE", "cm", max, ("navigate", "localise")),
         ("length_m", "length of the plan", "m", max, ("plan",)),
-        ("min_clearance_m", "least clearance", "cm", min, ("navigate", "plan")),
+        ("min_clearance_m", "minimum clearance", "cm", min, ("navigate", "plan")),
         ("map.occupied_error_m.within_one_cell", "wall cells within one cell", "percent", min, ("map",)),
         ("scans", "scans", "count", max, ("record", "map", "localise")),
     ):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from turtlebag.reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
 
 WALLS = Section(
-    "The walls",
-    "Judge a map by the two marked numbers together: the first says that no wall was invented, the second "
-    "that none is missing. The others are for comparing maps drawn on the same grid. Distances are between "
+    "Walls",
+    "Judge a map by the two marked numbers: the first shows that no walls were invented, the second "
+    "that none are missing. Use the others to compare maps on the same grid. Distances are between "
     "cell centres.",
     (
         Spec(
@@ -37,25 +37,25 @@ WALLS = Section(
             "map.occupied_error_m.p95",
             "wall error, 95 %",
             "cm",
-            "95 of 100 cells are no further off than this.",
+            "95 % of the cells are no farther off than this.",
             MAP_FILES,
         ),
         Spec(
             "map.iou_one_cell",
             "map IoU, one cell tolerance",
             "percent",
-            "The two marked shares in one number: cells that match, over all cells of either map, where "
-            "a neighbour counts as a match.",
+            "Both marked shares in one number: matching cells over all cells of either map. A "
+            "neighbouring cell counts as a match.",
             MAP_FILES,
         ),
         Spec(
             "map.iou",
             "map IoU, no tolerance",
             "percent",
-            "Occupied map cells against true visible surface cells, cell for cell. Walls are one cell thick: "
-            "one that lies a hair beyond a cell's border counts twice against the map, as missing and as "
-            "invented, and the true map itself, drawn half a cell beside, gets less than 20 %. To compare "
-            "maps drawn on the same grid, not to judge one.",
+            "Occupied map cells against true visible surface cells, cell by cell. Walls are one cell "
+            "thick, so a wall just across a cell border counts twice against the map, as missing and "
+            "as invented; the true map shifted by half a cell scores below 20 %. Use it to compare "
+            "maps on the same grid, not to judge one.",
             MAP_FILES,
         ),
     ),
@@ -64,7 +64,7 @@ MAP = (
     WALLS,
     Section(
         "The path",
-        "How far the robot was from where the map says it was, at each scan.",
+        "Distance between the estimated and the true position at each scan.",
         (
             Spec(
                 "ate_m.rmse",
@@ -74,12 +74,14 @@ MAP = (
                 TRAJECTORY,
                 trusted=True,
             ),
-            Spec("ate_m.max", "trajectory error, largest", "cm", "Largest of those distances.", TRAJECTORY),
+            Spec(
+                "ate_m.max", "trajectory error, largest", "cm", "The largest of these distances.", TRAJECTORY
+            ),
             Spec(
                 "ate_aligned_m.rmse",
                 "trajectory error after alignment, RMSE",
                 "cm",
-                "The same after the best rigid motion: the shape of the path, not where it starts.",
+                "The same after the best rigid alignment: it measures the shape of the path, not its start.",
                 TRAJECTORY,
             ),
             Spec(
@@ -89,12 +91,12 @@ MAP = (
                 "Relative pose error over each metre of true path, RMSE.",
                 TRAJECTORY,
             ),
-            Spec("rpe.rot_rad", "turn error per metre", "deg/m", "The same for the heading.", TRAJECTORY),
+            Spec("rpe.rot_rad", "heading error per metre", "deg/m", "The same for the heading.", TRAJECTORY),
         ),
     ),
     Section(
-        "Against hand-made relations",
-        "For public logs without truth: people measured where some pairs of scans really were.",
+        "Hand-made relations",
+        "For public logs without truth: relative poses of some pairs of scans, verified by hand.",
         (
             Spec("relations.n", "relations", "count", "Hand-made pose relations used.", TRAJECTORY),
             Spec(
@@ -109,14 +111,14 @@ MAP = (
                 "relations.trans_m.std",
                 "relations error, standard deviation",
                 "m4",
-                "How much that error varies from relation to relation.",
+                "Standard deviation of that error over the relations.",
                 TRAJECTORY,
             ),
             Spec(
                 "relations.rot_deg.mean",
-                "relations turn error, mean",
+                "relations heading error, mean",
                 "deg1",
-                "Its absolute yaw.",
+                "Mean absolute yaw error.",
                 TRAJECTORY,
             ),
             Spec(
@@ -129,56 +131,57 @@ MAP = (
         ),
     ),
     Section(
-        "Its own check",
-        "What the map says of itself, without any truth: wherever the robot came twice, the walls of both "
+        "Self-check",
+        "Consistency of the map without any truth: where the robot passed twice, the walls of both "
         "visits must agree.",
         (
             Spec(
                 "self_check.revisits",
                 "revisits compared",
                 "count",
-                "Pairs of key scans taken at one place at different times.",
+                "Pairs of key scans taken at the same place at different times.",
             ),
             Spec(
                 "self_check.denied_mean",
-                "walls seen through",
+                "free-space violations",
                 "percent",
-                "Mean share of the wall points of one visit that the other visit saw through: a doubled or "
-                "folded map has many.",
+                "Mean share of the wall points of one visit that lie where the other visit saw free "
+                "space. High in a doubled or folded map.",
                 trusted=True,
             ),
             Spec(
                 "self_check.bad_places",
                 "contradicting revisits",
                 "percent",
-                "Revisits in which more than a third of the wall points are seen through.",
+                "Revisits in which more than a third of the wall points lie in free space.",
             ),
             Spec(
                 "self_check.lost_scans",
-                "scans that fit nowhere",
+                "unmatched scans",
                 "count",
-                "Scans that fitted nothing seen before them.",
+                "Scans that match nothing seen before them.",
             ),
         ),
     ),
     Section(
-        "How it was made",
+        "Mapping",
         "",
         (
-            Spec("scans", "scans", "count", "Scans that got a pose.", TRAJECTORY),
+            Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
             Spec("log_s", "log", "s", "Time span of the scans.", TRAJECTORY),
             Spec(
                 "odometry_late_s",
-                "delay of the odometry",
+                "odometry delay",
                 "s",
-                "How far it ran behind the scans (negative: ahead), by the turns of both; undone.",
+                "Delay of the odometry behind the scans (negative: ahead), judged by the turns of "
+                "both; corrected.",
             ),
             Spec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),
             Spec(
                 "loops.proposed",
                 "loops proposed",
                 "count",
-                "Candidates for loop closures: places that looked as if the robot had been there before.",
+                "Loop closure candidates: places that look as if the robot had been there before.",
                 GRAPH[1:],
             ),
             Spec("loops.accepted", "loops accepted", "count", "Candidates kept in the graph.", GRAPH[1:]),

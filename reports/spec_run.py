@@ -7,23 +7,24 @@ from turtlebag.reports.spec_map import WALLS
 
 RUN = (
     Section(
-        "What it did",
-        "Contacts and clearance come from the simulator, in the run log: a bag holds neither.",
+        "Outcome",
+        "Contacts and clearance come from the simulator through the run log; a bag holds neither.",
         (
             Spec(
                 "true_success",
-                "success, by the truth",
+                "success (ground truth)",
                 "yes",
-                "No collision, and the robot was within 25 cm of every goal when it took it to be reached.",
+                "No collision, and the robot was within 25 cm of every goal when it reported the goal "
+                "as reached.",
                 (*LOG, *BAG),
                 TRUTH,
                 trusted=True,
             ),
             Spec(
                 "success",
-                "success, as the robot believed",
+                "success (robot's estimate)",
                 "yes",
-                "No collision, and the goal checker, which only knows the robot's own estimate, accepted "
+                "No collision, and the goal checker, which knows only the robot's estimate, accepted "
                 "every goal in time.",
                 LOG,
             ),
@@ -31,22 +32,22 @@ RUN = (
                 "goals_truly_reached",
                 "goals reached",
                 "count",
-                "Goals the robot was within 25 cm of when it took them to be reached.",
+                "Goals that the robot was within 25 cm of when it reported them as reached.",
                 (*LOG, *BAG),
                 TRUTH,
             ),
             Spec(
                 "goals_reached",
-                "goals believed reached",
+                "goals reported as reached",
                 "count",
-                "Goals the goal checker accepted in time, on the robot's own estimate.",
+                "Goals that the goal checker accepted in time, based on the robot's estimate.",
                 LOG,
             ),
             Spec(
                 "goal_error_m.mean",
                 "distance from the goals, mean",
                 "cm",
-                "Distance of the robot's true position from a goal when it took that goal to be reached.",
+                "Distance from the robot's true position to a goal when it reported the goal as reached.",
                 BAG,
                 TRUTH,
             ),
@@ -54,47 +55,48 @@ RUN = (
                 "goal_error_m.max",
                 "distance from the goals, largest",
                 "cm",
-                "The same, at the worst of the goals.",
+                "The same for the worst goal.",
                 BAG,
                 TRUTH,
             ),
             Spec(
                 "collisions.visible",
-                "collisions with visible things",
+                "visible collisions",
                 "count",
-                "Episodes of contact with something that crosses the lidar plane, from the run log.",
+                "Episodes of contact with an object that crosses the lidar plane, from the run log.",
                 LOG,
             ),
             Spec(
                 "collisions.low",
-                "contacts with low things",
+                "low collisions",
                 "count",
-                "Episodes of contact with something below the lidar plane, which no lidar sees, from the run "
-                "log.",
+                "Episodes of contact with an object below the lidar plane, which the lidar cannot see, "
+                "from the run log.",
                 LOG,
             ),
             Spec(
                 "min_clearance_m",
-                "least clearance",
+                "minimum clearance",
                 "cm",
-                "Footprint to the nearest surface up to the robot's height, at the worst moment, from the "
-                "run log; verify checks that the true path on the true map leaves no less room than that.",
+                "Smallest distance from the footprint to a surface up to the robot's height, from the "
+                "run log. verify checks that the true path on the true map leaves at least as much "
+                "room.",
                 LOG,
             ),
             Spec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
             Spec(
                 "takeovers.count",
-                "takeovers",
+                "teleop overrides",
                 "count",
-                "How many times someone took over from navigation.",
+                "Times that teleoperation overrode navigation.",
                 LOG,
                 seldom=True,
             ),
             Spec(
                 "takeovers.time_s",
-                "time taken over",
+                "time under teleop",
                 "s",
-                "Simulated time that someone other than navigation drove.",
+                "Simulated time during which teleoperation drove the robot.",
                 LOG,
                 seldom=True,
             ),
@@ -102,14 +104,14 @@ RUN = (
         ),
     ),
     Section(
-        "The floor it saw",
-        "For runs without a goal: how much of the world came into view.",
+        "Floor seen",
+        "For runs without a goal: how much of the world the lidar saw.",
         (
             Spec(
                 "area.share",
-                "floor seen, of what can be seen",
+                "floor seen, share",
                 "percent",
-                "Of the true free floor in line of sight from anywhere the robot can get to.",
+                "Share of the true free floor that is visible from anywhere the robot can reach.",
                 SEEN,
                 trusted=True,
             ),
@@ -117,14 +119,14 @@ RUN = (
                 "area.seen_m2",
                 "floor seen",
                 "m2",
-                "True free floor in line of sight of the lidar, within its range, at one of the true poses.",
+                "True free floor within the lidar's range and line of sight at some true pose.",
                 SEEN,
             ),
         ),
     ),
     Section(
-        "How well it knew where it was",
-        "The robot's own estimate (AMCL on the map) against the truth, at each scan.",
+        "Localisation",
+        "The robot's estimate (AMCL on the map) against the truth at each scan.",
         (
             Spec(
                 "localisation_error_m.rmse",
@@ -139,7 +141,7 @@ RUN = (
                 "localisation_error_m.max",
                 "localisation error, largest",
                 "cm",
-                "Largest of those distances.",
+                "The largest of these distances.",
                 ("trajectory.tum", "bag/"),
                 TRUTH,
             ),

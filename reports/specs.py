@@ -8,7 +8,7 @@ from turtlebag.reports.spec_run import RUN
 
 RECORD = (
     Section(
-        "What was recorded",
+        "Recording",
         "",
         (
             Spec("scans", "scans", "count", "Lidar sweeps in the bag.", BAG, ("/scan",)),
@@ -24,14 +24,15 @@ RECORD = (
         ),
     ),
     Section(
-        "How far off the wheels were",
-        "Errors of the wheel odometry add up. These are what mapping has to put right.",
+        "Wheel odometry error",
+        "Odometry errors accumulate; mapping has to correct them.",
         (
             Spec(
                 "odometry_ate_m.rmse",
                 "odometry error, RMSE",
                 "cm",
-                "Wheel odometry against the truth at the scans, no alignment: both start at the same pose.",
+                "Wheel odometry against the truth at each scan, without alignment: both start at the "
+                "same pose.",
                 BAG,
                 ODOMETRY,
             ),
@@ -53,7 +54,7 @@ RECORD = (
             ),
             Spec(
                 "odometry_rpe.rot_rad",
-                "odometry turn error per metre",
+                "odometry heading error per metre",
                 "deg/m",
                 "The same for the heading.",
                 BAG,
@@ -65,21 +66,21 @@ RECORD = (
 
 LOCALISE = (
     Section(
-        "Where it was",
+        "Localisation",
         "",
         (
             Spec(
                 "true_success",
-                "localised, by the truth",
+                "localised (ground truth)",
                 "yes",
-                "At the end the filter was settled and within 25 cm of the truth.",
+                "At the end the filter had converged, and it was within 25 cm of the truth.",
                 TRAJECTORY,
             ),
             Spec(
                 "success",
-                "localised, as the filter believed",
+                "localised (filter's estimate)",
                 "yes",
-                "At the end the filter was settled and the scans agreed with the map.",
+                "At the end the filter had converged, and the scans agreed with the map.",
             ),
             Spec(
                 "last_error_m",
@@ -100,7 +101,7 @@ LOCALISE = (
                 "localisation_error_m.max",
                 "localisation error, largest",
                 "cm",
-                "Largest of those.",
+                "The largest of these distances.",
                 TRAJECTORY,
             ),
             Spec(
@@ -113,16 +114,16 @@ LOCALISE = (
         ),
     ),
     Section(
-        "State of the filter",
+        "Filter state",
         "",
         (
             Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
-            Spec("updates", "filter updates", "count", "Scans the filter weighed its particles with."),
+            Spec("updates", "filter updates", "count", "Scans used to weight the particles."),
             Spec(
                 "converged.share",
                 "time converged",
                 "percent",
-                "Share of the scans with one tight cloud of particles.",
+                "Share of the scans at which the particles had converged.",
             ),
         ),
     ),
@@ -136,9 +137,9 @@ PLAN = (
             Spec("length_m", "length", "m", "Length of the planned path.", ("path.csv",), trusted=True),
             Spec(
                 "min_clearance_m",
-                "least clearance",
+                "minimum clearance",
                 "cm",
-                "Footprint to the nearest occupied or unknown cell, at the tightest pose.",
+                "Smallest distance from the footprint to an occupied or unknown cell.",
                 ("path.csv",),
             ),
             Spec("poses", "poses", "count", "Poses of the path.", ("path.csv",)),
@@ -158,8 +159,8 @@ SPECS: dict[str, tuple[Spec, ...]] = {
 }
 GOAL_SOURCES = (*LOG, *BAG)
 GOAL_MEANINGS = {
-    "time_s": "From being sent to the goal to being done with it, simulated time.",
-    "error_m": "Distance of the robot's true place from the goal when its goal checker was satisfied.",
+    "time_s": "Simulated time from the start of the goal to its end.",
+    "error_m": "Distance from the robot's true position to the goal when the goal checker accepted it.",
     "error_rad": "The same for the heading.",
 }
 PLANNER_UNITS = {"length_m": "m", "min_clearance_m": "cm", "poses": "count"}

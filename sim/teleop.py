@@ -67,7 +67,7 @@ class Step(BaseModel):
     def _one_action(self) -> Step:
         given = [key for key in self.model_fields_set if key != "steps"]
         if len(given) != 1 or bool(self.steps) != (self.repeat is not None):
-            raise ValueError("a step has one action ({', '.join(ACTIONS)})")
+            raise ValueError(f"a step has one action ({', '.join(ACTIONS)})")
         return self
 
 

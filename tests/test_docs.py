@@ -195,7 +195,9 @@ def test_the_numbers_of_the_readme_are_those_of_the_results():
     here, there = rows(ROOT / "README.md"), rows(ROOT / "docs/results.md")
     assert len(here) == 3
     for log, cells in here.items():
-        assert cells == [there[log][0], there[log][1], there[log][3]], log
+        ours, cartographer, gmapping = there[log][0], there[log][1], there[log][3]
+        assert cells[1] == ours, log
+        assert cells[2].startswith(f"Cartographer {cartographer}; gmapping {gmapping}"), log
     told = re.search(
         r"([\d.]+) mm RMSE in the arena, ([\d.]+) mm in the house", (ROOT / "README.md").read_text()
     )

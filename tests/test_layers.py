@@ -59,6 +59,11 @@ def test_imports_follow_the_arrows(room):
         assert not wrong, f"{path.relative_to(ROOT)} imports {sorted(wrong)}"
 
 
+def test_the_table_of_the_docs_has_a_row_for_each_room():
+    rows = re.findall(r"^\| `([a-z0-9/]+)` \|", (ROOT / "docs/architecture.md").read_text(), re.M)
+    assert sorted(rows) == sorted(set(MAY_IMPORT) - {"pipeline"})
+
+
 def test_no_imports_go_round_in_a_circle():
     graph = {path.relative_to(ROOT).with_suffix("").as_posix(): imported(path) for path in SOURCES}
     assert sum(map(len, graph.values())) > 1000
@@ -76,6 +81,12 @@ def test_every_package_is_installed_and_imported_by_one_name():
             for node in ast.walk(ast.parse(path.read_text())):
                 module = node.module if isinstance(node, ast.ImportFrom) else None
                 assert (module or "").split(".")[0] not in (*BELOW, "pipeline"), path
+                if (
+                    isinstance(node, ast.Call)
+                    and getattr(node.func, "attr", getattr(node.func, "id", "")) == "files"
+                ):
+                    package = [arg.value for arg in node.args if isinstance(arg, ast.Constant)]
+                    assert all(name.startswith("turtlebag.") for name in package), path
 
 
 def names_read(path: Path) -> set[str]:

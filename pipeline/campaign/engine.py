@@ -29,7 +29,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         try:
             client = Client(scheduler, timeout="10s")
         except (OSError, ValueError):
-            raise InputError(f"--scheduler {scheduler}: nobody answers there") from None
+            raise InputError(f"--scheduler {scheduler}: no scheduler answers there") from None
         with client:
             yield client
         return

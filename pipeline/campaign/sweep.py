@@ -105,7 +105,7 @@ def _work_folder(campaign: Campaign, claim: Claim) -> Path:
     marks = {"config.yaml": config_text(campaign), MARK: surroundings(MAKERS) + "\n"}
     if any(path.name != MARKER for path in folder.iterdir()) and (maker := _other_maker(folder, marks)):
         if not claim.force:
-            raise InputError(f"{folder}: left by {maker}; remove it or pass --force to begin anew")
+            raise InputError(f"{folder}: left by {maker}; remove it or pass --force to start over")
         claim.clear()
     try:
         (folder / "cases").mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,10 @@ def _work_folder(campaign: Campaign, claim: Claim) -> Path:
 
 def _other_maker(folder: Path, marks: Mapping[str, str]) -> str:
     """What made a folder's rows when it is not what the marks say; empty when it is."""
-    kinds = ("another campaign", "other code, packages or another machine: its rows cannot be gone on with")
+    kinds = (
+        "another campaign",
+        "made with other code or packages, or on another machine: it cannot be resumed",
+    )
     for (name, text), kind in zip(marks.items(), kinds, strict=True):
         path = folder / name
         if not path.is_file() or sha256_text(path.read_text()) != sha256_text(text):
@@ -142,7 +145,7 @@ def _run(
     # Draws may repeat a case: it runs once.
     left = list({case.name: case for case in todo if case.name not in rows}.values())
     if rows:
-        log.info(f"going on: {len(rows)} of {len(todo)} cases are done")
+        log.info(f"resuming: {len(rows)} of {len(todo)} cases are done")
     if left:
         found = run_cases(campaign, left, folder, run, scheduler=scheduler, workers=workers)
         for row in track(_told(found, len(left)), campaign.name, total=len(left)):

@@ -46,7 +46,7 @@ def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         connection.execute(f"CREATE VIEW runs AS SELECT * FROM read_parquet('{_quoted(path)}')")
         result = connection.execute(sql)
         if result is None or result.description is None:
-            raise InputError("query: it asks nothing; for example: SELECT * FROM runs")
+            raise InputError("query: it is empty; for example: SELECT * FROM runs")
         return [column[0] for column in result.description], result.fetchall()
     except duckdb.Error as error:
         raise InputError(f"query: {str(error).splitlines()[0]}") from None

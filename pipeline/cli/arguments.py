@@ -40,7 +40,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change one setting; may be repeated",
+        help="override one setting; may be repeated",
     )
 
 
@@ -75,7 +75,7 @@ def seed(text: str) -> int:
     """A seed: a non-negative integer."""
     value = int(text)
     if value < 0:
-        raise argparse.ArgumentTypeError(f"a seed is 0 or more, not {value}")
+        raise argparse.ArgumentTypeError(f"a seed must be 0 or more, not {value}")
     return value
 
 
@@ -101,7 +101,7 @@ def add_laser(parser: argparse.ArgumentParser, source: str) -> None:
     parser.add_argument(
         "--laser",
         metavar="X,Y,YAW[,upside-down]",
-        help=f"pose of the laser on the robot, its beam at angle 0 along YAW; overrides what {source} says",
+        help=f"pose of the laser on the robot, YAW being the direction of beam angle 0; overrides {source}",
     )
 
 

@@ -40,13 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action(
         "doctor",
         _doctor,
-        "find what is wrong with a bag and what that would break (exit code 1 on errors)",
+        "check a bag for defects and say what each one breaks (exit code 1 on errors)",
         "turtlebag bag doctor my_robot.bag",
     )
     sub = action(
         "play",
         _play,
-        "show a recording as it was: clock, speeds, scan and path",
+        "play a recording in the terminal: clock, speeds, scan and path",
         "turtlebag bag play data/record --rate 4",
     )
     sub.add_argument(
@@ -54,26 +54,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="R",
-        help="pace, in multiples of the recorded one (default: 1)",
+        help="playback speed (default: 1, the speed of the recording)",
     )
     sub = action(
         "recover",
         _recover,
-        "save what is intact of a truncated, damaged or unfinished bag",
+        "recover the intact messages of a truncated, damaged or unfinished bag",
         "turtlebag bag recover data/record.partial --out data/record",
     )
     add_output(sub)
     sub = action(
         "convert",
         _convert,
-        "write a bag as one of another kind, or a CARMEN log as a bag",
+        "convert a bag to another format, or a CARMEN log to a bag",
         "turtlebag bag convert data/record --out record.bag",
     )
     add_output(sub)
     sub.add_argument(
         "--storage",
         choices=("mcap", "sqlite3"),
-        help="storage of the rosbag2 folder (default: mcap)",
+        help="storage format of the rosbag2 folder (default: mcap)",
     )
     sub.add_argument(
         "--exclude", action="append", default=[], metavar="TOPIC", help="topic to leave out; may be repeated"
@@ -192,10 +192,10 @@ def _convert(args: argparse.Namespace) -> int:
     if not args.bag.exists():
         raise InputError(f"{args.bag}: no such file or folder")
     if args.exclude and _is_log(args.bag):
-        raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to leave out")
+        raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to exclude")
     if args.out.suffix == ".bag":
         if args.storage is not None:
-            raise InputError(f"--storage {args.storage}: a ROS 1 bag has none; leave it out")
+            raise InputError(f"--storage {args.storage}: does not apply to a ROS 1 bag; remove the option")
         with staged_file(args.out, force=args.force) as file:
             count, notes = convert.to_ros1_bag(_a_bag(args.bag), file, exclude=args.exclude)
             convert.require_messages(args.bag, count, notes)
@@ -229,7 +229,7 @@ def _is_log(path: Path) -> bool:
 
 def _a_bag(path: Path) -> Path:
     if _is_log(path):
-        raise InputError(f"{path}: a CARMEN log is converted to rosbag2 with mcap storage only")
+        raise InputError(f"{path}: a CARMEN log can only be converted to rosbag2 with mcap storage")
     return path
 
 

@@ -18,12 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replace",
         default="none",
         metavar="PARTS",
-        help=f"what the truth takes the place of: none, or some of {', '.join(PARTS)}, with commas between",
+        help=f"what to replace with ground truth: none, or a comma-separated list of {', '.join(PARTS)}",
     )
     parser.add_argument(
         "--patrol",
         action="store_true",
-        help="then drive the tutorial's patrol on the map, with the same parts",
+        help="then drive the tutorial's patrol on the map, with the same parts replaced",
     )
     add_config(parser)
     add_output(parser)

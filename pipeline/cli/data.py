@@ -13,11 +13,11 @@ EXAMPLE = "turtlebag data fetch intel"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
     actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
-    listing = actions.add_parser("list", help="show names, contents, licences and how to cite them")
+    listing = actions.add_parser("list", help="list the logs with their contents, licences and citations")
     listing.set_defaults(act=_list)
     fetching = actions.add_parser(
         "fetch",
-        help=f"get a log from the folder {MIRROR_VARIABLE} or the network, verify it, print its paths",
+        help=f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths",
         **epilog("turtlebag data fetch intel"),
     )
     fetching.add_argument(

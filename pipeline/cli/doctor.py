@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trial",
         action="store_true",
-        help="also record, map and drive for some seconds (compiles the numeric kernels, once)",
+        help="also record, map and drive for a few seconds (the first time compiles the numeric kernels)",
     )
 
 

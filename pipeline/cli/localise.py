@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=seed,
         default=1,
         metavar="N",
-        help="seed of the particles (default: 1)",
+        help="random seed (default: 1)",
     )
     add_config(parser)
     add_output(parser)

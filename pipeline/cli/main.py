@@ -24,16 +24,16 @@ from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_ver
 # verb -> (module in turtlebag.pipeline.cli, what `turtlebag --help` says). A module has `EXAMPLE`,
 # `add_arguments(parser)` and `run(args) -> int`; it is imported only when its verb is used.
 VERBS: dict[str, tuple[str, str]] = {
-    "record": ("record", "drive a simulated robot by a script and record a bag"),
+    "record": ("record", "drive a simulated robot with a script and record a bag"),
     "teleop": ("teleop", "drive with the keyboard and record a bag"),
     "map": ("map", "build a map from a bag or log"),
-    "localise": ("localise", "find where a recorded robot was on a map"),
-    "navigate": ("navigate", "drive a task in closed loop: patrol, goal, avoid, explore"),
-    "plan": ("plan", "plan a path over a map"),
-    "report": ("report", "make a page of stage outputs"),
-    "compare": ("compare", "show what differs between two outputs of one stage"),
-    "sweep": ("sweep", "run a campaign of many cases on all cores; can be resumed"),
-    "blame": ("blame", "map a recording with parts of the work replaced by the truth"),
+    "localise": ("localise", "localise a recorded robot on a map"),
+    "navigate": ("navigate", "run a task in closed loop: patrol, goal, avoid or explore"),
+    "plan": ("plan", "plan a path on a map"),
+    "report": ("report", "make an HTML report from the outputs of other commands"),
+    "compare": ("compare", "compare two outputs of the same command"),
+    "sweep": ("sweep", "run a campaign of many cases on all cores; interrupted campaigns resume"),
+    "blame": ("blame", "map a recording with chosen parts replaced by ground truth (ablation)"),
     "verify": ("verify", "recompute a report's numbers from the bags"),
     "bag": ("bag", "inspect, play, repair and convert bags"),
     "data": ("data", "list and fetch public logs"),
@@ -80,7 +80,7 @@ def build_parser(verb: str | None) -> argparse.ArgumentParser:
             **epilog(command.EXAMPLE),
         )
         noise = sub.add_mutually_exclusive_group()
-        quiet, verbose = ("show results and errors only", "show more")
+        quiet, verbose = ("show only results and errors", "show more detail")
         noise.add_argument(
             "-q", "--quiet", action="store_const", const=-1, dest="verbosity", default=0, help=quiet
         )
@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = _run(args, stdout)
             stdout.flush()
             if stdout.problem:
-                print(f"turtlebag: {stdout.problem}; what was to be said is lost", file=sys.stderr)
+                print(f"turtlebag: {stdout.problem}; the rest of the output is lost", file=sys.stderr)
             return code
         except InputError as error:
             print(f"turtlebag: {error}", file=sys.stderr)

@@ -18,13 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth",
         type=Path,
         metavar="DIR",
-        help="truth folder of a record: adds errors to the metrics",
+        help="truth folder of a recording: adds error metrics",
     )
     parser.add_argument(
         "--relations",
         type=Path,
         metavar="FILE",
-        help="relations of a benchmark: adds errors to the metrics",
+        help="relations file of a benchmark: adds error metrics",
     )
     parser.add_argument(
         "--also",
@@ -32,30 +32,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="INPUT",
-        help="another recording of the same place, joined into the same map; may be repeated",
+        help="another recording of the same place to add to the map; may be repeated",
     )
     parser.add_argument(
         "--continue",
         dest="continued",
         type=Path,
         metavar="MAP_DIR",
-        help="continue an earlier map: INPUT is joined to its graph, tracked with the same settings",
+        help="extend an earlier map: INPUT is added to its graph, with the same settings",
     )
     add_laser(parser, "INPUT")
     parser.add_argument(
         "--topic",
         metavar="NAME",
-        help="scans to map: a LaserScan topic in 2D, a PointCloud2 topic in 3D "
-        "(default: /scan or the only LaserScan; without one, the point clouds)",
+        help="topic to map: LaserScan for 2D, PointCloud2 for 3D "
+        "(default: /scan or the only LaserScan topic; if there is none, the point clouds)",
     )
     parser.add_argument("--name", metavar="NAME", help="also save the map as NAME.pgm and NAME.yaml")
     add_config(parser)
     parser.add_argument(
         "--no-cache",
         action="store_true",
-        help="do every step anew, also what was done before",
+        help="run every step and ignore cached results",
     )
-    parser.add_argument("--explain", action="store_true", help="also write why each loop was closed or not")
+    parser.add_argument(
+        "--explain", action="store_true", help="also write why each loop closure was accepted or rejected"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -43,10 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
-    parser.add_argument("--task", required=True, choices=TASKS, help="what to do")
-    parser.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of all randomness (default: 0)"
-    )
+    parser.add_argument("--task", required=True, choices=TASKS, help="task to run")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument(
         "--map",
         type=map_file,
@@ -57,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--initial-pose",
         metavar="X,Y,YAW|start|global",
-        help="what the robot is told: a pose, its true start, or to find out by itself",
+        help="initial pose given to the robot: a pose, its true start, or global localisation",
     )
-    parser.add_argument("--goal", metavar="X,Y,YAW", help="where the task goal is to go: metres and radians")
+    parser.add_argument("--goal", metavar="X,Y,YAW", help="goal of --task goal, in metres and radians")
     parser.add_argument(
         "--waypoints",
         type=Path,
@@ -72,25 +70,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration",
         type=_positive,
         metavar="S",
-        help="simulated seconds: how long avoid lasts, and explore at most",
+        help="simulated seconds: the length of avoid, or the limit for explore",
     )
     parser.add_argument(
         "--mode",
         choices=("guarded", "tutorial"),
-        help="of avoid: guarded (default) knows the robot's shape; tutorial is the tutorial's rule alone",
+        help="for --task avoid: guarded (default) uses the robot's shape; tutorial is the tutorial's rule",
     )
     parser.add_argument(
-        "--wiggle", action="store_true", help="turn to and fro first, until the particle cloud has shrunk"
+        "--wiggle", action="store_true", help="first turn back and forth until the particles converge"
     )
     parser.add_argument(
         "--takeover",
         metavar="keyboard|FILE",
-        help="who may take over cmd_vel and hand it back: your keys, or a YAML list of begin, end, v and w",
+        help="teleop override of cmd_vel: by keyboard, or by a YAML list of begin, end, v and w",
     )
     parser.add_argument(
         "--keepout",
         metavar="FILE|none",
-        help="YAML file with outlines to keep out of, under 'keepout' (default: the world's own)",
+        help="YAML file with keep-out polygons under 'keepout' (default: the world's own)",
     )
     add_config(parser)
     add_output(parser)
@@ -142,9 +140,9 @@ def _refuse_unused(args: argparse.Namespace) -> None:
         option = f"--{name.replace('_', '-')}"
         if args.task not in TAKEN_BY[name]:
             takers = " and ".join(TAKEN_BY[name])
-            raise InputError(f"{option}: not for --task {args.task}, only for {takers}; leave it out")
+            raise InputError(f"{option}: not for --task {args.task}, only for {takers}; remove it")
         if args.task == "goal" and args.map is None and name in ON_A_MAP:
-            raise InputError(f"{option}: a goal without --map has no use for it; give --map or leave it out")
+            raise InputError(f"{option}: needs a map; give --map or remove it")
 
 
 def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
@@ -157,7 +155,7 @@ def _initial_pose(text: str | None) -> SE2 | Literal["start", "global"] | None:
     try:
         return pose(text, "--initial-pose")
     except InputError as error:
-        raise InputError(f"{error}; or the word start or global") from None
+        raise InputError(f"{error}; or the words start or global") from None
 
 
 def _keepout(text: str | None) -> tuple[Array, ...] | None:

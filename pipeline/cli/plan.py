@@ -29,17 +29,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="R",
         help="robot: a name or a YAML file (default: burger)",
     )
-    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="from here: metres and radians")
-    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="to here")
+    parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="start pose, in metres and radians")
+    parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="goal pose")
     names = get_args(PlannerName)
     parser.add_argument(
         "--planner",
         choices=names,
         metavar="P",
-        help=f"planner of OMPL: {', '.join(names)} (default: {names[0]})",
+        help=f"OMPL planner: {', '.join(names)} (default: {names[0]})",
     )
-    parser.add_argument("--compare", action="store_true", help="run every planner, to compare them")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the planners (default: 0)")
+    parser.add_argument("--compare", action="store_true", help="run every planner and compare the paths")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed (default: 0)")
     add_config(parser)
     add_output(parser)
 

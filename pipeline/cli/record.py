@@ -21,11 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--teleop",
         default="tour",
         metavar="SCRIPT",
-        help="script: a name, a YAML file, or a bag whose /cmd_vel is driven again",
+        help="teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed",
     )
-    parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
-    )
+    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="random seed (default: 1)")
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     add_config(parser)
     add_output(parser)

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--index",
         action="store_true",
-        help="make a sortable table of all outputs below DIR instead of a report",
+        help="make a sortable table of all outputs below DIR instead",
     )
     parser.add_argument(
         "--no-animation",
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.index:
         for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
             if given:
-                raise InputError(f"{option}: --index draws no pictures; leave it out")
+                raise InputError(f"{option}: has no effect with --index; remove it")
         print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
         return 0
     page = make_report(

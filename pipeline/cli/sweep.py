@@ -15,12 +15,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write the results to")
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler (tcp://...)")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="address of a running Dask scheduler (tcp://...)"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
     parser.add_argument(
         "--query",
         metavar="SQL",
-        help="run a query on the table `runs` of a finished sweep; FILE is its folder then",
+        help="run an SQL query on the table `runs` of a finished sweep; FILE is then its folder",
     )
 
 
@@ -29,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     if args.query is not None:
         for name in ("out", "force", "scheduler", "workers"):
             if getattr(args, name):
-                raise InputError(f"--{name}: --query runs nothing; leave it out")
+                raise InputError(f"--{name}: cannot be used with --query; remove it")
         return _answer(Path(args.campaign), args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
@@ -56,7 +58,7 @@ def _answer(folder: Path, sql: str) -> int:
     from turtlebag.pipeline.campaign.table import query
 
     if not (folder / TABLE).is_file():
-        raise InputError(f"{folder}: has no {TABLE}, so it is no finished sweep")
+        raise InputError(f"{folder}: not a finished sweep (it has no {TABLE})")
     names, rows = query(folder / TABLE, sql)
     print("\t".join(names))
     for row in rows:

@@ -17,23 +17,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
-    parser.add_argument(
-        "--seed", type=seed, default=1, metavar="N", help="seed of all randomness (default: 1)"
-    )
+    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="random seed (default: 1)")
     parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
     parser.add_argument(
         "--style",
         choices=("keys", "turtlebot3"),
         default="keys",
-        help="keys: W A S D (default); turtlebot3: the keys of its own teleop node",
+        help="keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop",
     )
     parser.add_argument(
         "--speed",
         type=float,
         default=1.0,
         metavar="X",
-        help="pace, in multiples of real time (default: 1)",
+        help="speed relative to real time (default: 1)",
     )
     add_config(parser)
     add_output(parser)

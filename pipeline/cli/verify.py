@@ -18,12 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only",
         metavar="KEY",
-        help="show one number, by its name on the page: WORLD/STAGE:PATH",
+        help="check one number, named as on the page: WORLD/STAGE:PATH",
     )
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="leave out the numbers for which map, localise or plan would have to run again",
+        help="skip the numbers that need map, localise or plan to run again",
     )
 
 
@@ -35,14 +35,14 @@ def run(args: argparse.Namespace) -> int:
     if args.only is not None:
         matching = [check for check in found.checks if check.key == args.only]
         if not matching:
-            raise InputError(f"--only {args.only}: no such number here; -v lists them all")
+            raise InputError(f"--only {args.only}: no such number in this report; -v lists them all")
         found.checks, found.problems = matching, [p for p in found.problems if p.startswith(args.only)]
     if args.verbosity > 0 or args.only is not None:
         for check in found.checks:
             print(f"{'same' if check.agrees else 'DIFFERS':8}{check.key}  {check.found}")
         if args.only is None:
             for key in found.unchecked:
-                print(f"{'as told':8}{key}")
+                print(f"{'skipped':8}{key}")
     for problem in found.problems:
         print(f"DIFFERS {problem}")
     for note in found.notes:

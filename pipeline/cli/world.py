@@ -14,7 +14,7 @@ EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
-    actions.add_parser("list", help="show the names of the built-in worlds, robots and teleop scripts")
+    actions.add_parser("list", help="list the built-in worlds, robots and teleop scripts")
     show = actions.add_parser(
         "show",
         help="draw a world as a PNG",
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show.add_argument(
         "--robot",
         metavar="R",
-        help="robot at whose lidar height the world is cut (default: the world's own)",
+        help="robot whose lidar height is drawn (default: the world's own)",
     )
     show.add_argument("--out", type=Path, required=True, metavar="PNG", help="picture to write")
     show.add_argument("--force", action="store_true", help="replace --out if it exists")
@@ -59,7 +59,7 @@ def _show(args: argparse.Namespace) -> int:
     from turtlebag.sim.worlds import load_world
 
     if args.out.suffix.lower() != ".png":
-        raise InputError(f"--out {args.out}: the picture is a PNG; give it a name that ends in .png")
+        raise InputError(f"--out {args.out}: the picture is a PNG; use a name that ends in .png")
     world = load_world(args.world)
     robot = load_robot(args.robot or world.robot)
     z = robot.lidar_height

@@ -23,7 +23,7 @@ from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.wavefront import wave
 
-ALIKE = "two places on the map look alike, and nothing was found that tells them apart"
+ALIKE = "two places on the map look alike, and no view was found that tells them apart"
 # Rivals differ clearly where so large a share of the beams does; a place that did not help must be
 # bettered by so much, and is not gone to again.
 DIFFERENT, MORE, AGAIN_M = 0.1, 1.3, 0.6

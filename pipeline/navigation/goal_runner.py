@@ -136,7 +136,7 @@ class GoalRunner:
             self.state = "plan"
             if not self.tools.live.marked:
                 return Verdict("unreachable", str(error))
-            return self._recover(now_ns, pose, f"blocked by something not on the map: {error}")
+            return self._recover(now_ns, pose, f"blocked by an unmapped obstacle: {error}")
         self.tools.controller.set_path(self._path.poses)
         self._publish_plan(self._path.poses)
         return None
@@ -215,7 +215,7 @@ class GoalRunner:
         """Recovery when the monitor holds the robot, or when it does not get on."""
         moving = abs(wanted.v) > 0.005 or abs(wanted.w) > 0.03
         if moving and self._watch.stuck(now_ns, pose):
-            return self._recover(now_ns, pose, "stuck: the robot did not get on")
+            return self._recover(now_ns, pose, "stuck: the robot made no progress")
         if not moving:
             self._watch.reset()
         return None

@@ -61,7 +61,7 @@ def _goal(outcome: GoalOutcome, log: RunLog, touched: list[tuple[int, int]]) -> 
     status, reason = outcome.status, outcome.reason
     collided = any(outcome.started_ns <= first <= outcome.ended_ns for first, _ in touched)
     if collided and status in ("timeout", "unreachable"):
-        status, reason = "collided", f"touched something, then: {reason}"
+        status, reason = "collided", f"collided, then: {reason}"
     goal: dict[str, Any] = {"x": x, "y": y, "yaw": yaw, "status": status, "time_s": round(outcome.time_s, 6)}
     goal["error_m"] = goal["error_rad"] = None
     if outcome.waypoint.T_map_goal is not None and status != "rejected":

@@ -70,7 +70,7 @@ def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
         return f"{status}{after}: {outcome.reason}"
     error, _ = pose_error(truth.T_world_base, outcome.waypoint.T_map_goal)
     if error > THERE_M:
-        return f"believed reached{after}, but the robot is {length(error)} away from it"
+        return f"reported as reached{after}, but the robot is {length(error)} away from it"
     return f"reached{after}, {length(error)} off"
 
 
@@ -82,7 +82,7 @@ def verdict(metrics: dict[str, Any]) -> str:
         true = sum(goal["error_m"] <= THERE_M for goal in believed)
         parts.append(f"{true} of {len(goals)} goals reached")
         if true < len(believed):
-            parts[-1] += f" (the robot believed {len(believed)})"
+            parts[-1] += f" (the robot reported {len(believed)})"
     parts += [_collisions(**metrics["collisions"])]
     if "area" in metrics:
         parts.append(f"{metrics['area']['seen_m2']:.1f} m2 of floor seen")
@@ -93,5 +93,5 @@ def verdict(metrics: dict[str, Any]) -> str:
 def _collisions(visible: int, low: int) -> str:
     if not visible and not low:
         return "no collisions"
-    where = f"{visible} with what the lidar sees, {low} with what it cannot see"
+    where = f"{visible} visible to the lidar, {low} below its plane"
     return f"{number_of(visible + low, 'collision')} ({where})"

@@ -80,7 +80,10 @@ def _alone(environment: Path) -> Iterator[int]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print(f"set-up: another one is at work in {environment.name}; waiting for its end", flush=True)
+            print(
+                f"set-up: another set-up is running in {environment.name}; waiting for it to finish",
+                flush=True,
+            )
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield handle
     finally:

@@ -8,6 +8,6 @@ def missing_package(error: ImportError) -> str:
         raise error
     reason = " ".join(str(error).split())
     return (
-        f"turtlebag: the package {name or '?'} is not there or does not load ({reason}): "
-        "`turtlebag doctor` checks all of them, `make -B setup` installs what is missing"
+        f"turtlebag: the package {name or '?'} is missing or does not load ({reason}): "
+        "`turtlebag doctor` checks all of them, `make -B setup` reinstalls them"
     )

@@ -29,7 +29,7 @@ def without_repeats(recording: Recording, usable_range: float) -> Recording:
     held = same & (moved.max(axis=1) > MOVED)
     if not held.any():
         return recording
-    said = f"{held.sum()} scans repeat an earlier one to the last bit while the odometry moves on: not used"
+    said = f"{held.sum()} scans are exact copies of an earlier one although the odometry moves: not used"
     ranges = np.where(held[:, None], np.float32(np.nan), recording.ranges)
     return replace(recording, ranges=ranges, notes=(*recording.notes, said))
 

@@ -100,19 +100,20 @@ def check_map(
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
-            f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): folded or doubled"
+            f"revisited places contradict each other (worst near x {x:.1f}, y {y:.1f}): "
+            "the map is folded or doubled"
         )
     if len(lost) > MOST_WRONG * len(track.usable):
         reasons.append(f"{len(lost)} scans do not fit the map (first: scan {lost[0]})")
     if len(breaks):
         reasons.append(
             f"{len(breaks)} breaks where scans are missing and nothing confirms the odometry "
-            f"(first: before scan {breaks[0]}): what follows may lie anywhere"
+            f"(first: before scan {breaks[0]}): the map after them may be misplaced"
         )
     if recording.turned_over:
         reasons.append(
-            "scans and odometry turn opposite ways, and no gyro tells which is right: "
-            "if it is the scans, this map is mirrored"
+            "scans and odometry turn in opposite directions, and there is no gyro to decide: "
+            "if the scans are right, this map is mirrored"
         )
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
@@ -154,12 +155,12 @@ def _unlikely_motion(
     if len(stretch) and stretch.max() > UNSEEN_M:
         last = int(stretch.argmax())
         odometry = (
-            "no odometry helps"
+            "there is no odometry"
             if track.odometry_steps is None
             else "the odometry was wrong just before or after"
         )
         reasons.append(
-            f"nothing vouches for {stretch[last]:.1f} m up to scan {last}: the scans are blind there, "
+            f"{stretch[last]:.1f} m up to scan {last} are unconfirmed: the scans do not show the motion, "
             f"and {odometry}"
         )
     return reasons

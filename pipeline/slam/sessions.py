@@ -72,7 +72,9 @@ def joined_recording(recordings: list[Recording]) -> Recording:
     for other in recordings[1:]:
         same = other.lidar == first.lidar and np.allclose(other.T_base_lidar.xyt, first.T_base_lidar.xyt)
         if not same:
-            raise InputError(f"{other.source}: another lidar than in {first.source}; map it on its own")
+            raise InputError(
+                f"{other.source}: its lidar differs from that of {first.source}; map it separately"
+            )
     with_odometry = all(recording.T_odom_base is not None for recording in recordings)
     odometry = [r.T_odom_base.xyt for r in recordings if r.T_odom_base is not None]
     return replace(

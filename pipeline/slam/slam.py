@@ -53,7 +53,7 @@ LATER = {"loops", "recall", "refine", "posing", "grid"}
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
-    Field(description="which witnesses to use; odometry alone draws the map along the wheels"),
+    Field(description="which sensors to use; odometry alone draws the map along the wheels"),
 ]
 FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
 """What `front_end` may be; see `turtlebag.pipeline.slam.front_end`."""
@@ -73,7 +73,7 @@ class SlamConfig(BaseModel):
     deskew: bool = Field(
         default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
     )
-    gyro: bool = Field(default=True, description="where wheels slip in turning, believe the gyro")
+    gyro: bool = Field(default=True, description="use the gyro where the wheels slip in turns")
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
     recall: RecallConfig = RecallConfig()

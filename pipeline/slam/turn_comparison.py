@@ -42,7 +42,9 @@ def in_step(recording: Recording, late_s: float, over: bool) -> Recording:
     """The recording with its odometry, so much late [s], at the time of its scans, and its lidar turned over
     or not; as it is where nothing is to be done."""
     if over:
-        said = "the scans turn the other way than the odometry: the laser is taken to hang the other way up"
+        said = (
+            "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
+        )
         recording = replace(recording, lidar=turned_over(recording.lidar), notes=(*recording.notes, said))
     recording = _shifted(recording, late_s) if late_s != 0.0 else recording
     return replace(recording, turned_over=not turns_with(recording)) if over else recording
@@ -57,7 +59,7 @@ def _shifted(recording: Recording, late_s: float) -> Recording:
         T_odom_base=stream.at(recording.stamps_ns + late_ns),
         odometry=None if recording.odometry is None else shifted,
         odometry_late_s=late_s,
-        notes=(*recording.notes, f"the odometry runs {said}, by the turns of both: undone"),
+        notes=(*recording.notes, f"the odometry runs {said} (judged by the turns of both); corrected"),
     )
 
 

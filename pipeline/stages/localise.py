@@ -118,12 +118,12 @@ def localise(
 def _summarise(metrics: dict[str, Any], out: Path) -> None:
     error, status = metrics["localisation_error_m"], metrics["status"]
     if metrics["success"] and not metrics.get("true_success", True):
-        status = f"believed localised, but {length(metrics['last_error_m'])} off at the end"
+        status = f"not localised: {length(metrics['last_error_m'])} off at the end"
     known = f", {length(error['rmse'])} RMSE from the truth" if error else ""
     reason = f" ({metrics['reason']})" if "reason" in metrics else ""
     log.info(
         f"{status}{reason}: {metrics['scans']} scans in {metrics['log_s']:.1f} s, "
-        f"the map explains {metrics['agreement']:.0%} of the last ones{known} -> {out}"
+        f"the map explains {metrics['agreement']:.0%} of the latest ones{known} -> {out}"
     )
 
 
@@ -175,7 +175,7 @@ def doubt(amcl: Amcl) -> str | None:
     """Why the filter's pose is not to be believed now; None when it is."""
     if not amcl.agrees:
         return "the last scans disagree with the map"
-    return None if amcl.converged else "the particles have not come together"
+    return None if amcl.converged else "the particles have not converged"
 
 
 def started(

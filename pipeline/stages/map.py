@@ -79,7 +79,7 @@ def build_map(
 
         planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
         for option in (option for option, given in planar.items() if given):
-            raise InputError(f"{option}: only for planar scans, and {source} is mapped in 3D") from None
+            raise InputError(f"{option}: only for 2D scans, and {source} is mapped in 3D") from None
         return build_map_3d(
             source, topic, out, references, config, settings, named, explain, force, command, watch
         )
@@ -126,7 +126,7 @@ def build_map(
             | {"parts": chosen_parts(resolved)},
         )
     if cache.found:
-        log.info(f"from the cache: {', '.join(cache.found)}; made anew: {', '.join(cache.made) or 'nothing'}")
+        log.info(f"cached: {', '.join(cache.found)}; computed: {', '.join(cache.made) or 'nothing'}")
     tell_map(metrics, out, slam_s)
     return 0
 
@@ -135,7 +135,7 @@ def _require_name(named: str | None) -> None:
     """InputError when a map cannot be saved by this name beside our own files."""
     if named is not None and (not re.fullmatch(r"[\w][\w.-]*", named) or named in TAKEN):
         raise InputError(
-            f"--name {named}: give letters, digits, - and _, without folder or ending, and none of "
+            f"--name {named}: use letters, digits, - and _, without a folder or extension, and none of "
             f"{', '.join(TAKEN)}"
         )
 

@@ -52,4 +52,4 @@ def _truth_folder(path: Path) -> Path:
     for folder in (path, path / "truth"):
         if (folder / "trajectory.tum").is_file():
             return folder
-    raise InputError(f"{path}: no truth here (expected trajectory.tum in it or in its truth/)")
+    raise InputError(f"{path}: no truth found (expected trajectory.tum in it or in its truth/)")

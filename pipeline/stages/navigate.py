@@ -131,9 +131,9 @@ def navigate_in(
         )
     for when, x, y, yaw in mission.config.sim.faults.kidnap:
         if when <= metrics["time_s"]:
-            log.info(f"carried off at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
+            log.info(f"kidnapped at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
     if interrupted:
-        log.warning("interrupted: what was driven until then is kept")
+        log.warning("interrupted; the run so far is kept")
     log.info(f"{verdict(metrics)} -> {out}")
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
@@ -144,7 +144,7 @@ def _opening(arena: World, mission: Mission) -> str:
     tasks = {
         "goal": "drive to a goal",
         "patrol": f"patrol of {len(mission.waypoints)} goals" + (f", {laps} laps" if laps > 1 else ""),
-        "avoid": "drive about and avoid what is in the way",
+        "avoid": "drive around and avoid obstacles",
         "explore": "explore and map",
     }
     return f"{tasks[request.task]}: {mission.robot.name} in {arena.name}, seed {request.seed}"
@@ -195,6 +195,6 @@ def _refuse_outlines_off(mission: Mission) -> None:
     for number, outline in enumerate(mission.request.keepout or (), start=1):
         if not polygon_mask(mission.costmap, outline).any():
             raise InputError(
-                f"--keepout {mission.request.keepout_path}: keepout {number}: is off the map "
-                f"{mission.request.map_path}; correct its corners or leave it out"
+                f"--keepout {mission.request.keepout_path}: keepout {number}: lies outside the map "
+                f"{mission.request.map_path}; correct its corners or remove it"
             )

@@ -183,7 +183,7 @@ def record_drive(
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
         )
     if interrupted:
-        log.warning("interrupted: what was recorded until then is kept")
+        log.warning("interrupted; the recording so far is kept")
     log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out}")
     if stuck:
         log.error("the drive ended early: %s", stuck)

@@ -73,7 +73,7 @@ def make_index(
     lines = index_lines(roots)
     if not lines:
         places = ", ".join(str(root) for root in roots)
-        raise InputError(f"{places}: no finished outputs below; name the folder that holds them")
+        raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
     with staged_output(out, force=force, inputs=shown_outputs(roots)) as partial:
         (partial / "index.html").write_text(render_index(lines))
         write_manifest(partial, stage="index", command=command, inputs={}, seed=None, wall_s=watch.seconds())

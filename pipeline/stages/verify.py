@@ -64,7 +64,9 @@ def stage_folders(report: Path) -> list[Path]:
                 folders.append(candidate)
                 break
         else:
-            raise InputError(f"{report}: its input {label} is neither at {entry['path']} nor beside it")
+            raise InputError(
+                f"{report}: its input {label} is neither at {entry['path']} nor next to the report"
+            )
     return folders
 
 
@@ -113,7 +115,7 @@ def _check_report_files(report: Path, groups: list[Group], found: Verification) 
             then = manifest.get("inputs", {}).get(name, {}).get("sha256", {})
             for path, digest in then.items():
                 if stage.outputs.get(path) != digest:
-                    found.problems.append(f"{name}/{path}: made again since the report")
+                    found.problems.append(f"{name}/{path}: regenerated since the report was made")
 
 
 def _check_stage(
@@ -126,11 +128,13 @@ def _check_stage(
 ) -> None:
     name = f"{group.name}/{stage.label}"
     found.files += len(stage.outputs)
-    found.problems += [f"{name}/{path}: not what its manifest says" for path in changed_files(stage)]
+    found.problems += [f"{name}/{path}: does not match its manifest" for path in changed_files(stage)]
     disagreement = truth_disagreement(stage)
     if disagreement is not None and disagreement > TRUTH_AGREES_M:
         apart = shown(disagreement, "cm")
-        found.problems.append(f"{name}/truth/trajectory.tum: {apart} from the bag's /ground_truth/odom")
+        found.problems.append(
+            f"{name}/truth/trajectory.tum: differs by {apart} from the bag's /ground_truth/odom"
+        )
     if stage.kind == "navigate":
         _check_clearance(stage, name, found)
     for path, value in leaves(stage_metrics(stage)):
@@ -140,7 +144,7 @@ def _check_stage(
     left = _unknown(name, metrics, done)
     if left and (anew := again(stage)) is not None:
         if anew.other_bytes:
-            found.notes.append(f"{name}: run again, other bytes in {', '.join(anew.other_bytes)}")
+            found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
         done += [check for check in _checks(name, metrics, anew.metrics) if check.key in left]
         left = _unknown(name, metrics, done)
     found.checks += done

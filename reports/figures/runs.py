@@ -32,7 +32,7 @@ from turtlebag.reports.metrics.navigation import outcome
 # How each goal ended, by the truth: colour, marker, words. Orange is bad, whatever the shape.
 ENDS = {
     "reached": (GOOD, "o", "reached"),
-    "elsewhere": (BAD, "D", "believed reached, not there"),
+    "elsewhere": (BAD, "D", "reported as reached, but elsewhere"),
     "timeout": (BAD, "s", "timeout"),
     "unreachable": (BAD, "X", "unreachable"),
     "rejected": (BAD, "h", "rejected"),

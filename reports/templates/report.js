@@ -27,7 +27,7 @@ const unfold = document.querySelector("button.unfold");
 unfold?.addEventListener("click", () => {
   const open = !stages.every((box) => box.open);
   for (const box of stages) box.open = open;
-  unfold.textContent = open ? "Fold all stages" : "Unfold all stages";
+  unfold.textContent = open ? "Collapse all stages" : "Expand all stages";
 });
 let folded = [];
 addEventListener("beforeprint", () => {

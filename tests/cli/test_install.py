@@ -156,7 +156,7 @@ def test_pip_that_outlives_a_killed_make_is_waited_for(machine):
     code, complaints, said = machine.setup()
     process.communicate()
     assert (code, complaints) == (0, [])
-    assert "another one is at work in .venv; waiting for its end" in said
+    assert "another set-up is running in .venv; waiting for it to finish" in said
     assert machine.ready
 
 
@@ -250,7 +250,7 @@ def test_a_package_that_is_not_there_is_one_line(tmp_path, package):
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert line.startswith(f"turtlebag: the package {package} is not there")
+    assert line.startswith(f"turtlebag: the package {package} is missing")
     assert "make -B setup" in line
     assert not (tmp_path / "path").exists()
 

@@ -275,7 +275,7 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     def mapped(name, *more):
         assert main(["map", str(bag), "--out", str(tmp_path / name), *more]) == 0
         manifest = json.loads((tmp_path / name / "manifest.json").read_text())
-        said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("from the cache")]
+        said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cached: ")]
         return manifest.get("from_cache", []), said
 
     assert mapped("plain", "--explain", "--no-cache") == ([], [])
@@ -283,12 +283,12 @@ def test_the_command_says_what_it_reused_and_compare_shows_the_effect(bag, tmp_p
     assert mapped("first", "--explain") == ([], [])
     found, said = mapped("again", "--explain")
     assert found == ["reading", *STEPS]
-    assert said == ["from the cache: reading, " + ", ".join(STEPS) + "; made anew: nothing"]
+    assert said == ["cached: reading, " + ", ".join(STEPS) + "; computed: nothing"]
     assert (
         sha256_tree(tmp_path / "plain") == sha256_tree(tmp_path / "first") == sha256_tree(tmp_path / "again")
     )
     found, said = mapped("fine", "--set", "grid.resolution_m=0.025")
-    assert said == ["from the cache: reading, " + ", ".join(STEPS[:-2]) + "; made anew: grid, self-check"]
+    assert said == ["cached: reading, " + ", ".join(STEPS[:-2]) + "; computed: grid, self-check"]
     assert mapped("moved", "--laser", "0.1,0,0")[0] == []
     words = ["compare", str(tmp_path / "first"), str(tmp_path / "fine"), "--out", str(tmp_path / "to-fine")]
     assert main(words) == 0

@@ -78,7 +78,7 @@ def test_an_option_that_the_task_does_not_use_is_refused_by_name(capsys, task, n
 @pytest.mark.parametrize("name", navigate_command.ON_A_MAP)
 def test_a_goal_without_a_map_refuses_what_only_a_map_gives_sense(capsys, name):
     option = GIVEN[name].split("=")[0]
-    assert f"{option}: a goal without --map" in refusal(capsys, "--task", "goal", "--goal=1,0,0", GIVEN[name])
+    assert f"{option}: needs a map" in refusal(capsys, "--task", "goal", "--goal=1,0,0", GIVEN[name])
 
 
 def test_every_option_is_said_to_go_with_every_task_or_with_some():

@@ -39,9 +39,9 @@ def test_a_goal_that_only_the_robot_believes_reached_is_a_failure(true_map, tmp_
     assert metrics["goals"][0]["status"] == "reached"
     said = capfd.readouterr().err
     assert re.search(
-        r"^goal 1 of 1: believed reached after .* the robot is 4\.0\d m away from it$", said, re.M
+        r"^goal 1 of 1: reported as reached after .* the robot is 4\.0\d m away from it$", said, re.M
     )
-    assert "failed: 0 of 1 goals reached (the robot believed 1), no collisions" in said
+    assert "failed: 0 of 1 goals reached (the robot reported 1), no collisions" in said
     assert not re.search(r": reached|succeeded", said)
 
 
@@ -118,6 +118,6 @@ def test_the_verdict_is_by_the_truth():
         {**run, "true_success": False, "goals": [goal, far], "collisions": {"visible": 2, "low": 1}}
     )
     assert bad.startswith(
-        "failed: 1 of 2 goals reached (the robot believed 2), 3 collisions (2 with what the"
+        "failed: 1 of 2 goals reached (the robot reported 2), 3 collisions (2 visible to the lidar, 1"
     )
     assert (length(0.0123), length(3.9968)) == ("1.2 cm", "4.00 m")

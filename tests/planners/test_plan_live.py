@@ -200,7 +200,7 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
 
 def test_a_robot_too_near_everything_has_no_aim():
     layer = window(side=5.0, centre=(0.0, 0.0))
-    for off, says in ((0.45, "too near an obstacle"),):
+    for off, says in ((0.45, "too close to an obstacle"),):
         x, y = np.meshgrid(np.arange(-1.0, 1.0, RES), np.arange(-1.0, 1.0, RES))
         near = np.column_stack([x.ravel(), y.ravel()]) + 0.05
         layer.update(0.0, SE2.from_xyt(2.0, 2.0, 0.0), near, np.zeros((0, 2)))

@@ -176,7 +176,7 @@ def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_
     lethal[44:57, 14:27] = True
     lethal[49:52, 19:22] = False
     walled = Costmap(lethal, RES, SE2.identity())
-    with pytest.raises(NoPath, match="the robot stands too near an obstacle"):
+    with pytest.raises(NoPath, match="the robot is too close to an obstacle"):
         plan_path(walled, BURGER, start, goal, PlanConfig(snap=0.1), 1)
 
 

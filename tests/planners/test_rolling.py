@@ -83,7 +83,7 @@ def test_no_way_out_of_a_ring_of_obstacles_is_said_so():
     ring = 1.5 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for k in range(3):
         see(live, 0.1 * k, 0.0, ring)
-    with pytest.raises(NoPath, match="no way"):
+    with pytest.raises(NoPath, match="no path"):
         live.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.2)
 
 

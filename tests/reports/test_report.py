@@ -250,7 +250,7 @@ def test_every_word_that_is_linked_is_explained_at_the_end(page):
 
 
 def test_of_the_walls_two_numbers_are_the_ones_to_trust():
-    (walls,) = (section for section in SECTIONS["map"] if section.title == "The walls")
+    (walls,) = (section for section in SECTIONS["map"] if section.title == "Walls")
     trusted = [spec.path for spec in walls.specs if spec.trusted]
     assert trusted == ["map.occupied_error_m.within_one_cell", "map.coverage"]
     assert all(sum(spec.trusted for spec in s.specs) <= 2 for found in SECTIONS.values() for s in found)

@@ -71,7 +71,7 @@ def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
         (plan / f"path-{name}.csv").write_text("x,y,yaw\n" + rows)
     assert list(rival_paths(load_stage(plan))) == ["RRTConnect", "BITstar"]
     page = make_report([plan], tmp_path / "out", animate=False).read_text()
-    assert "2 of 3 planners found a path; the one asked for did." in page
+    assert "2 of 3 planners found a path; the chosen one did." in page
     assert "Planners compared." in page
     assert 'data-key="map/plan:planners.0.length_m" data-value="4.25">4.25' in page
     assert "out of iterations" in page
@@ -91,7 +91,7 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     page = make_report([record, located, run], tmp_path / "out", animate=False).read_text()
     assert "Rejected: no initial pose." in page
     assert "<strong>Not localised.</strong>" in page
-    assert "<strong>The map it made.</strong>" in page
+    assert "<strong>The map it built.</strong>" in page
 
 
 @pytest.mark.slow

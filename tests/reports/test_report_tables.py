@@ -191,5 +191,5 @@ def test_the_index_is_a_sortable_page_without_machine_paths(base, tmp_path, caps
 def test_an_index_of_nothing_is_refused_in_a_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["report", "--index", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
-    assert "no finished outputs below" in capsys.readouterr().err
+    assert "no finished outputs in it" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

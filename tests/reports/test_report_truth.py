@@ -37,16 +37,16 @@ def page(folders):
 @pytest.mark.slow
 def test_a_run_that_only_believes_it_succeeded_is_a_failure_in_title_headline_tile_and_verdict(page):
     text = page.read_text()
-    said = "1 of 2 tasks succeeded; the robot believed 2"
+    said = "1 of 2 tasks succeeded; the robot reported 2"
     assert f"<title>TurtleBag report: {said}</title>" in text
     assert f'<h1 class="bad">{said}</h1>' in text
     tile = re.search(
         r'<div class="tile bad"[^>]*><dt>goals reached</dt><dd>([^<]*)</dd><dd class="note">([^<]*)', text
     )
-    assert tile.groups() == ("5 of 6", "the robot believed 6")
+    assert tile.groups() == ("5 of 6", "the robot reported 6")
     lines = words_of(text)
     assert any(
-        "2 of 3 goals reached (the robot believed 3, but was up to 2.40 m away)" in line for line in lines
+        "2 of 3 goals reached (the robot reported 3, but was up to 2.40 m away)" in line for line in lines
     )
 
 
@@ -84,7 +84,7 @@ def test_a_single_goal_that_was_missed_unawares_says_how_far_the_robot_was():
     metrics = {"success": True, "true_success": False, "goals": [goal]}
     assert verdict(Stage(Path("nowhere"), "navigate", "goal", {}), metrics) == (
         "bad",
-        "Goal not reached: the robot believed it was there, but it was 4.00\u202fm away; no collision.",
+        "Goal not reached: the robot reported it as reached, but was 4.00\u202fm away; no collision.",
     )
 
 
@@ -175,7 +175,7 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
     metrics = {"success": True, "true_success": False, "status": "localised", "last_error_m": 3.98}
     assert verdict(stage, metrics) == (
         "bad",
-        "Not localised: it believed so, but was 3.98\u202fm off at the end.",
+        "Not localised: the filter reported success, but was 3.98\u202fm off at the end.",
     )
     assert verdict(stage, metrics | {"true_success": True})[0] == "good"
     del metrics["true_success"]
@@ -187,5 +187,5 @@ def test_a_comparison_says_of_both_how_they_truly_went(folders):
     text = (folders / "comparison/index.html").read_text()
     lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
     assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]
-    assert re.search(r"success, by the truth</td><td[^>]*>no</td><td[^>]*>yes</td>", text)
-    assert re.search(r"success, as the robot believed</td><td[^>]*>yes</td><td[^>]*>yes</td>", text)
+    assert re.search(r"success \(ground truth\)</td><td[^>]*>no</td><td[^>]*>yes</td>", text)
+    assert re.search(r"success \(robot&#39;s estimate\)</td><td[^>]*>yes</td><td[^>]*>yes</td>", text)

@@ -51,6 +51,12 @@ def test_built_in_scripts_load_in_every_kind_of_world():
         next(commands(load_script(name), load_world(world), BURGER, 1))
 
 
+def test_a_step_without_one_action_is_refused_with_the_actions_there_are(tmp_path):
+    (tmp_path / "idle.yaml").write_text("name: idle\nsteps:\n  - {wait: 1, spin: 1}\n")
+    with pytest.raises(InputError, match=r"one action \(drive, turn_deg, spin, wait, "):
+        load_script(str(tmp_path / "idle.yaml"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["turtlebot3_world", "maze:1,cells=5", "office:2", "forest:3,size=8"])
 @pytest.mark.parametrize("name", sorted(ROUTES))

@@ -110,9 +110,9 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
     assert reasons(drive, information=seen) == ()
     (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 30), 3.0))
-    assert "up to scan 46: the scans are blind there, and the odometry was wrong" in reason
+    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
     (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(46, 56), 3.0))
-    assert "up to scan 46: the scans are blind there, and the odometry was wrong" in reason
+    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
     assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
     assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
 
@@ -126,10 +126,10 @@ def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
     assert reasons(lidar, information=seen) == ()
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
     (reason,) = reasons(lidar, information=seen)
-    assert "up to scan 46: the scans are blind there, and no odometry helps" in reason
+    assert "scan 46 are unconfirmed: the scans do not show the motion, and there is no odometry" in reason
 
 
 def test_a_map_that_may_be_mirrored_is_told(drive):
     log, clouds, track = drive
     (reason,) = reasons((replace(log, turned_over=True), clouds, track))
-    assert "turn opposite ways" in reason
+    assert "turn in opposite directions" in reason

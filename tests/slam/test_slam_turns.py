@@ -60,7 +60,7 @@ def test_a_delay_is_found_and_undone(turning, seconds):
     assert mended.odometry_late_s == found
     side = "behind" if seconds > 0.0 else "ahead of"
     assert mended.notes == (
-        f"the odometry runs {abs(found):.2f} s {side} the scans, by the turns of both: undone",
+        f"the odometry runs {abs(found):.2f} s {side} the scans (judged by the turns of both); corrected",
     )
 
 
@@ -100,7 +100,7 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     assert (found, over) == (pytest.approx(seconds, abs=0.06), True)
     mended = in_step(wrong, found, over)
     np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
-    assert mended.notes[0].startswith("the scans turn the other way than the odometry")
+    assert mended.notes[0].startswith("scans and odometry turn in opposite directions")
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_map_and_localise_say_it(turning, tmp_path, capsys):
             writer.scan(scan.stamp_ns, scan)
     assert main(["map", str(tmp_path / "bag"), "--out", str(tmp_path / "map"), "--no-cache"]) == 0
     said = capsys.readouterr().err
-    assert "note: the odometry runs 0.30 s behind the scans, by the turns of both: undone" in said
+    assert "note: the odometry runs 0.30 s behind the scans (judged by the turns of both); corrected" in said
     assert json.loads((tmp_path / "map" / "metrics.json").read_text())["odometry_late_s"] == 0.3
     start = ",".join(f"{value:.3f}" for value in turning.truth.poses.xyt[0])
     args = ["localise", str(tmp_path / "bag"), "--map", str(tmp_path / "map"), f"--initial-pose={start}"]

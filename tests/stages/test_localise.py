@@ -93,7 +93,7 @@ def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_p
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert (metrics["success"], metrics["true_success"]) == (True, False)
     assert metrics["last_error_m"] == pytest.approx(1.5, abs=0.02)
-    assert "believed localised, but 1.5" in capsys.readouterr().err
+    assert "not localised: 1.5" in capsys.readouterr().err
 
 
 def test_the_truth_of_another_time_is_one_line(room_log, tmp_path, capsys):

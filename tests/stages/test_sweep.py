@@ -132,7 +132,7 @@ def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
 def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
     write_parquet([{"size": 1}], tmp_path / "runs.parquet")
     assert query(tmp_path / "runs.parquet", "SELECT size FROM runs") == (["size"], [(1,)])
-    with pytest.raises(InputError, match="asks nothing"):
+    with pytest.raises(InputError, match="is empty"):
         query(tmp_path / "runs.parquet", sql)
 
 

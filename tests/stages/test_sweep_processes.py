@@ -118,7 +118,7 @@ def test_a_killed_campaign_goes_on_where_it_was_and_ends_in_the_same_bytes(place
     assert 18 <= len(list((place / "ran").iterdir())) <= 18 + 1
     assert sha256_tree(place / "parts") == sha256_tree(undisturbed(place, monkeypatch))
     said = (place / "log").read_text()
-    assert f"going on: {done} of 18 cases are done" in said
+    assert f"resuming: {done} of 18 cases are done" in said
     assert "parts: 18 cases, 1 failed" in said
 
 

@@ -104,7 +104,7 @@ def test_a_number_changed_on_the_page_only_is_named(tree):
     [
         ("2 of 3</dd>", "3 of 3</dd>"),
         ("0 of 1 task succeeded</h1>", "1 of 1 task succeeded</h1>"),
-        ("<dd>Heading, counted", "<dd>Heading, not counted"),
+        ("<dd>Heading: the angle", "<dd>Heading, not counted"),
         ("2 of 3 goals reached (1 timeout), 1 collision.", "3 of 3 goals reached, no collision."),
         ("2 edges; the", "3 edges; the"),
     ],
@@ -141,7 +141,7 @@ def test_a_number_changed_in_the_reports_metrics_only_is_named(tree):
 def test_a_changed_data_file_is_named(tree):
     path = tree / "map/trajectory.tum"
     path.write_text(path.read_text().replace("0 0 0", "0 0 0 ", 1))
-    assert "room/map/trajectory.tum: not what its manifest says" in verify(tree / "report", main).problems
+    assert "room/map/trajectory.tum: does not match its manifest" in verify(tree / "report", main).problems
 
 
 @pytest.mark.slow
