@@ -80,6 +80,8 @@ def test_a_command_that_is_only_mentioned_is_one_we_have(line):
     words = [word for word in shlex.split(line) if not re.fullmatch(r"[A-Z_]+=\S*", word)]
     if words[0] == "turtlebag":
         check_verb(words[1:])
+    elif words[0].startswith("turtlebag."):
+        assert importlib.util.find_spec(words[0]) is not None
     elif words[0] == "make":
         for target in (word for word in words[1:] if word != "-B"):
             assert target in TARGETS, f"make has no target {target}"
