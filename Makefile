@@ -43,7 +43,7 @@ OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
 
-setup: $(READY) ## make the virtual environment (every other target does it when needed)
+setup: $(READY) ## make the virtual environment (every other target does this when needed)
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' 2>/dev/null \
@@ -51,10 +51,10 @@ $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -I pipeline/setup/install.py $(@D)
 	@touch $@
 
-doctor: $(READY) ## check the installation: a line for each thing that is missing
+doctor: $(READY) ## check the installation: one line for each missing part
 	$(TURTLEBAG) doctor
 
-demo: $(READY) ## from nothing to a navigation report: record, map, navigate in the arena and the house, report
+demo: $(READY) ## record, map and navigate in the arena and the house, then report
 	$(MAKE) --no-print-directory --jobs=2 demo-world demo-house
 	$(TURTLEBAG) report --force --out data/reports/demo $(addprefix data/,$(DEMO))
 
@@ -68,7 +68,7 @@ demo-house:
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
 map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)
 navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
-report: $(REPORT_DIR)/manifest.json ## make the page of a run   (OUT, or as navigate)
+report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/stages/record.py | $(READY)
 	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D) $(OR_AGAIN)
@@ -92,7 +92,7 @@ DEMO_AGAIN = rm -rf $(addprefix data/,$(DEMO)) data/reports/demo && $(MAKE) --no
 DEMO_HASHES = cd data && find $(DEMO) reports/demo -type f ! -name manifest.json -print0 | LC_ALL=C sort -z | xargs -0 sha256sum
 
 verify: export TURTLEBAG_STAGE_CACHE = off
-verify: $(READY) ## run the demo twice and compare every file; recompute every number of its report
+verify: $(READY) ## run the demo twice and compare every file, then recompute every number of its report
 	mkdir -p data/verify
 	$(DEMO_AGAIN) > data/verify/first.log
 	$(DEMO_HASHES) > verify/first.sha256
@@ -112,10 +112,10 @@ bench-sim: $(READY) ## simulated seconds per second, by world and robot
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
 	$(PY) -m benchmarks.slam_campaign --quick
 	$(PY) -m benchmarks.slam3d --quick
-bench-slam-all: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), drives, disturbances; goes on where it was stopped
+bench-slam-all: $(READY) ## maps: public logs (TURTLEBAG_DATA=folder of them), drives, disturbances; resumes if stopped
 	$(PY) -m benchmarks.slam_campaign
 	$(PY) -m benchmarks.slam3d
-bench-localise: $(READY) ## localisation: accuracy, speed, from nothing, kidnapped
+bench-localise: $(READY) ## localisation: accuracy, speed, global, kidnapped
 	$(PY) -m benchmarks.localise
 bench-plan: $(READY) ## planners: time, length, clearance, success
 	$(PY) -m benchmarks.plan
@@ -126,10 +126,10 @@ bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_kill
 	$(PY) -m benchmarks.kills
 
-mutants: $(READY) ## make small mistakes in the code: does a test notice?   (SEED, N mutants)
+mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
 	$(PY) -m benchmarks.mutants --seed $(SEED) $(if $(N),--count $(N))
 
-study-advice study-blame study-breaks: study-%: $(READY) ## the studies: is the mapping advice true, who is to blame, what breaks it
+study-advice study-blame study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
 
 lint: $(READY) ## ruff and mypy

@@ -25,7 +25,7 @@ from turtlebag.datasets.output_rules import check_free, identity, is_output, lin
 
 MARKER = ".turtlebag-unfinished"
 """File in every folder that grows. It never is part of a finished output, nor of its hashes."""
-_MARK = "turtlebag: this output is unfinished; the same command removes it and begins anew\n"
+_MARK = "turtlebag: this output is unfinished; the same command removes it and starts over\n"
 _HIDDEN = ".turtlebag-"
 _held: dict[Path, Claim] = {}
 
@@ -146,7 +146,7 @@ class Claim:
                 return folder
             close(folder)
             raise InputError(
-                f"{self.partial}: is in the way and no unfinished output of turtlebag; "
+                f"{self.partial}: is in the way and is not an unfinished output of turtlebag; "
                 "move it or choose another --out"
             )
 

@@ -21,7 +21,9 @@ def open_locked(folder: Path, out: Path) -> int | None:
     except FileNotFoundError:
         return None
     except NotADirectoryError:
-        raise InputError(f"{folder}: is in the way and no folder; move it or choose another --out") from None
+        raise InputError(
+            f"{folder}: is in the way and is not a folder; move it or choose another --out"
+        ) from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({error.strerror})") from None
     try:

@@ -42,7 +42,7 @@ def check_free(out: Path, *, force: bool, inputs: Iterable[Path] = (), kind: Kin
     if stat.S_ISDIR(mode):
         _require_our_folder(out, place)
     elif not (stat.S_ISREG(mode) and _is_our_file(place)):
-        raise InputError(f"{out}: is no output of turtlebag; --force does not replace it")
+        raise InputError(f"{out}: is not an output of turtlebag; --force does not replace it")
     if kind is not None and (kind == "folder") != stat.S_ISDIR(mode):
         raise InputError(f"{out}: exists and is not a {kind}; choose another --out")
 
@@ -84,7 +84,7 @@ def _require_our_folder(out: Path, place: Path) -> None:
         raise InputError(f"{out}: is a mount point; --force does not replace it")
     if any(place.iterdir()) and not is_output(place):
         raise InputError(
-            f"{out}: holds files that are no output of turtlebag (no manifest.json of ours); "
+            f"{out}: holds files that are not an output of turtlebag (no manifest.json of ours); "
             "--force does not remove them"
         )
 

@@ -40,7 +40,7 @@ def without_own_body(recording: Recording) -> Recording:
     body = (high - low <= STILL_M) & (middle <= NEAR_M)
     if not body.any():
         return recording
-    said = f"{body.sum()} of {len(body)} beams see the robot itself, as near all the time: not used"
+    said = f"{body.sum()} of {len(body)} beams hit the robot itself (same short range all the time): not used"
     kept = np.where(body, np.float32(np.nan), recording.ranges)
     return replace(recording, ranges=kept, notes=(*recording.notes, said))
 

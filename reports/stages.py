@@ -222,7 +222,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: no such folder (expected the output of a stage)")
     path = folder / "manifest.json"
     if not path.is_file():
-        raise InputError(f"{folder}: has no manifest.json, so it is no finished output of any stage")
+        raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
     return read_manifest(path)
 
 

@@ -122,7 +122,7 @@ class Campaign(BaseModel):
             raise ValueError(f"{sorted(clash)[0]} is both a factor and a stage")
         for stage in self.shared:
             if stage not in self.stages:
-                raise ValueError(f"shared: {stage} is no stage of this campaign")
+                raise ValueError(f"shared: {stage} is not a stage of this campaign")
         for name, result in self.results.items():
             if result.at.partition(":")[0] not in self.stages or ":" not in result.at:
                 raise ValueError(f"results.{name}: expected STAGE:PATH with one of the stages")
@@ -130,10 +130,10 @@ class Campaign(BaseModel):
         wanted += [figure.panels for figure in self.figures]
         for factor in wanted:
             if factor is not None and factor not in self.factors:
-                raise ValueError(f"{factor} is no factor of this campaign")
+                raise ValueError(f"{factor} is not a factor of this campaign")
         for figure in self.figures:
             if figure.y not in self.results:
-                raise ValueError(f"{figure.y} is no result of this campaign")
+                raise ValueError(f"{figure.y} is not a result of this campaign")
             if figure.unit is not None:
                 _check_unit(figure.unit)
         self._levels_are_there()
@@ -160,7 +160,7 @@ class Campaign(BaseModel):
         if compared is None or self.against is None or isinstance(compared, Uniform):
             return
         if self.against not in _levels(compared):
-            raise ValueError(f"against: {self.against} is no level of {self.compare}")
+            raise ValueError(f"against: {self.against} is not a level of {self.compare}")
 
 
 @dataclass(frozen=True)

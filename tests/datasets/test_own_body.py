@@ -25,7 +25,7 @@ def with_strut(log, metres=0.2, noise=0.005):
 def test_a_strut_that_rides_along_is_left_out(drive):
     kept = without_own_body(with_strut(drive))
     assert np.flatnonzero(np.isnan(kept.ranges).all(axis=0)).tolist() == list(range(20, 35))
-    assert kept.notes[-1].startswith(f"15 of {drive.ranges.shape[1]} beams see the robot itself")
+    assert kept.notes[-1].startswith(f"15 of {drive.ranges.shape[1]} beams hit the robot itself")
     others = np.delete(np.arange(drive.ranges.shape[1]), np.arange(20, 35))
     np.testing.assert_array_equal(kept.ranges[:, others], drive.ranges[:, others])
 
