@@ -47,7 +47,7 @@ def test_force_never_removes_what_is_no_output_of_ours(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("years")
     with (
-        pytest.raises(InputError, match="no output of turtlebag"),
+        pytest.raises(InputError, match="not an output of turtlebag"),
         staged_output(tmp_path / "home", force=True),
     ):
         pass

@@ -104,10 +104,10 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("compare: size", "compare: shape", "no factor"),
+        ("compare: size", "compare: shape", "not a factor"),
         ('"make:error.rmse"', '"cook:error"', "expected STAGE:PATH"),
         ("{size} --seed", "{height} --seed", "neither a factor nor an earlier stage"),
-        ("y: good", "y: bad", "no result"),
+        ("y: good", "y: bad", "not a result"),
         ("question:", "questoin:", "unknown key"),
         ("compare: size", "shared: [cook]", "cook is not a stage"),
         ("unit: cm", "unit: inch", "unit inch: known are"),
