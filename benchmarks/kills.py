@@ -56,8 +56,8 @@ figures: [{x: seed, y: ate_m, title: Error}]
 def load_everything() -> None:
     """Import every module once, for the forks to find it loaded."""
     for name in ("datasets", "sim", "planners", "reports", "pipeline"):
-        package = importlib.import_module(name)
-        for module in pkgutil.walk_packages(package.__path__, f"{name}."):
+        package = importlib.import_module(f"turtlebag.{name}")
+        for module in pkgutil.walk_packages(package.__path__, f"turtlebag.{name}."):
             if not module.name.endswith("__main__"):
                 importlib.import_module(module.name)
 

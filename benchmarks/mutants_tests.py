@@ -34,7 +34,8 @@ SUBJECTS = {
     ],
     "datasets": [
         "bag_*", "carmen", "carmen_parts", "maps", "recordings", "runlog", "types", "se2", "se3",
-        "trajectories", "outputs", "files", "small_files", "kernels", "area", "slam3d_parts",
+        "trajectories", "outputs", "files", "small_files", "kernels", "own_body", "returns",
+        "registry", "recordings_*", "area", "slam3d_parts",
     ],
 }  # fmt: skip
 # A test that takes longer is not asked [s], and of the others as many as fit into this [s] by default.
@@ -156,7 +157,8 @@ def chosen(
 ) -> list[str]:
     """Tests that run a function, as many as fit into the time: of files that import its module, the quickest
     first, then the others."""
-    name, own, module = f"{path}:{function}", folder_of(path), path.removesuffix(".py").replace("/", ".")
+    name, own = f"{path}:{function}", folder_of(path)
+    module = "turtlebag." + path.removesuffix(".py").replace("/", ".")
     runs = [
         (module not in row["imports"], row["seconds"], test)
         for test, row in table.items()

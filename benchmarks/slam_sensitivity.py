@@ -26,7 +26,7 @@ NUMBERS = {
     "shared errors of points": "align.STEP_INFLATION",
     "kernel, rough poses": "align.ROUGH_SIGMA_M",
     "kernel, good poses": "align.FINE_SIGMA_M",
-    "weight of a surprise": "tracking.SURPRISE",
+    "weight of a surprise": "line_tracking.SURPRISE",
     "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
     "drift of the steps": "drift.HONEST",

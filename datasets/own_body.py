@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.se2 import wrap
 from turtlebag.datasets.types import Recording
 
 NEAR_M = 0.5
@@ -18,26 +19,38 @@ CHANGED_M, CHANGED_SHARE = 0.1, 0.25
 more, or again."""
 SEEN_SHARE = 0.9
 """Of the views, in which such a beam returns."""
-LEAST_VIEWS, MOST_SCANS = 50, 2000
+TURNS_RAD_S = 0.1
+"""A robot that turns faster than this turns: left, right or not at all are three kinds of motion."""
+LEAST_VIEWS, MOST_SCANS = 20, 2000
+"""Views of a kind of motion that tell something; scans looked at."""
 
 
 def without_own_body(recording: Recording) -> Recording:
     """The recording without readings of beams that see the robot itself: NaN, which says nothing. A note
     says how many beams they are.
 
-    What stays as it is while the view changes again and again rides along. Walls beside a robot in a corridor
-    do not: it would have to keep its distance to centimetres for the whole log, and never turn.
+    What stays as it is while the view changes again and again rides along, if that holds for more than one
+    kind of motion: a pillar that the robot circles stays as near, too, until it drives otherwise. Without
+    odometry nobody says how it drives, and nothing is taken away.
     """
     step = 1 + len(recording) // MOST_SCANS
     some = np.where(recording.lidar.returns(recording.ranges[::step]), recording.ranges[::step], np.nan)
-    views = some[_views(some)]
-    if len(views) < LEAST_VIEWS:
+    if recording.T_odom_base is None or len(some) < 2:
         return recording
-    often = np.isfinite(views).mean(axis=0) >= SEEN_SHARE
-    low, middle, high = np.full((3, views.shape[1]), np.nan)
+    views = np.array(_views(some))
+    turned = wrap(np.diff(recording.T_odom_base.yaw))
+    seconds = np.maximum(np.diff(recording.stamps_ns) * 1e-9, 1e-3)
+    rate = np.concatenate([[0.0], turned / seconds])[::step][views]
+    kinds = np.sign(np.where(np.abs(rate) > TURNS_RAD_S, rate, 0.0))
+    lasting = [views[kinds == kind] for kind in (-1.0, 0.0, 1.0) if np.sum(kinds == kind) >= LEAST_VIEWS]
+    if len(lasting) < 2:
+        return recording
+    often = np.all([np.isfinite(some[part]).mean(axis=0) >= SEEN_SHARE for part in lasting], axis=0)
+    body = np.zeros(some.shape[1], dtype=bool)
     if often.any():
-        low[often], middle[often], high[often] = np.nanpercentile(views[:, often], [5.0, 50.0, 95.0], axis=0)
-    body = (high - low <= STILL_M) & (middle <= NEAR_M)
+        ends = np.array([np.nanpercentile(some[part][:, often], [5.0, 95.0], axis=0) for part in lasting])
+        low, high = ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
+        body[often] = (high - low <= STILL_M) & (high <= NEAR_M)
     if not body.any():
         return recording
     said = f"{body.sum()} of {len(body)} beams hit the robot itself (same short range all the time): not used"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -51,8 +52,21 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "top level"
-        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
+        what = first["msg"]
+        if first["type"] == "extra_forbidden":
+            what = f"unknown key{_known_beside(model, first['loc'])}"
         raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
+
+
+def _known_beside(model: type[BaseModel], loc: Sequence[int | str]) -> str:
+    """The keys there are where an unknown one stands, in words; nothing where no plain model stands there."""
+    inner: Any = model
+    for part in loc[:-1]:
+        field = inner.model_fields.get(part)
+        inner = None if field is None else field.annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return ""
+    return f" (known: {', '.join(inner.model_fields)})"
 
 
 def load_model(model: type[Model], path: Path) -> Model:

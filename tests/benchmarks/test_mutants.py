@@ -74,7 +74,11 @@ def test_every_subject_has_its_test_files():
 
 def test_the_quickest_tests_of_the_subject_that_run_the_function_are_asked_first():
     def row(seconds, *functions, subjects=("planners",), passed=True, near=True):
-        more = {"subjects": subjects, "passed": passed, "imports": {"planners.a"} if near else set()}
+        more = {
+            "subjects": subjects,
+            "passed": passed,
+            "imports": {"turtlebag.planners.a"} if near else set(),
+        }
         return {"seconds": seconds, "functions": functions, **more}
 
     name = "planners/a.py:f"

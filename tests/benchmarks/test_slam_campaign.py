@@ -1,5 +1,7 @@
 """The mapper's campaign: its order, its rows and its verdicts."""
 
+import functools
+import importlib
 import json
 import os
 import time
@@ -13,7 +15,9 @@ from benchmarks.numbers import counted
 from benchmarks.slam_cases import drive_cases
 from benchmarks.slam_detector import KINDS, detection, detector_cases, judged
 from benchmarks.slam_rows import Case, Rows
+from benchmarks.slam_sensitivity import NUMBERS
 from benchmarks.workers import in_processes
+from turtlebag.pipeline.slam.slam import SlamConfig
 
 
 def test_any_first_part_of_the_drives_has_as_many_of_each_kind():
@@ -27,6 +31,17 @@ def test_any_first_part_of_the_drives_has_as_many_of_each_kind():
         tuple(case.about[key].partition(":")[0] for key in ("world", "robot", "teleop")) for case in cases
     ]
     assert len(set(kinds[:60])) == 60
+
+
+def test_every_number_of_the_sensitivity_study_is_one_there_is():
+    for section in NUMBERS.values():
+        path, _, fields = section.partition(": ")
+        if fields:
+            config = functools.reduce(getattr, path.split("."), SlamConfig())
+            assert set(fields.split()) <= set(type(config).model_fields), section
+        else:
+            module, _, constant = path.partition(".")
+            assert hasattr(importlib.import_module(f"turtlebag.pipeline.slam.{module}"), constant), section
 
 
 def test_the_detector_has_five_hundred_maps_and_two_halves_that_share_no_kind():

@@ -10,10 +10,15 @@ from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
 
 
+def driven(T):
+    return recording(ROOM, T, odometry=drifted(T))
+
+
 @pytest.fixture(scope="module")
 def drive():
-    T = around_the_room(160)
-    return recording(ROOM, T, odometry=drifted(T))
+    """Round the room to the left, and back the same way."""
+    there = around_the_room(160)
+    return driven(np.concatenate([there, there[::-1]]))
 
 
 def with_strut(log, metres=0.2, noise=0.005):
@@ -28,6 +33,19 @@ def test_a_strut_that_rides_along_is_left_out(drive):
     assert kept.notes[-1].startswith(f"15 of {drive.ranges.shape[1]} beams hit the robot itself")
     others = np.delete(np.arange(drive.ranges.shape[1]), np.arange(20, 35))
     np.testing.assert_array_equal(kept.ranges[:, others], drive.ranges[:, others])
+
+
+def test_what_stays_as_near_in_one_kind_of_motion_alone_may_be_a_pillar_that_is_circled():
+    circling = with_strut(driven(around_the_room(320, laps=2)))
+    assert without_own_body(circling) is circling
+
+
+def test_without_odometry_and_without_scans_nothing_is_taken_away(drive):
+    lidar_alone = replace(with_strut(drive), T_odom_base=None)
+    assert without_own_body(lidar_alone) is lidar_alone
+    stamps, T_odom = drive.stamps_ns[:0], drive.T_odom_base[:0]
+    nothing = replace(drive, ranges=drive.ranges[:0], stamps_ns=stamps, T_odom_base=T_odom)
+    assert without_own_body(nothing) is nothing
 
 
 def test_nothing_is_taken_from_a_drive_without_one(drive):

@@ -135,7 +135,7 @@ def test_sweeps_sent_again_while_the_robot_moves_are_not_used():
     assert np.flatnonzero(np.isnan(found.ranges).all(axis=1)).tolist() == [8, 9, 10, 11, 12, 16]
     kept = [k for k in range(len(log)) if k not in (8, 9, 10, 11, 12, 16)]
     np.testing.assert_array_equal(found.ranges[kept], log.ranges[kept])
-    assert "6 scans repeat an earlier one" in found.notes[-1]
+    assert "6 scans are exact copies of an earlier one" in found.notes[-1]
 
 
 @pytest.mark.parametrize("odometry", [SE2.from_array(np.tile(DRIVE[:1], (20, 1))), None])

@@ -207,7 +207,7 @@ def test_beams_are_spread_evenly(count, most):
         assert np.ptp(np.diff(picked)) <= 1
 
 
-# beam model and path check
+# expected ranges and path check
 
 
 def test_expected_ranges_are_those_of_the_room():

@@ -125,7 +125,7 @@ def test_an_outline_off_the_map_is_refused_by_its_number(true_map, tmp_path, cap
     keepout.write_text("keepout:\n  - [[0, 0], [0.5, 0], [0.5, 0.5]]\n  - [[90, 90], [91, 90], [91, 91]]\n")
     words = ["navigate", "--world", WORLD, "--task", "goal", "--map", str(true_map), "--goal=-1,0.55,0"]
     assert main([*words, "--out", str(tmp_path / "run"), "--keepout", str(keepout)]) == 2
-    assert "keepout.yaml: keepout 2: is off the map" in capsys.readouterr().err
+    assert "keepout.yaml: keepout 2: lies outside the map" in capsys.readouterr().err
 
 
 def test_the_manifest_of_a_run_names_every_file_that_went_in(true_map, tmp_path):
