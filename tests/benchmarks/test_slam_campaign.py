@@ -109,6 +109,7 @@ def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
     assert rows["works too"] == {"m": 2.0}
 
 
+@pytest.mark.slow
 def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     def suites(out, data):
         cases = [Case(str(k), partial(dict, m=k / 10)) for k in range(3)]
@@ -129,6 +130,7 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
     assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
 
 
+@pytest.mark.slow
 def test_the_summary_is_of_all_rows_there_are(tmp_path, monkeypatch):
     def suites(out, data):
         def judge(rows):

@@ -68,6 +68,7 @@ def test_recover_of_nothing_writes_nothing(tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [["--out", "x.bag"], ["--out", "x"], ["--out", "x", "--storage", "sqlite3"]]
 )

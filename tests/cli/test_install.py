@@ -170,6 +170,7 @@ def test_a_package_that_lost_its_files_is_noticed(machine):
     assert not (machine.folder / ".venv/damaged").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words", [REFUSED, NO_RETRIES, BROKEN_OFF], ids=["refused", "no retries", "broken off"]
 )

@@ -22,6 +22,7 @@ GROW = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_stage_leaves_nothing(tmp_path, stop):
     process = subprocess.Popen(

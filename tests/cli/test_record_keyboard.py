@@ -127,6 +127,7 @@ class Screen:
         return ["".join(line).rstrip() for line in self.lines]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(80, 24), (66, 18), (132, 43), (20, 5)])
 @pytest.mark.parametrize("style", ["keys", "turtlebot3"])
 def test_the_view_fills_its_terminal_in_place_and_keeps_the_keys(size, style):

@@ -124,6 +124,7 @@ def loaded_after(code):
     return set(done.stdout.rpartition("LOADED")[2].split()) & HEAVY
 
 
+@pytest.mark.slow
 def test_the_help_of_every_verb_loads_nothing_heavy():
     words = "from turtlebag.pipeline.cli.main import VERBS, build_parser\n"
     assert loaded_after(words + "for verb in VERBS: build_parser(verb)") == set()

@@ -26,6 +26,7 @@ def other_frame(message):
     return message.replace(b"base_footprint", b"base_footprinx")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [None, "a short one", "another frame"])
 def test_odometry(bag, spoil):
     messages = raw(bag, "/odom")

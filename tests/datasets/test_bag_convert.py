@@ -41,6 +41,7 @@ def test_ros1_and_back_keeps_every_byte(drive, tmp_path):
     assert contents(tmp_path / "back") == expected
 
 
+@pytest.mark.slow
 def test_sqlite3_and_back_keeps_every_byte(drive, tmp_path):
     to_sqlite3(drive, tmp_path / "a")
     to_mcap(tmp_path / "a", tmp_path / "back")
@@ -96,6 +97,7 @@ def test_a_topic_can_be_left_out(drive, tmp_path):
     assert contents(tmp_path / "copy") == [m for m in contents(drive) if m[0] != "/ground_truth/odom"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
 def test_a_carmen_log_is_the_same_recording_as_a_bag(tmp_path):
     log = load_recording(RADISH / "fr079.clf.bz2")

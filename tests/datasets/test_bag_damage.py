@@ -51,6 +51,7 @@ def drive(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after_s", [0.02, 0.13, 0.3])
 def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(tmp_path, after_s):
     progress, folder = tmp_path / "progress", tmp_path / "bag"

@@ -106,6 +106,7 @@ DEFECTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("check", DEFECTS)
 def test_a_defect_is_found_and_explained(tmp_path, check):
     change, says = DEFECTS[check]

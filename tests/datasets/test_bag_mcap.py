@@ -43,6 +43,7 @@ def rewritten(drive, path, **options):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunking", [True, False])
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
 def test_files_of_the_official_writer(drive, tmp_path, chunking, compression):

@@ -81,6 +81,7 @@ def test_scan_odometry_and_transform_values(bag):
     assert not any("world" in link for link in links)
 
 
+@pytest.mark.slow
 def test_map_plan_and_particles_values(bag):
     grid = messages(bag, "/map")[0][1]
     assert (grid.info.width, grid.info.height) == (3, 2)

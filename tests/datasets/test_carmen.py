@@ -212,6 +212,7 @@ def test_relations_are_read_and_wrong_lines_named(tmp_path):
         load_relations(write(tmp_path, "1 2 0 0 0 0 0 0\n1 2 3\n", "b.relations"))
 
 
+@pytest.mark.slow
 @radish
 @pytest.mark.parametrize(
     ("name", "scans", "beams", "offset"), [("fr079", 4934, 360, -0.04), ("mit-csail", 1988, 361, 0.0)]

@@ -126,6 +126,7 @@ READERS = {
 OVERLAPS = ("in", "in/new", "in/bag", ".", "link/new", "in/bag/../new", "twin")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", READERS)
 def test_no_command_writes_over_into_or_around_its_input(tmp_path, monkeypatch, capsys, verb):
     root = tmp_path / "root"

@@ -184,6 +184,7 @@ def test_without_a_home_it_lies_in_the_temporary_folder(places, monkeypatch):
     assert places[2].parent.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["link", "open to all", "file"])
 def test_a_temporary_folder_that_is_not_ours_alone_is_never_read(places, tmp_path, what):
     for place in places[:2]:
@@ -198,6 +199,7 @@ def test_a_temporary_folder_that_is_not_ours_alone_is_never_read(places, tmp_pat
     assert [hits(), hits()] == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [lambda c: b"", lambda c: c[:-1], lambda c: c[:99] + b"x" + c[100:]])
 def test_damaged_code_is_compiled_again(places, damage):
     assert hits() == 0

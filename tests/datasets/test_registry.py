@@ -38,6 +38,7 @@ def test_the_mirror_folder_is_used_in_place(monkeypatch, folder):
     assert [path.name for path in fetch("intel")] == ["intel.clf.bz2", "intel.relations"]
 
 
+@pytest.mark.slow
 @mirrored
 @pytest.mark.parametrize("name", ["fr079", "mit-csail"])
 def test_the_facts_are_those_of_the_log(monkeypatch, name):

@@ -39,6 +39,7 @@ def test_moving_points_agrees_with_homogeneous_matrices(a, points):
     np.testing.assert_allclose(a @ points, expected, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(poses(3), poses(3))
 def test_interpolation_starts_and_ends_at_its_poses(a, b):
     assert_same(a.interpolate(b, 0.0), a)

@@ -41,6 +41,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 def test_tracks_a_drifting_robot(room, log):
     drift = log[-1].T_room_base.inverse() @ log[-1].T_odom_base
     assert np.hypot(drift.x, drift.y) > 0.1

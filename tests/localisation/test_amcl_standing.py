@@ -56,6 +56,7 @@ def test_standing_for_a_minute_changes_nothing(room, standing):
     np.testing.assert_array_equal(amcl.particles.xyt, cloud)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "reach"), [(40, 0.6), (150, 0.3), (300, 0.25)])
 def test_one_who_walks_past_does_not_move_the_estimate(room, standing, width, reach):
     amcl, rng = standing
@@ -69,6 +70,7 @@ def test_one_who_walks_past_does_not_move_the_estimate(room, standing, width, re
     assert amcl.converged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "push", [(0.19, 0.0, 0.0), (-0.05, 0.13, 0.0), (0.0, 0.0, 0.35), (0.12, -0.1, -0.2), (0.06, 0.0, 0.0)]
 )

@@ -46,6 +46,7 @@ def unwilling(request):
         yield pipe, ""
 
 
+@pytest.mark.slow
 def test_a_result_is_kept_when_its_words_are_lost(tmp_path, unwilling):
     stdout, said = unwilling
     done = run(["compare", "x", "y", "--out", tmp_path / "out"], stdout)
@@ -56,6 +57,7 @@ def test_a_result_is_kept_when_its_words_are_lost(tmp_path, unwilling):
     assert all(said in line for line in lines)
 
 
+@pytest.mark.slow
 def test_without_an_output_the_words_are_the_result(unwilling):
     stdout, said = unwilling
     done = run(["compare", "x", "y"], stdout)

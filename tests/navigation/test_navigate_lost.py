@@ -86,6 +86,7 @@ def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map)
     assert episode.metrics["goals"][0]["status"] == "reached"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["avoid", "explore"])
 def test_without_a_map_it_stands_in_the_dark_too(task):
     config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_silent=((3.0, 5.0),))))

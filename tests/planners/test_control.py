@@ -118,6 +118,7 @@ def test_depth_in_a_polygon():
     assert depth_inside(BURGER.footprint, 0.141, 0.0) == pytest.approx(-0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("v", "w"), [(0.2, 0.0), (0.2, 0.5), (-0.1, 0.3), (0.0, 1.0)])
 def test_free_time_matches_plain_simulation(v, w):
     rng = np.random.default_rng(4)

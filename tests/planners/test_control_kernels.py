@@ -136,6 +136,7 @@ def test_the_depth_in_a_polygon_is_the_distance_to_its_nearest_edges_line(seed):
         np.testing.assert_allclose(same, normal - [0.0, 0.0, 0.1], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_free_time_ends_at_the_last_step_before_a_point_gets_deeper(seed):
     rng = np.random.default_rng(seed)

@@ -84,6 +84,7 @@ def test_a_keepout_narrower_than_a_cell_blocks_every_cell_it_reaches_into(x, y, 
     assert mask[cells[:, 1], cells[:, 0]].all()
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.floats(-0.5, 2.5), st.floats(-0.5, 2.5)), min_size=3, max_size=3))
 def test_no_point_of_a_keepout_is_farther_than_a_cell_from_what_it_blocks(corners):

@@ -174,6 +174,7 @@ def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight(sp
     assert plan.length < 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
 def test_a_query_is_solved_when_and_only_when_start_and_goal_are_joined(seed):
     """Joined by a search of its own; start and goal lie anywhere in their cells."""

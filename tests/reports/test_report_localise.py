@@ -56,6 +56,7 @@ def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
     assert verify(tmp_path / "out", main).problems == []
 
 
+@pytest.mark.slow
 def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
     built = fake_map(tmp_path / "map", fake_record(tmp_path / "record"))
     plan = fake_plan(tmp_path / "plan", built)

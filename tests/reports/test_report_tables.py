@@ -145,6 +145,7 @@ def test_paper_figures_are_pdf_and_svg_without_a_date(report):
         assert "<svg" in path.read_text()
 
 
+@pytest.mark.slow
 def test_the_index_has_a_line_for_each_output(base):
     lines = index_lines([base])
     assert [line.stage for line in lines] == ["map", "record", "patrol", "patrol"]

@@ -182,6 +182,7 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
     assert verdict(stage, metrics)[0] == "good"
 
 
+@pytest.mark.slow
 def test_a_comparison_says_of_both_how_they_truly_went(folders):
     write_comparison(folders / "lost", folders / "there", folders / "comparison")
     text = (folders / "comparison/index.html").read_text()

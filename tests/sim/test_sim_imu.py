@@ -46,6 +46,7 @@ def test_integrated_gyro_of_a_drive_is_the_true_turn():
         assert turned == pytest.approx(float(simulator.truth.T_world_base.yaw), abs=0.01)
 
 
+@pytest.mark.slow
 def test_noise_and_bias_have_the_stated_deviations():
     imu = sensor(ImuConfig(gyro_walk=0, accelerometer_walk=0), seed=1)
     samples = [s for step in range(1, 3001) for s in imu.samples(step, Twist())]

@@ -178,6 +178,7 @@ def test_clearance_at_the_spawn_and_beside_a_pillar():
         assert simulator.clearance() == pytest.approx(0.30, abs=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["burger", "waffle_pi"])
 def test_a_slab_below_the_lidar_stops_the_robot_and_counts_as_low(robot):
     house, robot = load_world("turtlebot3_house"), load_robot(robot)

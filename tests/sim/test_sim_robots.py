@@ -46,6 +46,7 @@ def test_the_fast_robots_lidar_looks_ahead_over_270_degrees():
     assert spec.time_increment * 720 == pytest.approx(0.75 * spec.scan_time)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", robot_names())
 def test_every_robot_stands_level_and_drives_straight(name):
     robot = load_robot(name)

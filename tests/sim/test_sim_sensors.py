@@ -114,6 +114,7 @@ def test_beams_are_lost_anywhere_and_more_of_them_where_they_graze():
     assert edge[0] > 0.98 > 0.9 > edge[29] > 0.4  # 29 degrees: a degree from passing by
 
 
+@pytest.mark.slow
 def test_turns_take_the_time_of_the_unit_and_jitter_and_are_stamped_late():
     errors = QUIET | {"speed": 0.03, "jitter": 0.002, "stamp_delay": (0.004, 0.006)}
     seen, _, _ = drive(SimConfig(lidar={"errors": errors}), 900)

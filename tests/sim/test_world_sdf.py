@@ -182,6 +182,7 @@ def test_pose_matrix_is_a_rotation_and_a_translation():
     np.testing.assert_allclose(matrix[:3, 3], [1, 2, 3])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not BARN, reason="the shared BARN worlds are not beside this checkout")
 def test_every_barn_world_loads_and_the_fast_robot_drives_in_it():
     robot = load_robot("jackal")

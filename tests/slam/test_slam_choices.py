@@ -105,6 +105,7 @@ def tracked(log, make, **changed):
     return track_log(log, clouds, config, 30.0, range(1, len(log)), make)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("front_end", FRONT_ENDS)
 def test_key_scans_and_calibration_are_the_driver_s_whoever_places_the_scans(log, front_end):
     track = tracked(log, FRONT_ENDS[front_end])

@@ -65,6 +65,7 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
     return normal, points[members].mean(axis=0), variance, turn_var
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "noise", "beams"), [(0, 0.01, 360), (1, 0.03, 360), (2, 0.002, 180), (3, 0.01, 90)]
 )

@@ -63,6 +63,7 @@ def off_the_walls(points: np.ndarray) -> np.ndarray:
     return np.abs(np.stack([x, x - 8.0, y, y - 6.0])).min(axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_a_sweep_in_motion_puts_every_point_on_its_wall(lidar):
     log, T = swept(lidar)
@@ -73,6 +74,7 @@ def test_a_sweep_in_motion_puts_every_point_on_its_wall(lidar):
     assert off_the_walls(T[0] @ still.of(0)).max() > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_a_sweep_in_motion_draws_straight_walls_into_the_grid(lidar):
     log, T = swept(lidar)
@@ -83,6 +85,7 @@ def test_a_sweep_in_motion_draws_straight_walls_into_the_grid(lidar):
     assert off_the_walls(walls).max() < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lidar", SWEEPS.values(), ids=SWEEPS.keys())
 def test_localisation_sees_a_sweep_in_motion_as_it_was(lidar):
     log, T = swept(lidar)

@@ -60,6 +60,7 @@ def test_breaks_that_nothing_mends_are_named(drive):
     assert "before scan 12" in reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shift", "doubled"), [(0.0, False), (0.8, True)])
 def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
     monkeypatch.setattr(selfcheck, "APART_KEYS", 10)

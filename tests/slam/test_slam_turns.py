@@ -64,6 +64,7 @@ def test_a_delay_is_found_and_undone(turning, seconds):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.4, -0.4, 0.8])
 def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds):
     assert compared_turns(late(paired.recording, seconds))[0] == pytest.approx(seconds, abs=0.06)
@@ -79,6 +80,7 @@ def test_odometry_in_time_stays_as_it_is(log, request):
     assert compared_turns(late(recording, 0.02)) == IN_STEP
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["freeze", "spin", "jump", "reverse"])
 def test_odometry_that_lies_is_not_called_late(kind):
     log = drive(sick(180, 30.0), lies=tuple(Lie(kind, start, 3.0) for start in (8.0, 22.0, 40.0, 55.0)))

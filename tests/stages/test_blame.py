@@ -150,6 +150,7 @@ def test_parts_of_the_drive_are_replaced_alone(short_drive):
     assert wheels.metrics["localisation_error_m"]["rmse"] > 0.0
 
 
+@pytest.mark.slow
 def test_the_true_plan_goes_by_the_true_map(short_drive, tmp_path):
     world, mission, _ = short_drive
     grid = world.rasterize(0.182)

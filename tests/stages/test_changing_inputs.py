@@ -54,6 +54,7 @@ def grown(path):
 CHANGES = [cut, replaced, written_to, grown, Path.unlink]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_bag_that_changes_while_it_is_read_is_one_line(bag, change):
     def read():
@@ -66,6 +67,7 @@ def test_a_bag_that_changes_while_it_is_read_is_one_line(bag, change):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_a_bag_that_changed_between_two_readings_is_refused(bag):
     opened = open_bag(bag)
     list(opened.messages())

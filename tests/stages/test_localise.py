@@ -83,6 +83,7 @@ def test_on_the_map_of_another_place_it_is_lost_and_says_so(room_log, tmp_path, 
     assert "lost (the last scans disagree with the map): " in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_path, capsys):
     truth = load_tum(room_log / "truth/trajectory.tum")
     elsewhere = tmp_path / "elsewhere"
@@ -96,6 +97,7 @@ def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_p
     assert "not localised: 1.5" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_truth_of_another_time_is_one_line(room_log, tmp_path, capsys):
     truth = load_tum(room_log / "truth/trajectory.tum")
     later = tmp_path / "later"

@@ -110,6 +110,7 @@ def test_bad_goals_are_one_line_and_write_nothing(true_map, tmp_path, capsys, go
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", [FREE, UNKNOWN])
 @pytest.mark.parametrize("initial", ["start", "global", None])
 @pytest.mark.parametrize("task", ["goal", "patrol"])
@@ -152,6 +153,7 @@ def test_unknown_world_and_missing_map_are_input_errors(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_avoid_prints_its_decisions_and_touches_nothing_in_ten_seconds(tmp_path):
     lines: list[str] = []
     request = Request(task="avoid", seed=2, duration_s=10.0)

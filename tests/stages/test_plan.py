@@ -46,6 +46,7 @@ def test_the_same_seed_gives_the_same_plan_whatever_was_planned_before():
     assert np.array_equal(first.poses.xyt, again.poses.xyt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "planner", ["RRTConnect", "RRTstar", "InformedRRTstar", "BITstar", "KPIECE1", "PRM", "PRMstar"]
 )

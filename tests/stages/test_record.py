@@ -142,6 +142,7 @@ def test_a_wrong_name_is_one_line_exit_2_and_nothing_written(tmp_path, capsys, a
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_world_show_draws_and_refuses_to_overwrite(tmp_path, capsys):
     picture = tmp_path / "world.png"
     assert main(["world", "show", "turtlebot3_world", "--out", str(picture)]) == 0
