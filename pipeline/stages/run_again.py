@@ -64,8 +64,8 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
 
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
     """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
-    words: list[str] = []
-    following = iter(stage.command[1:])
+    words = stage.command[1:2]  # the verb: an output folder may have the same name
+    following = iter(stage.command[2:])
     for word in following:
         option, equals, _ = word.partition("=")
         if option in ("--out", "--config", "--set"):
