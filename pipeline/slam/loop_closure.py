@@ -60,8 +60,7 @@ def close_graph(
     finder = close(T_map_keys, chain.segments(), [])
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, finder.record, [], chain.broken)
-    start, reach_m = SE2(finder.poses), by_distance.reach_m
-    found = recall(clouds, keys, start, steps, chain, finder.loops, by_looks, reach_m, finder.matcher)
+    found = recall(clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
         finder = close(found.T_map_keys, found.part, found.loops)

@@ -2,7 +2,7 @@
 
 Candidates come from distance, within what drift along the graph may have come to (`drift`); each is searched
 exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
-believed only after checks: overlap, fit, a second opinion. Along a direction the scans are blind in, or along
+believed only after checks: score, overlap, fit. Along a direction the scans are blind in, or along
 which the place repeats itself, a loop says nothing; the graph takes each with a heavy-tailed kernel.
 """
 
@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, without_direction
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_and_rival, best_pose, make_field
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
@@ -50,7 +51,14 @@ class LoopConfig(BaseModel):
     soft: float = Field(
         default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
     )
-    inflation: float = Field(default=50.0, gt=0.0)
+    inflation: float = Field(
+        default=50.0, gt=0.0, description="the information of a match over that of a loop"
+    )
+
+    def constraint(self, place: Loop | Recognised) -> Constraint:
+        """What a place come back to says in the graph."""
+        information = place.information / self.inflation
+        return Constraint(place.j, place.i, place.T_j_i, information, "loop", self.soft)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +164,7 @@ class LoopFinder:
         accepted = [loop for loop in found if loop.accepted]
         if not accepted:
             return
-        self.loops += [
-            Constraint(
-                loop.j, loop.i, loop.T_j_i, loop.information / self.config.inflation, "loop", self.config.soft
-            )
-            for loop in accepted
-        ]
+        self.loops += map(self.config.constraint, accepted)
         n = batch.stop
         graph = [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n]
         before = self.poses[n - 1].copy()
@@ -232,8 +235,6 @@ class LoopFinder:
             return replace(loop, verdict="low overlap")
         if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
             return replace(loop, verdict="alignment left the peak")
-        if not self.matcher.confirms(self.clouds, query, place, loop.T_j_i):
-            return replace(loop, verdict="open3d disagrees")
         return loop
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:

@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, compe
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
+from turtlebag.pipeline.slam.loops import MATCHERS, LoopConfig
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.selfcheck import BAD_SHARE, MOST_PAIRS, NEAR_M, THROUGH_M, WALL_M, denied_shares
 from turtlebag.pipeline.slam.submaps import (
@@ -61,8 +62,6 @@ class RecallConfig(BaseModel):
     max_contradicted: float = Field(
         default=0.05, gt=0.0, description="share of revisits that deny each other with the stretch laid there"
     )
-    inflation: float = Field(default=50.0, gt=0.0)
-    soft: float = Field(default=2.0, ge=0.0, description="Cauchy width, in standard deviations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,24 +84,23 @@ def recall(
     chain: Chain,
     known: Sequence[Constraint],
     config: RecallConfig,
-    reach_m: float,
-    matcher: LoopMatch,
+    by_distance: LoopConfig,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
-    `known` are those loops, `reach_m` is how far they are looked for, `matcher` what aligns them.
+    `known` are those loops, `by_distance` how they are looked for, aligned and weighed.
     """
     poses = T_map_keys.xyt.copy()
     drift = drift_of(poses, steps, chain.broken)
-    found = _candidates(clouds, keys, drift, known, config, reach_m, matcher)
-    believed, record = _believed(clouds, keys, found, drift, reach_m, config)
+    found = _candidates(clouds, keys, drift, known, config, by_distance)
+    believed, record = _believed(clouds, keys, found, drift, config, by_distance)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:
         return Recall(T_map_keys, [], record, part, released)
     segment = chain.segments()
     for members in believed:
         poses, segment = _laid_together(poses, segment, members)
-    loops = [_loop(place, config) for members in believed for place in members]
+    loops = [by_distance.constraint(place) for members in believed for place in members]
     free = relaxed(steps, released)
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
@@ -117,25 +115,20 @@ def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Co
     ]
 
 
-def _loop(place: Recognised, config: RecallConfig) -> Constraint:
-    information = place.information / config.inflation
-    return Constraint(place.j, place.i, place.T_j_i, information, "loop", config.soft)
-
-
 def _candidates(
     clouds: Clouds,
     keys: NDArray[np.int64],
     drift: Drift,
     known: Sequence[Constraint],
     config: RecallConfig,
-    reach_m: float,
-    matcher: LoopMatch,
+    by_distance: LoopConfig,
 ) -> list[Recognised]:
     """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
 
     A place that the loops have held together since is asked and looked for once, however often it was passed.
     """
-    poses, found = drift.T_map_keys, []
+    poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
+    matcher = MATCHERS[by_distance.match]()
     places = windows(len(keys), drift.broken)
 
     @cache
@@ -207,8 +200,6 @@ def _settled(
     )  # fmt: skip
     if not sees_everything(information):
         return place_found.judged("blind in one direction")
-    if not matcher.confirms(clouds, middle, there, pose):
-        return place_found.judged("open3d disagrees")
     return place_found
 
 
@@ -238,13 +229,13 @@ def _believed(
     keys: NDArray[np.int64],
     found: list[Recognised],
     drift: Drift,
-    reach_m: float,
     config: RecallConfig,
+    by_distance: LoopConfig,
 ) -> tuple[list[list[Recognised]], list[Recognised]]:
     """The sets of places that are believed, and the record of all with their verdicts."""
     good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
     places = [found[k] for k in good]
-    comparable, agree = consistency(places, drift, reach_m, config.inflation)
+    comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.inflation)
     verdicts = ["too few agree"] * len(places)
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):

@@ -14,13 +14,14 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop
-from turtlebag.pipeline.slam.relocate import agreed_place, find_place
+from turtlebag.pipeline.slam.loops import Loop, LoopConfig
+from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.track import Track
-from turtlebag.pipeline.slam.track_breaks import Chain
+from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain
 
-QUERY_KEYS, QUERIES = 10, 8
+STEPS = ("step", "odometry", "steady")
+"""Kinds of constraints along the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,18 +109,23 @@ def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
     )
 
 
-def place_of(clouds: Clouds, a: Track, T_map_keys: SE2, b: Track) -> SE2 | None:
-    """Where track `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`'s keys."""
-    n = len(a.T_track_base)
-    places = []
-    for first in np.linspace(0, max(len(b.keys) - QUERY_KEYS, 0), QUERIES).astype(int):
-        query = b.keys[first : first + QUERY_KEYS]
-        place = find_place(clouds, a.keys, T_map_keys.xyt, query + n, b.T_track_base.xyt[query])
-        if place is not None:
-            places.append(place)
-            agreed = agreed_place(places)
-            if agreed is not None:
-                return SE2(agreed)
+def place_of(clouds: Clouds, a: Session, b: Session, config: RecallConfig, loops: LoopConfig) -> SE2 | None:
+    """Where session `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`, by place
+    recognition: the log of both is broken where they meet. Its beginning is asked first, more of it when
+    that does not tell. None when no place is believed."""
+    n, chain = len(a.track.keys), joined_chain(a.mended(), b.mended(), len(a.recording), broken=True)
+    keys = np.concatenate([a.track.keys, b.track.keys + len(a.recording)])
+    T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
+    told = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
+    for share in (8, 4, 2, 1):
+        asked = n + (len(keys) - n) // share
+        steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]
+        held = [c for c in told if max(c.i, c.j) < asked and c.kind not in STEPS]
+        log = clouds, keys[:asked], SE2(T[:asked]), steps, chain.first(asked - 1), held
+        found = [p for p in recall(*log, config, loops).record if p.verdict == "accepted" and p.j < n <= p.i]
+        if found:
+            best = max(found, key=lambda place: place.overlap)
+            return SE2(T[best.j]) @ SE2(best.T_j_i) @ SE2(T[best.i]).inverse()
     return None
 
 

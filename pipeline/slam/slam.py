@@ -186,6 +186,11 @@ def continue_slam(
 
 def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
     """The map of a session and of later recordings joined to it."""
+    if more and run.config.sensors == "odometry":
+        raise InputError(
+            f"{more[0].source}: only scans can tell where it lies in {session.recording.source}; "
+            "map each by itself, or leave out sensors=odometry"
+        )
     for other in more:
         session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
@@ -269,8 +274,11 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
             [a.clouds_of(scans[scans < border]), b.clouds_of(scans[scans >= border] - border)]
         )
 
+    config = _with_sensors(recording, run.config)[1]
     T_map_b, key = run.cache.step(
-        "joining", [a.key, b.key], lambda: place_of(clouds(), track_a, T_map_keys, track_b)
+        "joining",
+        [a.key, b.key, config.recall, config.loops],
+        lambda: place_of(clouds(), a, b, config.recall, config.loops),
     )
     if T_map_b is None:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
@@ -280,7 +288,6 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))
-    config = _with_sensors(recording, run.config)[1]
     graph, key = _optimised(clouds, track, chain, [*steps, border], key, replace(run, config=config))
     return Session(recording, clouds, clouds_of, motion, track, chain, graph, key)
 

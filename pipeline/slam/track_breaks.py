@@ -9,7 +9,7 @@ the robot returns to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +44,28 @@ class Chain:
         """Number of the unbroken part each key lies in, (keys,)."""
         return np.concatenate([[0], np.cumsum(self.broken)])
 
+    def first(self, steps: int) -> Chain:
+        """So many of its steps."""
+        return replace(
+            self,
+            broken=self.broken[:steps],
+            contradicted=self.contradicted[:steps],
+            alone=self.alone[:steps],
+        )
+
     def bridged(self, unbridged: NDArray[np.bool_]) -> Chain:
         """The chain with its breaks mended, all but the given ones (keys - 1,)."""
         broken = self.broken & unbridged
         return Chain(broken, self.contradicted & broken, self.alone & broken, self.gaps)
 
 
-def joined_chain(a: Chain, b: Chain, scans: int) -> Chain:
-    """The chain of two recordings, one found in the map of the other: their border is no break. `scans`
-    is how many the first one has."""
-    no = np.zeros(1, dtype=bool)
+def joined_chain(a: Chain, b: Chain, scans: int, *, broken: bool = False) -> Chain:
+    """The chain of two recordings, one found in the map of the other, or not yet: then it is broken there.
+    `scans` is how many the first one has."""
+    border, no = np.array([broken]), np.zeros(1, dtype=bool)
     return Chain(
-        np.concatenate([a.broken, no, b.broken]),
-        np.concatenate([a.contradicted, no, b.contradicted]),
+        np.concatenate([a.broken, border, b.broken]),
+        np.concatenate([a.contradicted, border, b.contradicted]),
         np.concatenate([a.alone, no, b.alone]),
         np.concatenate([a.gaps, b.gaps + scans]),
     )

@@ -1,7 +1,6 @@
 """Sessions joined, scans carried, pairs, the graph and the self-check, by formulas."""
 
 import itertools
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +17,6 @@ from turtlebag.pipeline.slam.explain import _residual
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
 from turtlebag.pipeline.slam.refine import overlapping_pairs
-from turtlebag.pipeline.slam.relocate import Place, agreed_place
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.selfcheck import _revisits, contradicted_keys, hypothesis_shares
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
@@ -170,23 +168,3 @@ def test_residuals_in_standard_deviations_and_the_graph_as_text(tmp_path):
     found = place(2, 1, (poses[1].inverse() @ poses[2] @ SE2.from_xyt(0.3, 0.4, -0.2)).xyt)
     left = _residual(found, poses)
     assert (left["residual_m"], left["residual_rad"]) == pytest.approx((0.5, 0.2))
-
-
-def test_a_place_is_certain_by_its_overlap_and_by_its_lead_over_the_next():
-    at = np.array([1.0, 2.0, 3.1])
-    for overlap, rival, certain in (
-        (0.8, 0.71, True),
-        (0.79, 0.5, False),
-        (0.9, 0.83, False),
-        (0.95, 0.86, True),
-    ):
-        assert Place(at, overlap, rival).certain == certain
-    sure = Place(at, 0.9, 0.5)
-    for off, agreed in (
-        ((0.29, 0.0, 0.0), True), ((0.25, 0.25, 0.0), False), ((0.0, 0.0, 0.14), True),
-        ((0.0, 0.0, -0.16), False),
-        ((0.0, 0.0, 2 * math.pi), True),
-    ):  # fmt: skip
-        found = agreed_place([sure, Place(at + np.array(off), 0.9, 0.5)])
-        assert (found is not None) == agreed
-        assert found is None or found is sure.T_map_query

@@ -81,7 +81,7 @@ def test_going_on_from_a_file_is_the_same_as_mapping_both(tmp_path, first, resul
 
 
 FRONT_END = [
-    "usable_range_m=3.0",
+    "usable_range_m=4.5",
     "sensors=lidar",
     "deskew=false",
     "gyro=false",
@@ -142,7 +142,7 @@ def test_settings_of_all_that_comes_after_the_front_end_may_change_and_that_is_s
 
 
 def test_a_map_goes_on_with_the_settings_it_was_made_with(saved, tmp_path):
-    near = ("--set", "usable_range_m=3.0")
+    near = ("--set", "usable_range_m=4.5")
     first = mapped(tmp_path / "first", saved / "first.clf", *near)
     both = mapped(tmp_path / "both", saved / "first.clf", *near, "--also", saved / "second.clf")
     on = mapped(tmp_path / "on", saved / "second.clf", *near, "--continue", first)
