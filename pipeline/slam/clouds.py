@@ -35,17 +35,14 @@ GAP_S = 2.0
 # surface: those of a wall at a grazing angle are far apart. With the reach in place of both, acapulco, the
 # long corridor and ACES get worse by up to a tenth.
 MIN_GAP_M, GRAZING = 0.06, 6.0
-# A line reaches so far from its point, or so many beam spacings; and on to MAX_REACH_M while its direction
-# is less sure.
-MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
+# A line reaches so far from its point [m], or so many beam spacings up to twice that.
+REACH_M, REACH_BEAMS = 0.6, 4.0
 # A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
 Z_SURFACE = 3.09
 # Returns beyond are not used [m]: the farther, the fewer beams a wall has.
 USABLE_M = 30.0
 # Scans whose points are made together: what that takes besides is several times their size.
 SCANS_AT_ONCE = 2000
-# The direction of a line less sure than this says nothing.
-UNSURE_RAD = 0.3
 
 
 class Clouds(NamedTuple):
@@ -210,7 +207,7 @@ def _fit_lines(
     """Total least squares line through each point's neighbours in beam order, into the last five.
 
     The line grows beam by beam to either side for as long as what its returns lie off it is their noise
-    (chi-squared test), up to the reach that makes its direction sure. `point_var` comes in as the
+    (chi-squared test). `point_var` comes in as the
     variance of the ranges.
     """
     range_var = point_var.copy()
@@ -223,9 +220,8 @@ def _fit_lines(
             distance = math.hypot(ray_x, ray_y)
             ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
             spacing = distance * increment
-            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
-            farthest = max(MAX_REACH_M, reach)
-            gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M)
+            reach = max(REACH_M, min(REACH_BEAMS * spacing, 2.0 * REACH_M))
+            gap = min(max(MIN_GAP_M, GRAZING * spacing), REACH_M)
             sums[:] = 0.0
             count = 1
             ends = [i, i]
@@ -242,8 +238,7 @@ def _fit_lines(
                         continue
                     x, y = points[j, 0], points[j, 1]
                     dx, dy = x - px, y - py
-                    off = math.hypot(dx, dy)
-                    too_far = off > reach and (off > farthest or turn_var < SURE_RAD * SURE_RAD)
+                    too_far = math.hypot(dx, dy) > reach
                     if too_far or math.hypot(x - points[last, 0], y - points[last, 1]) > gap:
                         alive[side] = False
                         continue
@@ -269,7 +264,7 @@ def _fit_lines(
                     ends[side] = j
                     nx, ny, mx, my, var = ux, uy, ax, ay, noise
                     turn_var = noise / max(n * large, 1e-12)
-            if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
+            if count < 3:
                 continue
             if nx * ray_x + ny * ray_y > 0.0:
                 nx, ny = -nx, -ny

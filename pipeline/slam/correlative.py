@@ -56,7 +56,7 @@ def best_pose(
 
     Exhaustive over translations in steps of the field's resolution and rotations of `step_rad`.
     """
-    pose, score, _ = _search(
+    return _search(
         field.values,
         field.corner,
         field.resolution,
@@ -66,36 +66,6 @@ def best_pose(
         math.ceil(window_rad / step_rad),
         step_rad,
     )
-    return pose, score
-
-
-def best_and_rival(
-    field: Field,
-    points: Array,
-    center: Array,
-    window_m: float,
-    window_rad: float,
-    step_rad: float,
-    apart_m: float,
-) -> tuple[Array, float, Array, float]:
-    """As `best_pose`, and the best translation (2,) at least `apart_m` from it with its score."""
-    n_xy = math.ceil(window_m / field.resolution)
-    pose, score, over_yaw = _search(
-        field.values,
-        field.corner,
-        field.resolution,
-        points,
-        np.asarray(center),
-        n_xy,
-        math.ceil(window_rad / step_rad),
-        step_rad,
-    )
-    offsets = (np.arange(2 * n_xy + 1) - n_xy) * field.resolution
-    x, y = center[0] + offsets[None, :], center[1] + offsets[:, None]
-    rivals = np.where(np.hypot(x - pose[0], y - pose[1]) >= apart_m, over_yaw, 0)
-    row, col = np.unravel_index(np.argmax(rivals), rivals.shape)
-    rival = np.array([center[0] + offsets[col], center[1] + offsets[row]])
-    return pose, score, rival, float(rivals[row, col]) / (255.0 * max(len(points), 1))
 
 
 @njit(cache=True)
@@ -163,14 +133,13 @@ def _search(
     n_xy: int,
     n_yaw: int,
     step_rad: float,
-) -> tuple[Array, float, NDArray]:
+) -> tuple[Array, float]:
     rows, cols = values.shape
     n = len(points)
     side = 2 * n_xy + 1
     best = -1.0
     pose = center.copy()
     sums = np.zeros((side, side), dtype=np.int64)
-    over_yaw = np.zeros((side, side), dtype=np.int64)
     for a in range(-n_yaw, n_yaw + 1):
         yaw = center[2] + a * step_rad
         c, s = math.cos(yaw), math.sin(yaw)
@@ -191,11 +160,10 @@ def _search(
             for dc in range(side):
                 # a hair of preference for the centre, so that a flat score means "stay"
                 off = abs(dr - n_xy) + abs(dc - n_xy) + abs(a)
-                over_yaw[dr, dc] = max(over_yaw[dr, dc], sums[dr, dc])
                 score = sums[dr, dc] - 1e-3 * max(n, 1) * off
                 if score > best:
                     best = score
                     pose[0] = center[0] + (dc - n_xy) * resolution
                     pose[1] = center[1] + (dr - n_xy) * resolution
                     pose[2] = yaw
-    return pose, max(best, 0.0) / (255.0 * max(n, 1)), over_yaw
+    return pose, max(best, 0.0) / (255.0 * max(n, 1))

@@ -9,7 +9,7 @@ which the place repeats itself, a loop says nothing; the graph takes each with a
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP, without_direction
+from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.correlative import best_and_rival, best_pose, make_field
+from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
@@ -45,12 +45,6 @@ class LoopConfig(BaseModel):
     min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
     reach_m: float = Field(default=4.0, gt=0.0, description="searched no further than this")
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
-    min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the correlative search")
-    rival_m: float = Field(default=0.6, gt=0.0, description="a second peak at least this far away")
-    rival_share: float = Field(default=0.9, gt=0.0, description="of the best score: the place is ambiguous")
-    soft: float = Field(
-        default=2.0, ge=0.0, description="Cauchy width (0: not robust), in standard deviations"
-    )
     inflation: float = Field(
         default=50.0, gt=0.0, description="the information of a match over that of a loop"
     )
@@ -58,7 +52,7 @@ class LoopConfig(BaseModel):
     def constraint(self, place: Loop | Recognised) -> Constraint:
         """What a place come back to says in the graph."""
         information = place.information / self.inflation
-        return Constraint(place.j, place.i, place.T_j_i, information, "loop", self.soft)
+        return Constraint(place.j, place.i, place.T_j_i, information, "loop", CAUCHY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +102,8 @@ BATCH = 24
 PLACES = 3
 # Cells and turns of the coarse search.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
+# An alignment that ends farther from what the search found [m], [rad] went to another place.
+PEAK = 0.15
 
 
 class LoopFinder:
@@ -209,33 +205,18 @@ class LoopFinder:
         points = points[:: max(1, len(points) // 300)]
         guess = between(poses[j], poses[i])
         coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
-        coarse, best, rival, second = best_and_rival(
-            coarse_field, points, guess, gate, turn_gate, TURN_RAD, config.rival_m
-        )
+        coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, TURN_RAD)
         fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
-        loop = Loop(i, j, fine, score, 0.0, 0.0, gate, "accepted", np.eye(3))
-        if score < config.min_score:
-            return replace(loop, verdict="low score")
-        result = self.matcher.match(self.clouds, query, place, fine, ROUGH)
-        loop = replace(
-            loop,
-            T_j_i=result.T_map_base.xyt,
-            overlap=result.overlap,
-            rmse=result.rmse,
-            information=result.information,
+        found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
+        verdict = "accepted"
+        if found.overlap < LEAST_OVERLAP or found.agreement < config.min_overlap:
+            verdict = "low overlap"
+        elif np.abs(between(fine, found.T_map_base.xyt)).max() > PEAK:
+            verdict = "alignment left the peak"
+        return Loop(
+            i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )
-        if second > config.rival_share * best:
-            # the place repeats itself along this line: the loop may not fix the position along it
-            c, s = np.cos(coarse[2]), np.sin(coarse[2])
-            dx, dy = rival - coarse[:2]
-            along = np.array([c * dx + s * dy, -s * dx + c * dy]) / np.hypot(dx, dy)
-            loop = replace(loop, information=without_direction(loop.information, along, 0.0))
-        if result.overlap < LEAST_OVERLAP or result.agreement < config.min_overlap:
-            return replace(loop, verdict="low overlap")
-        if np.abs(between(fine, loop.T_j_i)).max() > 0.15:
-            return replace(loop, verdict="alignment left the peak")
-        return loop
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
         """Some keys as seen from one."""

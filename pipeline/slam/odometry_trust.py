@@ -11,10 +11,8 @@ from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import contradiction
 from turtlebag.pipeline.slam.clouds import fastest, way_and_turn
-from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, confirms
+from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 
-# A scan is blind when it sees this share along one direction of what it sees along the other, or less.
-BLIND = 0.01
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
@@ -22,12 +20,6 @@ LIE_SIGMAS, RECENT = 2.5, 5
 GROSS = 0.3
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
-
-
-def blind(track: Track) -> NDArray[np.bool_]:
-    """Which scans see one direction only, (n,)."""
-    least = np.linalg.eigvalsh(track.information[:, :2, :2])
-    return np.asarray(least[:, 0] < BLIND * np.maximum(least[:, 1], 1e-9))
 
 
 def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
@@ -124,7 +116,7 @@ def unwitnessed(
     `borders` are the first scans of later logs.
     """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
-    unseen, way = blind(track), np.zeros(n)
+    unseen, way = blind(track.information), np.zeros(n)
     if T_odom is None:
         way[1:] = _moved(track.T_track_base, np.arange(n - 1), 1)[:, 0] * unseen[1:]
         return way

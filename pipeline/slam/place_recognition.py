@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.submaps import (
     make_submap,
     windows,
 )
-from turtlebag.pipeline.slam.track import sees_everything
+from turtlebag.pipeline.slam.track import blind
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts
 
 # Another place rivals when no more than this many times as many points deny it (true places: 1 %, places
@@ -52,8 +52,6 @@ class RecallConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     candidates: int = Field(default=12, gt=0, description="submaps compared with a query, the likest ones")
-    min_likeness: float = Field(default=0.6, gt=0.0, le=1.0, description="of the signatures")
-    min_score: float = Field(default=0.4, gt=0.0, le=1.0, description="of the correlation by FFT")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
     rival_share: float = Field(
@@ -152,12 +150,10 @@ def _candidates(
         others = [other for j in far.tolist() if (other := submap(j)) is not None]
         like = likeness(query, others)
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
-            if like[k] < config.min_likeness:
-                break
             guess = between(poses[others[k].middle], poses[i])
             for score, start in laid_on(query, others[k]):
                 near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
-                if near and score >= config.min_score:
+                if near:
                     found.append(_settled(clouds, keys, query, others[k], start, score, config, matcher))
     return found
 
@@ -198,7 +194,7 @@ def _settled(
         query.middle, other.middle, pose, score, float(overlap),
         float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
     )  # fmt: skip
-    if not sees_everything(information):
+    if blind(information):
         return place_found.judged("blind in one direction")
     return place_found
 

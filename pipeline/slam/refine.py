@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import (
+    CAUCHY,
     FINE_GATE_M,
     FINE_SIGMA_M,
     KERNEL_SIGMAS,
@@ -48,9 +49,6 @@ class RefineConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     rounds: int = Field(default=5, ge=0, description="linearise-and-solve rounds; 0 switches it off")
-    soft: float = Field(
-        default=3.0, ge=0.0, description="Cauchy width of a pair (0: not robust), in standard deviations"
-    )
 
 
 def refine(
@@ -70,7 +68,7 @@ def refine(
         gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
         sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
         pairs = overlapping_pairs(poses, RADIUS_M, NEIGHBOURS)
-        constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma, config)]
+        constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma)]
         new = optimise(poses, constraints, iterations=5)
         moved = np.abs((poses.inverse() @ new).xyt).max()
         poses = new
@@ -112,12 +110,11 @@ def pair_constraints(
     pairs: NDArray[np.int64],
     gate: float,
     sigma: float,
-    config: RefineConfig,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
     relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
     return [
-        Constraint(int(i), int(j), relative[k], information[k] / STEP_INFLATION, "pair", config.soft)
+        Constraint(int(i), int(j), relative[k], information[k] / STEP_INFLATION, "pair", CAUCHY)
         for k, (i, j) in enumerate(pairs)
         if overlap[k] >= LEAST_OVERLAP
     ]

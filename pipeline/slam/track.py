@@ -14,6 +14,8 @@ from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 # How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
+# A scan is blind when it sees this share along one direction of what it sees along the other, or less.
+BLIND = 0.01
 
 
 class OdometryNoise(BaseModel):
@@ -61,10 +63,10 @@ class Track:
     usable: NDArray[np.bool_]
 
 
-def sees_everything(information: Array) -> bool:
-    """Whether the scan fixed the pose in all directions."""
-    seen = np.linalg.eigvalsh(information[:2, :2])
-    return bool(seen[0] > 0.05 * seen[1] > 0.0)
+def blind(information: Array) -> NDArray[np.bool_]:
+    """Whether scans with information (..., 3, 3) see one direction only."""
+    seen = np.linalg.eigvalsh(information[..., :2, :2])
+    return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], 1e-9))
 
 
 def confirms(odometry: Array, motion: Array) -> bool:

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
-from turtlebag.pipeline.slam.odometry_trust import agree, blind, too_fast
-from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.odometry_trust import agree, too_fast
+from turtlebag.pipeline.slam.track import Track, blind
 
 # A gap is also this many usual periods long.
 GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
-# A match after a gap counts when this share of the scan fits and it is not blind.
-MIN_OVERLAP = 0.5
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be.
 SHORT_S = 5.0
 
@@ -95,7 +93,7 @@ def joined_parts(
 def witnessed_chain(recording: Recording, track: Track) -> Chain:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
-    unseen = blind(track)
+    unseen = blind(track.information)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     waited = _gaps(recording, track)
@@ -105,11 +103,11 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
             continue
         agreed = agree(recording, track, before, after, T) and not fast
         wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
-        seen = track.overlap[after] >= MIN_OVERLAP and (wait < SHORT_S or not unseen[after])
-        if not (agreed and seen):
+        fits = track.overlap[after] >= LEAST_OVERLAP
+        if not (agreed and fits and (wait < SHORT_S or not unseen[after])):
             broken[step] = True
             contradicted[step] |= not agreed
-            alone[step] |= track.overlap[after] < LEAST_OVERLAP
+            alone[step] |= not fits
             gaps.append((before, after))
     between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
     return Chain(broken, contradicted, alone, between)

@@ -142,11 +142,7 @@ def plain() -> tuple[Log, SlamResult]:
 def graph_of(result: SlamResult) -> tuple[list[Constraint], list[Constraint]]:
     """Steps and accepted loops, as the loop closure sees them."""
     config = SlamConfig()
-    found = [loop for loop in result.loops if loop.accepted]
-    loops = [
-        Constraint(x.j, x.i, x.T_j_i, x.information / config.loops.inflation, "loop", config.loops.soft)
-        for x in found
-    ]
+    loops = [config.loops.constraint(loop) for loop in result.loops if loop.accepted]
     return step_constraints(result.track, config.tracking), loops
 
 

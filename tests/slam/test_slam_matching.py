@@ -17,12 +17,11 @@ from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.correlative import (
     UNSEEN,
     Field,
-    best_and_rival,
     best_pose,
     make_field,
     points_in_map,
 )
-from turtlebag.pipeline.slam.refine import RefineConfig, linearise_pairs, overlapping_pairs, pair_constraints
+from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
 
 HERE = np.array([1.5, 1.2, 0.3])
 
@@ -193,19 +192,6 @@ def test_search_scores_as_numpy_does():
     assert reference(*pose) == pytest.approx(best, abs=1e-4)
 
 
-def test_repeated_place_has_a_rival():
-    teeth = np.array([[0.1 * k, 2.0 * j] for j in range(4) for k in range(10)])
-    field_points = np.floor(teeth / 0.1).astype(int)
-    values = np.zeros((80, 40), dtype=np.uint8)
-    values[field_points[:, 1] + 5, field_points[:, 0] + 5] = 255
-    field = Field(values, np.array([-0.5, -0.5]), 0.1)
-    tooth = np.array([[0.1 * k + 0.05, 2.05] for k in range(10)])
-    _, score, rival, second = best_and_rival(field, tooth, np.zeros(3), 2.2, 0.0, 0.05, 1.0)
-    assert score == pytest.approx(1.0, abs=1e-3)
-    assert second == pytest.approx(1.0, abs=1e-3)
-    assert abs(rival[1]) == pytest.approx(2.0, abs=0.1)
-
-
 def test_points_are_moved_into_the_map(room):
     clouds, poses = room
     moved = points_in_map(clouds.points, clouds.starts, np.array([3, 1]), poses[[3, 1]])
@@ -225,7 +211,7 @@ def test_pairs_know_their_relative_pose(room):
     np.testing.assert_allclose(relative[0], true, atol=0.015)
     assert overlap.min() > 0.6
     assert np.linalg.eigvalsh(information[0])[0] > 1.0
-    found = pair_constraints(clouds, np.arange(5), SE2(off), pairs, 0.3, 0.06, RefineConfig())
+    found = pair_constraints(clouds, np.arange(5), SE2(off), pairs, 0.3, 0.06)
     np.testing.assert_allclose(found[0].information * STEP_INFLATION, information[0])
 
 

@@ -18,8 +18,8 @@ from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, compe
 from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.loops import LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
@@ -204,7 +204,7 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
         steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
         drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
         clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
-        recall._candidates(clouds, keys, drift, [], RecallConfig(), 4.0, LineMatch())
+        recall._candidates(clouds, keys, drift, [], RecallConfig(), LoopConfig())
     assert looked_at.count(looked_at[0]) == 2
     assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
