@@ -35,8 +35,9 @@ GAP_S = 2.0
 # surface: those of a wall at a grazing angle are far apart. With the reach in place of both, acapulco, the
 # long corridor and ACES get worse by up to a tenth.
 MIN_GAP_M, GRAZING = 0.06, 6.0
-# A line reaches so far from its point [m], or so many beam spacings up to twice that.
-REACH_M, REACH_BEAMS = 0.6, 4.0
+# A line reaches so far from its point, or so many beam spacings; and on to MAX_REACH_M while its direction
+# is less sure.
+MIN_REACH_M, REACH_BEAMS, MAX_REACH_M, SURE_RAD = 0.12, 4.0, 0.6, 0.04
 # A line is none when its returns lie off it by more than their noise explains but once in a thousand times.
 Z_SURFACE = 3.09
 # Returns beyond are not used [m]: the farther, the fewer beams a wall has.
@@ -207,7 +208,7 @@ def _fit_lines(
     """Total least squares line through each point's neighbours in beam order, into the last five.
 
     The line grows beam by beam to either side for as long as what its returns lie off it is their noise
-    (chi-squared test). `point_var` comes in as the
+    (chi-squared test), up to the reach that makes its direction sure. `point_var` comes in as the
     variance of the ranges.
     """
     range_var = point_var.copy()
@@ -220,8 +221,9 @@ def _fit_lines(
             distance = math.hypot(ray_x, ray_y)
             ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
             spacing = distance * increment
-            reach = max(REACH_M, min(REACH_BEAMS * spacing, 2.0 * REACH_M))
-            gap = min(max(MIN_GAP_M, GRAZING * spacing), REACH_M)
+            reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
+            farthest = max(MAX_REACH_M, reach)
+            gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M)
             sums[:] = 0.0
             count = 1
             ends = [i, i]
@@ -238,7 +240,8 @@ def _fit_lines(
                         continue
                     x, y = points[j, 0], points[j, 1]
                     dx, dy = x - px, y - py
-                    too_far = math.hypot(dx, dy) > reach
+                    off = math.hypot(dx, dy)
+                    too_far = off > reach and (off > farthest or turn_var < SURE_RAD * SURE_RAD)
                     if too_far or math.hypot(x - points[last, 0], y - points[last, 1]) > gap:
                         alive[side] = False
                         continue
