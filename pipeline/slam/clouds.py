@@ -44,6 +44,8 @@ Z_SURFACE = 3.09
 USABLE_M = 30.0
 # Scans whose points are made together: what that takes besides is several times their size.
 SCANS_AT_ONCE = 2000
+# The direction of a line less sure than this says nothing.
+UNSURE_RAD = 0.3
 
 
 class Clouds(NamedTuple):
@@ -267,7 +269,7 @@ def _fit_lines(
                     ends[side] = j
                     nx, ny, mx, my, var = ux, uy, ax, ay, noise
                     turn_var = noise / max(n * large, 1e-12)
-            if count < 3:
+            if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
                 continue
             if nx * ray_x + ny * ray_y > 0.0:
                 nx, ny = -nx, -ny

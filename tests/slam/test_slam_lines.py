@@ -59,7 +59,7 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
             members.append(j)
             alive[side] = True
             normal, variance, turn_var = vectors[:, 0], noise, noise / max(n * large, 1e-12)
-    if len(members) < 3:
+    if len(members) < 3 or turn_var > module.UNSURE_RAD**2:
         return None
     normal = -normal if normal @ ray > 0.0 else normal
     return normal, points[members].mean(axis=0), variance, turn_var
