@@ -185,9 +185,21 @@ def load_campaign(name_or_path: str) -> Campaign:
 
 
 def cases(campaign: Campaign) -> list[Case]:
-    """Every case: the full grid, or `sample` draws of it; named by a hash of what it runs."""
+    """Every case: the full grid, or `sample` draws of it; named by a hash of its levels and what it runs."""
+    _require_used(campaign)
     combinations = _drawn(campaign) if campaign.sample is not None else _grid(campaign)
     return [_case(campaign, index, chosen) for index, chosen in enumerate(combinations)]
+
+
+def _require_used(campaign: Campaign) -> None:
+    """InputError for a factor that no command names: its cases would all be the same."""
+    levels = [
+        text for factor in campaign.factors.values() if isinstance(factor, dict) for text in factor.values()
+    ]
+    texts = " ".join([*campaign.stages.values(), *levels])
+    for name in campaign.factors:
+        if not re.search(rf"{{{re.escape(name)}[}}:]", texts):
+            raise InputError(f"factors.{name}: no stage uses it; write {{{name}}} in a command or remove it")
 
 
 def _grid(campaign: Campaign) -> Iterator[dict[str, Scalar]]:
@@ -258,7 +270,7 @@ def _case(campaign: Campaign, index: int, chosen: dict[str, Scalar]) -> Case:
         # Folders of earlier stages stay in braces: they depend on where the campaign is written.
         places = {earlier: "{" + earlier + "}" for earlier in commands}
         commands[stage] = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
-    digest = hashlib.sha256(json.dumps(commands).encode()).hexdigest()
+    digest = hashlib.sha256(json.dumps([chosen, commands]).encode()).hexdigest()
     return Case(index, digest[:12], chosen, commands)
 
 

@@ -89,6 +89,15 @@ def test_levels_can_stand_for_texts(tmp_path):
         cases(load(tmp_path, text.replace("|--c [1]", "")))
 
 
+def test_cases_whose_commands_are_the_same_are_rows_of_their_own(tmp_path):
+    text = CAMPAIGN.replace("\"--odd 'two words'\"", '"--b={size:0*x}"').replace(
+        "--size {size} ", "--size 1 "
+    )
+    found = cases(load(tmp_path, text))
+    assert found[0].commands == found[8].commands
+    assert len({case.name for case in found}) == len(found) == 24
+
+
 def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
     text = CAMPAIGN.replace("size: [1, 2, 3]", "size: {low: 0.5, high: 2.0}")
     with pytest.raises(InputError, match="needs `sample`"):
@@ -119,6 +128,7 @@ def test_draws_are_within_bounds_and_repeat_with_the_seed(tmp_path):
         ("  seed: {first", "  case: [1]\n  seed: {first", "factors.case: the table has a column"),
         (' good: "check', ' failed: "check', "results.failed: the table has a column"),
         (' good: "check', ' size: "check', "size is both a factor and a result"),
+        ("  seed: {first", "  run: [1, 2]\n  seed: {first", "factors.run: no stage uses it"),
         ('/metrics.json"', "/metrics.json 'x\"", "stages.check: .* 'x`: no closing quotation"),
     ],
 )

@@ -170,6 +170,17 @@ def test_one_number_can_be_asked_for(tree, capsys):
 
 
 @pytest.mark.slow
+def test_a_folder_may_have_the_name_of_the_verb_that_made_it(tree, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    poses = ["--start=-1.5,-0.5,0", "--goal", "1.5,0.5,0"]
+    assert main(["plan", "--map", str(tree / "map"), *poses, "--out", "plan", "-q"]) == 0
+    make_report([tmp_path / "plan"], tmp_path / "report", animate=False)
+    found = verify(tmp_path / "report", main)
+    assert found.problems == []
+    assert "map/plan:length_m" in {check.key for check in found.checks}
+
+
+@pytest.mark.slow
 def test_what_is_no_report_is_refused(tree, tmp_path, capsys):
     for folder in (tree / "map", tmp_path, tree / "gone"):
         assert main(["verify", str(folder)]) == 2
