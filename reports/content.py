@@ -10,7 +10,7 @@ from typing import Any
 from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
 from turtlebag.reports.drawing import draw_map, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
-from turtlebag.reports.metrics.navigation import outcome, truly_reached
+from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
 from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
     DASH,
@@ -163,8 +163,7 @@ def stage_metrics(stage: Stage) -> dict[str, Any]:
         return {**metrics, **recording_metrics(stage.folder / "bag", stage.truth)}
     goals = metrics.get("goals")
     if isinstance(goals, list) and goals:
-        metrics["goals_truly_reached"] = sum(truly_reached(goal) for goal in goals)
-        metrics["goals_reached"] = sum(goal.get("status") == "reached" for goal in goals)
+        metrics |= goal_counts(goals)
     return metrics
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
@@ -15,10 +14,10 @@ from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, 
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.settings import config_text, load_config
 from turtlebag.pipeline.terminal.messages import track
-from turtlebag.reports.metrics.map import map_metrics
-from turtlebag.reports.metrics.trajectory import trajectory_metrics
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.reports.stages import Stage, load_stage
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig
@@ -55,8 +54,8 @@ def blame(
     with staged_output(out, force=force, inputs=[folder_of_record]) as folder:
         save_map(result.grid, folder)
         save_tum(result.trajectory, folder / "trajectory.tum")
-        errors = trajectory_metrics(result.trajectory, record.truth)
-        left = {"replaced": parts, **errors, "map": map_metrics(result.grid, record.true_map)}
+        errors = References(record.truth, record.true_map).errors(result.trajectory, result.grid)
+        left = {"replaced": parts, **errors}
         if patrol:
             left["patrol"] = _patrol(record, folder / "map.yaml", parts)
         write_json(folder / "metrics.json", left)
@@ -72,7 +71,7 @@ def blame(
     return 0
 
 
-def _patrol(record: Stage, built: Path, parts: list[str]) -> dict[str, Any]:
+def _patrol(record: Stage, built: Path, parts: list[str]) -> RunMetrics:
     """The tutorial's patrol in the record's world, with its robot, sensors and seed: the run's numbers."""
     world = load_world(record.fact("world") or "")
     sim = SimConfig.model_validate(record.config.get("sim", {}))

@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.explore import ExploreDriver
-from turtlebag.pipeline.navigation.metrics import run_metrics
+from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
 from turtlebag.pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
 from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.reports.metrics.area import area_metrics
-from turtlebag.reports.metrics.map import map_metrics
+from turtlebag.reports.metrics.navigation import Floor, RunMetrics, run_metrics
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import Simulator
 
@@ -28,7 +26,7 @@ from turtlebag.sim.simulator import Simulator
 class Episode:
     """What a run did: metrics as in the contract, the log, and where it thought it was at each scan."""
 
-    metrics: dict[str, Any]
+    metrics: RunMetrics
     log: RunLog
     truth: Trajectory
     estimate: Trajectory
@@ -71,19 +69,11 @@ def drive(
         observation = simulator.step(command)
     estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
     truth, log = recorder.truth(), recorder.log()
-    metrics = run_metrics(
-        mission.request.task,
-        log,
-        sequence.outcomes if sequence is not None else [],
-        truth,
-        None if localiser is None else estimate,
-    )
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
-    if mission.request.task in ("avoid", "explore"):
-        metrics |= _floor_metrics(simulator, truth, grid)
-    if mission.request.task == "explore" and grid is None:
-        # no map is what it was sent for
-        metrics |= {"success": False, "true_success": False}
+    goals = [goal_of(outcome) for outcome in sequence.outcomes] if sequence is not None else []
+    known = estimate if localiser is not None and len(estimate) else None
+    floor = _floor(simulator, grid) if mission.request.task in ("avoid", "explore") else None
+    metrics = run_metrics(mission.request.task, log, goals, truth, known, floor)
     return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
 
 
@@ -103,10 +93,7 @@ def _owner(driver: Driver, mission: Mission, takeovers: Source | None) -> Comman
     return CommandOwner(driver, model, takeovers or Script(script), monitor)
 
 
-def _floor_metrics(simulator: Simulator, truth: Trajectory, grid: OccupancyGrid | None) -> dict[str, Any]:
-    """How much of the floor was seen, and how good the map is that was made of it, if one was."""
+def _floor(simulator: Simulator, grid: OccupancyGrid | None) -> Floor:
     robot = simulator.robot
     true_grid = simulator.world.rasterize(robot.lidar_height, 0.05 if grid is None else grid.resolution)
-    reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
-    found = {"area": area_metrics(true_grid, truth.poses, robot.T_base_lidar, reach, radius)}
-    return found if grid is None else found | {"map": map_metrics(grid, true_grid)}
+    return floor_of(robot, true_grid, grid)

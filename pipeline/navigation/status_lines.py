@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import groupby
-from typing import Any
 
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
 from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
-from turtlebag.reports.metrics.navigation import THERE_M, pose_error
+from turtlebag.reports.metrics.navigation import THERE_M, RunMetrics, pose_error, truly_reached
 from turtlebag.sim.simulator import Truth
 
 
@@ -74,12 +73,12 @@ def _ended(outcome: GoalOutcome, truth: Truth, touched: bool) -> str:
     return f"reached{after}, {length(error)} off"
 
 
-def verdict(metrics: dict[str, Any]) -> str:
+def verdict(metrics: RunMetrics) -> str:
     """How a run went by the truth, in one line, from its metrics."""
     parts = []
     if goals := metrics["goals"]:
         believed = [goal for goal in goals if goal["status"] == "reached"]
-        true = sum(goal["error_m"] <= THERE_M for goal in believed)
+        true = sum(truly_reached(goal) for goal in goals)
         parts.append(f"{true} of {len(goals)} goals reached")
         if true < len(believed):
             parts[-1] += f" (the robot reported {len(believed)})"

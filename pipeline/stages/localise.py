@@ -27,8 +27,7 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.settings import config_text, load_config
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
-from turtlebag.reports.metrics.navigation import THERE_M
-from turtlebag.reports.metrics.trajectory import associate, summary
+from turtlebag.reports.metrics.navigation import localisation_errors
 
 
 class LocaliseConfig(BaseModel):
@@ -239,11 +238,7 @@ def _metrics(result: Localisation, truth: Trajectory | None) -> dict[str, Any]:
         "localisation_error_m": None,
     }
     if truth is not None:
-        pairs = associate(result.trajectory, truth)
-        metrics["localisation_error_m"] = summary(pairs.position_errors())
-        metrics["localisation_error_rad"] = summary(pairs.yaw_errors())
-        metrics["last_error_m"] = float(pairs.position_errors()[-1])
-        metrics["true_success"] = metrics["success"] and metrics["last_error_m"] <= THERE_M
+        metrics |= localisation_errors(result.trajectory, truth, metrics["success"])
     return metrics
 
 

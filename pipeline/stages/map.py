@@ -66,7 +66,7 @@ def build_map(
     check_free(out, force=force, kind="folder")
     _require_name(named)
     settled = _settings(config, settings)
-    references = References(truth, relations)
+    references = References.load(truth, relations)
     watch = Stopwatch()
     cache = cache or StageCache()
     earlier = None if continued is None else load_session(continued)
@@ -97,7 +97,7 @@ def build_map(
     read = {note for one in recordings for note in one.notes}
     log_notes(note for note in recording.notes if note not in read)
     slam_s = watch.seconds()
-    metrics = {**summary(recording, result), **references.metrics(result.trajectory, result.grid)}
+    metrics = {**summary(recording, result), **references.errors(result.trajectory, result.grid)}
     with staged_output(out, force=force) as folder:
         for name in ("map", *([] if named is None else [named])):
             save_map(result.grid, folder, name)
@@ -117,7 +117,7 @@ def build_map(
                 "source": source,
                 **{f"also_{k}": path for k, path in enumerate(also, start=1)},
                 **({} if continued is None else {"continued": continued / GRAPH}),
-                **references.inputs(),
+                **references.inputs,
             },
             seed=None,
             wall_s=watch.seconds(),

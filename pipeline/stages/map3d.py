@@ -53,7 +53,7 @@ def build_map_3d(
         save_ply(folder / "map.ply", result.points)
         save_tum_3d(recording.stamps_ns, result.T_map_base, folder / "trajectory.tum")
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
-        errors = references.metrics(result.trajectory, result.grid)
+        errors: dict[str, Any] = dict(references.errors(result.trajectory, result.grid))
         if "ate_m" in errors:
             errors["out_of_plane"] = _out_of_plane(result.T_map_base)
         cloud = {"points": len(result.points), "voxel_m": result.setting.voxel}
@@ -67,7 +67,7 @@ def build_map_3d(
             folder,
             stage="map",
             command=command,
-            inputs={"source": source, **references.inputs()},
+            inputs={"source": source, **references.inputs},
             seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},

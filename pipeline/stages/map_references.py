@@ -2,49 +2,66 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.relations import load_relations
+from turtlebag.datasets.relations import Relations, load_relations
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.metrics.map import map_metrics
-from turtlebag.reports.metrics.relations import relations_metrics
-from turtlebag.reports.metrics.trajectory import trajectory_metrics
+from turtlebag.reports.metrics.map import MapMetrics, map_metrics
+from turtlebag.reports.metrics.relations import Relation, relations_metrics
+from turtlebag.reports.metrics.trajectory import Drift, Extremes, trajectory_metrics
 
 
+class MapErrors(TypedDict, total=False):
+    """The contract's keys for what a map was measured against."""
+
+    ate_m: Extremes
+    ate_aligned_m: Extremes
+    rpe: Drift
+    map: MapMetrics
+    relations: Relation
+    relations_cartographer: Relation
+
+
+@dataclass(frozen=True, eq=False)
 class References:
-    """What the result is measured against, read and checked before the work starts."""
+    """Any of them may be missing; `inputs` are the files they were read from."""
 
-    def __init__(self, truth: Path | None, relations: Path | None) -> None:
-        self._truth_folder = _truth_folder(truth) if truth is not None else None
-        self._relations_file = relations
-        self._relations = load_relations(relations) if relations is not None else None
-        if self._truth_folder is not None:
-            self._true_poses = load_tum(self._truth_folder / "trajectory.tum")
-            true_map = self._truth_folder / "map.yaml"
-            self._true_grid = load_map(true_map) if true_map.exists() else None
+    truth: Trajectory | None
+    true_grid: OccupancyGrid | None
+    relations: Relations | None = None
+    inputs: dict[str, Path] = field(default_factory=dict)
 
-    def inputs(self) -> dict[str, Path]:
-        """Paths for the manifest."""
-        named = {"truth": self._truth_folder, "relations": self._relations_file}
-        return {name: path for name, path in named.items() if path is not None}
+    @staticmethod
+    def load(truth: Path | None, relations: Path | None) -> References:
+        """Those of the command line, checked before the work starts; InputError for what is none."""
+        folder = None if truth is None else _truth_folder(truth)
+        true_map = None if folder is None else folder / "map.yaml"
+        named = {"truth": folder, "relations": relations}
+        return References(
+            None if folder is None else load_tum(folder / "trajectory.tum"),
+            load_map(true_map) if true_map is not None and true_map.exists() else None,
+            None if relations is None else load_relations(relations),
+            {name: path for name, path in named.items() if path is not None},
+        )
 
-    def metrics(self, trajectory: Trajectory, grid: OccupancyGrid) -> dict[str, Any]:
-        """The contract's keys for what was given."""
-        found: dict[str, Any] = {}
-        if self._truth_folder is not None:
+    def errors(self, trajectory: Trajectory, grid: OccupancyGrid | None) -> MapErrors:
+        """How far a map is off; InputError when it shares no time with the truth."""
+        found: MapErrors = {}
+        if self.truth is not None:
             try:
-                found |= trajectory_metrics(trajectory, self._true_poses)
+                found.update(trajectory_metrics(trajectory, self.truth))
             except ValueError as error:
-                raise InputError(f"{self._truth_folder}: {error}") from None
-            if self._true_grid is not None:
-                found["map"] = map_metrics(grid, self._true_grid)
-        if self._relations is not None:
-            found |= relations_metrics(trajectory, self._relations)
+                raise InputError(f"{self.inputs.get('truth', 'truth')}: {error}") from None
+            if self.true_grid is not None and grid is not None:
+                found["map"] = map_metrics(grid, self.true_grid)
+        if self.relations is not None:
+            found.update(relations_metrics(trajectory, self.relations))
         return found
 
 

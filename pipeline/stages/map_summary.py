@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
@@ -53,16 +56,17 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
 
 def summary(recording: Recording | Recording3D, result: SlamResult | Slam3dResult) -> dict[str, Any]:
     """Metrics that need no reference, the same of planar maps and of maps in 3D."""
-    accepted = sum(loop.accepted for loop in result.loops)
     return {
         "scans": len(recording),
         "keyframes": len(result.keys),
-        "loops": {
-            "proposed": len(result.loops),
-            "accepted": accepted,
-            "rejected": len(result.loops) - accepted,
-        },
+        "loops": loop_counts([loop.accepted for loop in result.loops]),
         "log_s": recording.duration(),
         **delay_metrics(recording),
         "self_check": result.check.as_metrics(),
     }
+
+
+def loop_counts(accepted: Sequence[bool] | NDArray[np.bool_]) -> dict[str, int]:
+    """How many loops were proposed, and what became of them."""
+    kept = sum(map(bool, accepted))
+    return {"proposed": len(accepted), "accepted": kept, "rejected": len(accepted) - kept}

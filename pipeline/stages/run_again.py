@@ -12,14 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.terminal.messages import log
-from turtlebag.planners.tasks.waypoints import load_waypoints, tutorial_patrol
-from turtlebag.reports.metrics.area import area_metrics
 from turtlebag.reports.provenance import rename
 from turtlebag.reports.stages import Group, Stage, read_json
-from turtlebag.sim.robots import load_robot
 
 Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, saying nothing; gives the exit code."""
@@ -81,49 +77,3 @@ def _read(manifest: Mapping[str, Any]) -> list[str]:
     """Hashes of everything a stage read, sorted."""
     inputs = manifest.get("inputs", {}).values()
     return sorted(digest for entry in inputs for digest in entry["sha256"].values())
-
-
-def goals_never_pursued(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
-    """`goals` of a run as it was asked for them, for those it never set out to: no bag holds such a goal."""
-    goals = stage.metrics.get("goals") or []
-    asked = _asked(stage, places)
-    if not asked:
-        return {}
-    pursued = set() if stage.runlog is None else set(stage.runlog.goal_index.tolist())
-    return {
-        "goals": [
-            {}
-            if number in pursued
-            else dict(zip("xy", asked[number % len(asked)], strict=False))
-            | {"yaw": asked[number % len(asked)][2], "time_s": 0.0}
-            for number in range(len(goals))
-        ]
-    }
-
-
-def _asked(stage: Stage, places: Mapping[str, str]) -> list[tuple[float, float, float]]:
-    """The goals of the command line or its waypoints file, x, y, yaw."""
-    try:
-        if (goal := stage.option("goal")) is not None:
-            x, y, yaw = (float(part) for part in goal.split(","))
-            return [(x, y, yaw)]
-        if stage.fact("task") != "patrol":
-            return []
-        file = stage.option("waypoints")
-        found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, dict(places))))
-    except (InputError, ValueError):
-        return []
-    return [waypoint.written for waypoint in found.waypoints]
-
-
-def floor_seen_again(stage: Stage) -> dict[str, Any]:
-    """The `area` of a run's metrics from its true poses at the scans and its true map, where it has one."""
-    name, grid, truth = stage.fact("robot"), stage.true_map, stage.truth
-    if "area" not in stage.metrics or name is None or grid is None or truth is None:
-        return {}
-    try:
-        robot = load_robot(name)
-    except InputError:
-        return {}
-    reach, radius = robot.lidar.range_max, robot.model.circumscribed_radius
-    return {"area": area_metrics(grid, truth.poses, robot.T_base_lidar, reach, radius)}

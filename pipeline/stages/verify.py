@@ -16,24 +16,23 @@ from scipy import ndimage
 from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_file
-from turtlebag.pipeline.stages.run_again import (
-    Remade,
-    Run,
-    floor_seen_again,
-    goals_never_pursued,
-    places_of,
-    remade,
+from turtlebag.pipeline.stages.recompute import (
+    TRUTH_AGREES_M,
+    Check,
+    checks,
+    recomputed,
+    robot_of,
+    truth_disagreement,
 )
+from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
-from turtlebag.reports.recompute import TRUTH_AGREES_M, Check, checks, truth_disagreement
 from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import Group, Stage, changed_files, load_stage, read_json, read_manifest
-from turtlebag.sim.robots import load_robot
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
@@ -140,12 +139,12 @@ def _check_stage(
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    done = list(checks(stage, group, metrics)) + _computed_here(stage, name, metrics, places)
+    done = list(checks(name, metrics, recomputed(stage, group, places)))
     left = _unknown(name, metrics, done)
     if left and (anew := again(stage)) is not None:
         if anew.other_bytes:
             found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
-        done += [check for check in _checks(name, metrics, anew.metrics) if check.key in left]
+        done += [check for check in checks(name, metrics, anew.metrics) if check.key in left]
         left = _unknown(name, metrics, done)
     found.checks += done
     found.unchecked += left
@@ -164,34 +163,16 @@ def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]
     ]
 
 
-def _computed_here(stage: Stage, name: str, metrics: dict[str, Any], places: dict[str, str]) -> list[Check]:
-    """Numbers that need more than the report knows: the robot, and what was asked for."""
-    if stage.kind != "navigate":
-        return []
-    asked = goals_never_pursued(stage, places)
-    return _checks(name, metrics, floor_seen_again(stage)) + _checks(name, metrics, asked)
-
-
-def _checks(name: str, told: dict[str, Any], found: dict[str, Any]) -> list[Check]:
-    reported = dict(leaves(told))
-    return [
-        Check(f"{name}:{path}", reported[path], value) for path, value in leaves(found) if path in reported
-    ]
-
-
 def clearance_on_map(stage: Stage) -> float | None:
     """Least distance [m] from the footprint's outline to an occupied cell of the true map, along the
     bag's true path; None where the robot or the map is not known.
 
     The map holds what crosses the lidar plane only: the clearance that counts low things is at most this.
     """
-    name, grid = stage.fact("robot"), stage.true_map
-    if name is None or grid is None:
+    robot, grid = robot_of(stage), stage.true_map
+    if robot is None or grid is None:
         return None
-    try:
-        footprint = load_robot(name).model.footprint
-    except InputError:
-        return None
+    footprint = robot.model.footprint
     corners = np.concatenate([footprint, footprint[:1]])
     share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
     outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)

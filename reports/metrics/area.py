@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TypedDict
 
 import numpy as np
 import scipy
@@ -18,12 +19,18 @@ STANDS_M = 0.2
 EIGHT = np.ones((3, 3), dtype=bool)
 
 
+class AreaMetrics(TypedDict):
+    """True free floor that was seen and could have been seen [m2], and the share of the one in the other."""
+
+    seen_m2: float
+    visible_m2: float
+    share: float
+
+
 def area_metrics(
     true_grid: OccupancyGrid, T_world_base: SE2, T_base_lidar: SE2, reach: float, radius: float
-) -> dict[str, float]:
-    """`seen_m2`, `visible_m2` and `share` (their ratio) of true free floor.
-
-    Seen: in line of sight within `reach` [m] of the lidar at one of the true poses (n,). Visible: seen, or
+) -> AreaMetrics:
+    """Seen: in line of sight within `reach` [m] of the lidar at one of the true poses (n,). Visible: seen, or
     in such a line from somewhere that a disc of `radius` [m] can get to from the first pose.
     """
     if len(T_world_base) == 0:

@@ -10,6 +10,7 @@ each true surface cell's centre is looked up in the map's cells and back, never 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 import scipy
@@ -69,19 +70,33 @@ def _nearest(points: Array, targets: Array) -> Array:
     return np.asarray(scipy.spatial.cKDTree(targets).query(points)[0], dtype=np.float64)
 
 
-def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> dict[str, object]:
-    """`iou`, `iou_one_cell`, `coverage` and `occupied_error_m` {mean, p95, within_one_cell} of a map.
+class WallErrors(TypedDict):
+    """Centres of mapped occupied cells to the nearest visible surface cell's [m]; None without any."""
 
-    iou: mapped occupied cells against visible surface cells, cell for cell, no tolerance: harsh,
+    mean: float | None
+    p95: float | None
+    within_one_cell: float | None
+
+
+class MapMetrics(TypedDict):
+    """How well a grid shows the true surfaces."""
+
+    iou: float
+    iou_one_cell: float
+    coverage: float
+    occupied_error_m: WallErrors
+
+
+def map_metrics(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapMetrics:
+    """iou: mapped occupied cells against visible surface cells, cell for cell, no tolerance: harsh,
     because a surface on a cell border may fall on either side. iou_one_cell: the same with a cell
     counted as matched when its nearest counterpart is at most one cell (edge or corner neighbour)
     away, P R / (P + R - P R) of the two matched fractions. coverage: the recall R alone.
-    occupied_error_m: centre of each mapped occupied cell to the nearest visible surface cell's [m].
     A map without occupied cells has iou 0 and no error (None).
     """
     error = map_error(grid, true_grid)
     if len(error.xy_mapped) == 0 or len(error.xy_true) == 0:
-        nothing = {"mean": None, "p95": None, "within_one_cell": None}
+        nothing: WallErrors = {"mean": None, "p95": None, "within_one_cell": None}
         return {"iou": 0.0, "iou_one_cell": 0.0, "coverage": 0.0, "occupied_error_m": nothing}
     mapped = _unique_cells(true_grid.cell_of(error.xy_mapped))
     true = _unique_cells(true_grid.cell_of(error.xy_true))

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.metrics.trajectory import ate, rpe
+from turtlebag.reports.metrics.trajectory import Drift, Extremes, ate, rpe
 
 
-def recording_metrics(bag: Path, truth_at_scans: Trajectory) -> dict[str, Any]:
-    """Scans, duration and distance of a recording, and the errors of /odom at the scans [m]."""
+class RecordingMetrics(TypedDict):
+    """Scans, duration [s] and distance [m] of a recording, and the errors of /odom at the scans."""
+
+    scans: int
+    duration_s: float
+    distance_m: float
+    odometry_ate_m: Extremes
+    odometry_rpe: Drift
+
+
+def recording_metrics(bag: Path, truth_at_scans: Trajectory) -> RecordingMetrics:
+    """What a recording holds, by its bag and the true poses at its scans."""
     truth = read_poses(bag, "/ground_truth/odom")
     odometry = read_poses(bag, "/odom")
     at_scans = Trajectory(truth_at_scans.stamps_ns, odometry.at(truth_at_scans.stamps_ns))

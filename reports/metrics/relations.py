@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,31 @@ def relation_errors(estimate: Trajectory, relations: Relations) -> tuple[Array, 
     return translation, rotation, np.linalg.norm(error.xy, axis=1), np.abs(error.yaw)
 
 
-def relations_metrics(estimate: Trajectory, relations: Relations) -> dict[str, Any]:
-    """The contract's `relations` and `relations_cartographer`; means are None when none matched."""
+class Moments(TypedDict):
+    """Mean, standard deviation and mean square; None where no relation matched."""
+
+    mean: float | None
+    std: float | None
+    sq_mean: float | None
+
+
+class Relation(TypedDict):
+    """Errors of `n` relations by one definition."""
+
+    n: int
+    trans_m: Moments
+    rot_deg: Moments
+
+
+class RelationErrors(TypedDict):
+    """Both definitions."""
+
+    relations: Relation
+    relations_cartographer: Relation
+
+
+def relations_metrics(estimate: Trajectory, relations: Relations) -> RelationErrors:
+    """The errors of the relations whose two scans have a pose."""
     trans, rot, trans_c, rot_c = relation_errors(estimate, relations)
     return {"relations": _summary(trans, rot), "relations_cartographer": _summary(trans_c, rot_c)}
 
@@ -51,12 +74,11 @@ def nearest(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[
     return order[best], np.abs(ordered[best] - wanted) <= MATCH_NS
 
 
-def _summary(trans: Array, rot: Array) -> dict[str, Any]:
-    """{n, trans_m: {mean, std, sq_mean}, rot_deg: {mean, std, sq_mean}}."""
+def _summary(trans: Array, rot: Array) -> Relation:
     return {"n": len(trans), "trans_m": _moments(trans), "rot_deg": _moments(np.rad2deg(rot))}
 
 
-def _moments(errors: Array) -> dict[str, float | None]:
+def _moments(errors: Array) -> Moments:
     if len(errors) == 0:
         return {"mean": None, "std": None, "sq_mean": None}
     return {"mean": float(errors.mean()), "std": float(errors.std()), "sq_mean": float((errors**2).mean())}

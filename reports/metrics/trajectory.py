@@ -7,6 +7,7 @@ outside the truth's span (plus `slack_ns` at both ends) have no truth and are le
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 
@@ -66,18 +67,40 @@ def fit_rigid(xy_a: Array, xy_b: Array) -> SE2:
     return SE2.from_xyt(mean_b[0] - turned[0], mean_b[1] - turned[1], yaw)
 
 
-def ate(estimate: Trajectory, truth: Trajectory, align: bool) -> dict[str, float]:
+class Extremes(TypedDict):
+    """Root mean square and largest of some errors, in their unit."""
+
+    rmse: float
+    max: float
+
+
+class Drift(TypedDict):
+    """Relative pose error per metre; None for a drive shorter than that."""
+
+    trans_m: float | None
+    rot_rad: float | None
+
+
+class TrajectoryErrors(TypedDict):
+    """What a truth says of the trajectory of a map."""
+
+    ate_m: Extremes
+    ate_aligned_m: Extremes
+    rpe: Drift
+
+
+def ate(estimate: Trajectory, truth: Trajectory, align: bool) -> Extremes:
     """Absolute trajectory error, {rmse, max} [m]; `align` fits a rigid motion first."""
     pairs = associate(estimate, truth)
     return summary((pairs.aligned() if align else pairs).position_errors())
 
 
-def summary(errors: Array) -> dict[str, float]:
+def summary(errors: Array) -> Extremes:
     """{rmse, max} of errors, (n,)."""
     return {"rmse": float(np.sqrt(np.mean(errors**2))), "max": float(errors.max())}
 
 
-def rpe(estimate: Trajectory, truth: Trajectory, *, distance_m: float = 1.0) -> dict[str, float | None]:
+def rpe(estimate: Trajectory, truth: Trajectory, *, distance_m: float = 1.0) -> Drift:
     """Relative pose error per metre driven: RMSE of {trans_m [m/m], rot_rad [rad/m]}.
 
     Every pose is paired with the first later one that lies `distance_m` of TRUE path ahead;
@@ -102,10 +125,10 @@ def rpe(estimate: Trajectory, truth: Trajectory, *, distance_m: float = 1.0) -> 
     }
 
 
-def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> dict[str, dict[str, float | None]]:
-    """The contract's `ate_m`, `ate_aligned_m` and `rpe` of a map stage."""
+def trajectory_metrics(estimate: Trajectory, truth: Trajectory) -> TrajectoryErrors:
+    """Errors without and with alignment; ValueError when the two share no time."""
     return {
-        "ate_m": dict(ate(estimate, truth, align=False)),
-        "ate_aligned_m": dict(ate(estimate, truth, align=True)),
+        "ate_m": ate(estimate, truth, align=False),
+        "ate_aligned_m": ate(estimate, truth, align=True),
         "rpe": rpe(estimate, truth),
     }

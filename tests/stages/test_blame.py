@@ -18,11 +18,12 @@ from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.metrics import run_metrics
+from turtlebag.pipeline.navigation.metrics import goal_of
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.planners.tasks.sequence import GoalOutcome
 from turtlebag.planners.tasks.waypoints import Waypoint
+from turtlebag.reports.metrics.navigation import run_metrics
 from turtlebag.reports.metrics.trajectory import ate
 from turtlebag.reports.stages import load_stage
 from turtlebag.sim.robots import load_robot
@@ -181,7 +182,7 @@ def test_a_robot_that_is_not_where_it_takes_itself_to_be_has_no_true_success(x, 
     log = builder.build()
     goal = GoalOutcome(0, Waypoint(SE2.from_xyt(x, 0.0, 0.0), "", (x, 0.0, 0.0)), "reached", "", 0, 2 * 10**9)
     truth = Trajectory(log.t_ns, log.T_world_base)
-    found = run_metrics("patrol", log, [goal], truth, truth)
+    found = run_metrics("patrol", log, [goal_of(goal)], truth, truth)
     assert found["success"]
     assert found["true_success"] is there
     assert found["goal_error_m"]["max"] == pytest.approx(x - 1.0)

@@ -13,10 +13,10 @@ from report_fakes import fake_map, fake_record, fake_run, rehash
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.recompute import same
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import page_numbers, verify
 from turtlebag.reports.g2o import read_g2o, read_loops
-from turtlebag.reports.recompute import same
 
 
 @pytest.fixture(scope="module")
