@@ -19,15 +19,15 @@ def epilog(example: str) -> dict[str, Any]:
     return {"epilog": f"example:\n  {example}", "formatter_class": raw}
 
 
-def add_output(parser: argparse.ArgumentParser) -> None:
+def add_output(
+    parser: argparse.ArgumentParser,
+    text: str = "folder to write the results to",
+    *,
+    what: str = "DIR",
+    required: bool = True,
+) -> None:
     """--out and --force."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder to write the results to",
-    )
+    parser.add_argument("--out", type=Path, required=required, metavar=what, help=text)
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
 
 
@@ -42,6 +42,33 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="override one setting; may be repeated",
     )
+
+
+def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
+    """What is simulated: --world, --robot, --seed and --start."""
+    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    add_seed(parser, seed_value)
+    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+
+
+def start_of(args: argparse.Namespace) -> SE2 | None:
+    """The pose of --start, where it was given."""
+    return None if args.start is None else pose(args.start, "--start")
+
+
+def add_seed(parser: argparse.ArgumentParser, value: int) -> None:
+    """--seed."""
+    text = f"random seed (default: {value})"
+    parser.add_argument("--seed", type=seed, default=value, metavar="N", help=text)
+
+
+def add_map(parser: argparse.ArgumentParser, purpose: str, *, required: bool = True) -> None:
+    """--map."""
+    text = f"map to {purpose} on: its YAML file, or a folder that map wrote"
+    parser.add_argument("--map", type=map_file, required=required, metavar="MAP", help=text)
 
 
 def named_inputs(args: argparse.Namespace) -> list[Path]:

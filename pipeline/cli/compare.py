@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from turtlebag.pipeline.cli.arguments import add_output
+
 EXAMPLE = "turtlebag compare data/maps/a data/maps/b --out data/comparison"
 
 
@@ -12,8 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag compare`."""
     parser.add_argument("a", type=Path, metavar="A", help="output of record, map or navigate")
     parser.add_argument("b", type=Path, metavar="B", help="another output of the same stage")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="also write a page with pictures")
-    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+    add_output(parser, "also write a page with pictures", required=False)
 
 
 def run(args: argparse.Namespace) -> int:

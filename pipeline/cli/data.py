@@ -20,12 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"fetch a log from the folder {MIRROR_VARIABLE} or the network, verify it and print its paths",
         **epilog("turtlebag data fetch intel"),
     )
-    fetching.add_argument(
-        "names",
-        nargs="+",
-        metavar="NAME",
-        help="name of a log, as `turtlebag data list` shows it",
-    )
+    text = "name of a log, as `turtlebag data list` shows it"
+    fetching.add_argument("names", nargs="+", metavar="NAME", help=text)
     fetching.set_defaults(act=_fetch)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser, map_file, pose, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_map, add_output, add_seed, laser, pose
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
@@ -15,13 +15,7 @@ EXAMPLE = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the verb."""
     parser.add_argument("bag", type=Path, metavar="BAG", help="record folder, bag or CARMEN log")
-    parser.add_argument(
-        "--map",
-        type=map_file,
-        required=True,
-        metavar="MAP",
-        help="map to localise on: its YAML file, or a folder that map wrote",
-    )
+    add_map(parser, "localise")
     parser.add_argument(
         "--initial-pose",
         metavar="X,Y,YAW|global",
@@ -29,13 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_laser(parser, "BAG")
     parser.add_argument("--truth", type=Path, metavar="DIR", help="truth folder to measure errors against")
-    parser.add_argument(
-        "--seed",
-        type=seed,
-        default=1,
-        metavar="N",
-        help="random seed (default: 1)",
-    )
+    add_seed(parser, 1)
     add_config(parser)
     add_output(parser)
 

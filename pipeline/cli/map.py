@@ -14,18 +14,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `map`."""
     parser.add_argument("input", type=Path, metavar="INPUT", help="record folder, bag or CARMEN log")
     add_output(parser)
-    parser.add_argument(
-        "--truth",
-        type=Path,
-        metavar="DIR",
-        help="truth folder of a recording: adds error metrics",
-    )
-    parser.add_argument(
-        "--relations",
-        type=Path,
-        metavar="FILE",
-        help="relations file of a benchmark: adds error metrics",
-    )
+    text = "truth folder of a recording: adds error metrics"
+    parser.add_argument("--truth", type=Path, metavar="DIR", help=text)
+    text = "relations file of a benchmark: adds error metrics"
+    parser.add_argument("--relations", type=Path, metavar="FILE", help=text)
     parser.add_argument(
         "--also",
         type=Path,

@@ -10,7 +10,7 @@ from typing import Literal
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.yaml_files import read_mapping
-from turtlebag.pipeline.cli.arguments import add_config, add_output, map_file, pose, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, add_world, pose, start_of
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -39,19 +39,9 @@ ON_A_MAP = ("initial_pose", "wiggle", "keepout")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
-    parser.add_argument(
-        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
-    )
+    add_world(parser, 0)
     parser.add_argument("--task", required=True, choices=TASKS, help="task to run")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed (default: 0)")
-    parser.add_argument(
-        "--map",
-        type=map_file,
-        metavar="MAP",
-        help="map to navigate on: its YAML file, or a folder that map wrote",
-    )
-    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    add_map(parser, "navigate", required=False)
     parser.add_argument(
         "--initial-pose",
         metavar="X,Y,YAW|start|global",
@@ -108,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
         task=args.task,
         seed=args.seed,
         map_path=args.map,
-        start=None if args.start is None else pose(args.start, "--start"),
+        start=start_of(args),
         initial_pose=_initial_pose(args.initial_pose),
         goal=None if args.goal is None else pose(args.goal, "--goal"),
         waypoints_path=args.waypoints,

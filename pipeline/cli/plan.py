@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, map_file, pose, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, add_seed, pose
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -16,30 +16,16 @@ EXAMPLE = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
-    parser.add_argument(
-        "--map",
-        type=map_file,
-        required=True,
-        metavar="MAP",
-        help="map to plan on: its YAML file, or a folder that map wrote",
-    )
-    parser.add_argument(
-        "--robot",
-        default="burger",
-        metavar="R",
-        help="robot: a name or a YAML file (default: burger)",
-    )
+    add_map(parser, "plan")
+    text = "robot: a name or a YAML file (default: burger)"
+    parser.add_argument("--robot", default="burger", metavar="R", help=text)
     parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="start pose, in metres and radians")
     parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="goal pose")
     names = get_args(PlannerName)
-    parser.add_argument(
-        "--planner",
-        choices=names,
-        metavar="P",
-        help=f"OMPL planner: {', '.join(names)} (default: {names[0]})",
-    )
+    text = f"OMPL planner: {', '.join(names)} (default: {names[0]})"
+    parser.add_argument("--planner", choices=names, metavar="P", help=text)
     parser.add_argument("--compare", action="store_true", help="run every planner and compare the paths")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed (default: 0)")
+    add_seed(parser, 0)
     add_config(parser)
     add_output(parser)
 

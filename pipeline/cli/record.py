@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, named_inputs, pose, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, named_inputs, start_of
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
@@ -13,18 +13,13 @@ EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --ou
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
-    parser.add_argument(
-        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
-    )
+    add_world(parser, 1)
     parser.add_argument(
         "--teleop",
         default="tour",
         metavar="SCRIPT",
         help="teleop script: a name, a YAML file, or a bag whose /cmd_vel is replayed",
     )
-    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="random seed (default: 1)")
-    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
     add_config(parser)
     add_output(parser)
 
@@ -50,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         args.seed,
         args.out,
         sim=options.sim,
-        start=pose(args.start, "--start") if args.start else None,
+        start=start_of(args),
         force=args.force,
         command=args.command_line,
     )

@@ -13,24 +13,13 @@ EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag report`."""
-    parser.add_argument(
-        "folders",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="outputs of record, map, localise, plan and navigate",
-    )
+    text = "outputs of record, map, localise, plan and navigate"
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help=text)
     parser.add_argument("--paper", action="store_true", help="also save each figure as PDF and SVG")
-    parser.add_argument(
-        "--index",
-        action="store_true",
-        help="make a sortable table of all outputs below DIR instead",
-    )
-    parser.add_argument(
-        "--no-animation",
-        action="store_true",
-        help="leave out the animations, for a smaller page",
-    )
+    text = "make a sortable table of all outputs below DIR instead"
+    parser.add_argument("--index", action="store_true", help=text)
+    text = "leave out the animations, for a smaller page"
+    parser.add_argument("--no-animation", action="store_true", help=text)
     add_output(parser)
 
 

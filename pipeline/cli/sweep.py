@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import add_output
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -13,8 +14,7 @@ EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag sweep`."""
     parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write the results to")
-    parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+    add_output(parser, required=False)
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a running Dask scheduler (tcp://...)"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, pose, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, start_of
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
@@ -13,12 +13,7 @@ EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/m
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
-    parser.add_argument(
-        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
-    )
-    parser.add_argument("--seed", type=seed, default=1, metavar="N", help="random seed (default: 1)")
-    parser.add_argument("--start", metavar="X,Y,YAW", help="true start pose (default: the world's spawn)")
+    add_world(parser, 1)
     parser.add_argument("--view", action="store_true", help="draw the scan and the map as it grows")
     parser.add_argument(
         "--style",
@@ -26,13 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="keys",
         help="keys: W A S D (default); turtlebot3: the keys of turtlebot3_teleop",
     )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        default=1.0,
-        metavar="X",
-        help="speed relative to real time (default: 1)",
-    )
+    text = "speed relative to real time (default: 1)"
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help=text)
     add_config(parser)
     add_output(parser)
 
@@ -55,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.speed > 0.0:
         raise InputError(f"--speed {args.speed:g}: must be more than 0")
     options = load_config(RecordOptions, args.config, args.settings)
-    start = pose(args.start, "--start") if args.start else None
-    scene = Scene.load(args.world, args.robot, args.seed, options.sim, start)
+    scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
     state = KeyState(scene.robot.limits, args.style)
     table = TABLES[args.style]
     show(table + "\n")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import epilog
+from turtlebag.pipeline.cli.arguments import add_output, epilog
 
 EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 
@@ -15,20 +14,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
     actions.add_parser("list", help="list the built-in worlds, robots and teleop scripts")
-    show = actions.add_parser(
-        "show",
-        help="draw a world as a PNG",
-        description="Draw a world as a PNG.",
-        **epilog(EXAMPLE),
-    )
+    text = "draw a world as a PNG"
+    show = actions.add_parser("show", help=text, description=f"D{text[1:]}.", **epilog(EXAMPLE))
     show.add_argument("world", metavar="W", help="world: a name or a YAML or SDF file")
     show.add_argument(
-        "--robot",
-        metavar="R",
-        help="robot whose lidar height is drawn (default: the world's own)",
+        "--robot", metavar="R", help="robot whose lidar height is drawn (default: the world's own)"
     )
-    show.add_argument("--out", type=Path, required=True, metavar="PNG", help="picture to write")
-    show.add_argument("--force", action="store_true", help="replace --out if it exists")
+    add_output(show, "picture to write", what="PNG")
 
 
 def run(args: argparse.Namespace) -> int:
