@@ -16,7 +16,7 @@ from turtlebag.reports.stage_titles import slug
 
 Row = Mapping[str, Any]
 Names = Mapping[str, tuple[str, str]]
-"""Result -> (what it is called, unit of turtlebag.reports.numbers.DISPLAY)."""
+"""Result -> (what it is called, unit of turtlebag.reports.numbers.UNITS)."""
 
 
 def draw_campaign(

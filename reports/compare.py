@@ -84,7 +84,7 @@ def compare(a: Stage, b: Stage) -> Comparison:
     same = [path for path in files if a.outputs[path] == b.outputs[path]]
     settings = changed_settings(a.config, b.config)
     commands = command_of(a, "A"), command_of(b, "B")
-    known = all("source" in stage.manifest.get("inputs", {}) for stage in (a, b))
+    known = all("source" in stage.manifest.inputs for stage in (a, b))
     source = same_input(a, b) if known else None
     verdicts = verdict(a, metrics_a), verdict(b, metrics_b)
     return Comparison(
@@ -168,8 +168,7 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
 
 def same_input(a: Stage, b: Stage) -> bool:
     """Whether both were made from the same source files."""
-    read = [stage.manifest.get("inputs", {}).get("source", {}).get("sha256") for stage in (a, b)]
-    return read[0] is not None and read[0] == read[1]
+    return bool(a.hashes("source")) and a.hashes("source") == b.hashes("source")
 
 
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:

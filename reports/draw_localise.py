@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,25 +25,19 @@ def given_map(stage: Stage, group: Group) -> OccupancyGrid | None:
     """The very map a stage was given: its files while they have their hashes, else the same map among the
     group's, for a report that was moved; None when it is nowhere to be found.
     """
-    given = {name: stage.manifest.get("inputs", {}).get(name) for name in ("map", "map_image")}
-    told = [entry for entry in given.values() if entry is not None]
-    if given["map"] is None:
+    given = {name: entry for name, entry in stage.manifest.inputs.items() if name in ("map", "map_image")}
+    if "map" not in given:
         return None
-    if all(_unchanged(entry) for entry in told):
+    if all(entry.path.is_file() and sha256_tree(entry.path) == entry.sha256 for entry in given.values()):
         with suppress(InputError):
-            return load_map(Path(given["map"]["path"]))
-    wanted = {digest for entry in told for digest in entry["sha256"].values()}
+            return load_map(given["map"].path)
+    wanted = {digest for entry in given.values() for digest in entry.sha256.values()}
     for other in group.stages:
         for folder, grid in (("", other.map), ("truth/", other.true_map)):
             has = {other.outputs.get(f"{folder}map.yaml"), other.outputs.get(f"{folder}map.pgm")}
             if wanted <= has:
                 return grid
     return None
-
-
-def _unchanged(entry: Mapping[str, Any]) -> bool:
-    path = Path(entry["path"])
-    return path.is_file() and sha256_tree(path) == entry["sha256"]
 
 
 def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:

@@ -5,46 +5,39 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from turtlebag.reports.spec import Section, Spec
 from turtlebag.reports.specs import REFERENCES, SECTIONS, SPECS
 from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
-# How a unit is shown: factor from the stored SI value, symbol, decimals.
-DISPLAY = {
-    "mm": (1000.0, "mm", 1),
-    "cm": (100.0, "cm", 2),
-    "m": (1.0, "m", 2),
-    "m2": (1.0, "m²", 1),
-    "m4": (1.0, "m", 4),
-    "cm/m": (100.0, "cm/m", 2),
-    "deg": (180.0 / math.pi, "°", 2),
-    "deg/m": (180.0 / math.pi, "°/m", 2),
-    "deg1": (1.0, "°", 3),
-    "s": (1.0, "s", 1),
-    "percent": (100.0, "%", 1),
-    "count": (1.0, "", 0),
-    "plain": (1.0, "", 4),
-    "yes": (1.0, "", 0),
-}
-# The unit a value is stored in.
-SI = {
-    "cm": "m",
-    "mm": "m",
-    "m": "m",
-    "m2": "m2",
-    "m4": "m",
-    "cm/m": "m/m",
-    "deg": "rad",
-    "deg/m": "rad/m",
-    "deg1": "deg",
-    "s": "s",
-    "percent": "1",
-    "count": "1",
-    "plain": "1",
-    "yes": "1",
+
+
+class Unit(NamedTuple):
+    """How a value is shown: factor from what is stored, symbol, decimals; and the unit it is stored in."""
+
+    factor: float
+    symbol: str
+    digits: int
+    stored: str
+
+
+UNITS = {
+    "mm": Unit(1000.0, "mm", 1, "m"),
+    "cm": Unit(100.0, "cm", 2, "m"),
+    "m": Unit(1.0, "m", 2, "m"),
+    "m2": Unit(1.0, "m²", 1, "m2"),
+    "m4": Unit(1.0, "m", 4, "m"),
+    "cm/m": Unit(100.0, "cm/m", 2, "m/m"),
+    "deg": Unit(180.0 / math.pi, "°", 2, "rad"),
+    "deg/m": Unit(180.0 / math.pi, "°/m", 2, "rad/m"),
+    "deg1": Unit(1.0, "°", 3, "deg"),
+    "s": Unit(1.0, "s", 1, "s"),
+    "percent": Unit(100.0, "%", 1, "1"),
+    "count": Unit(1.0, "", 0, "1"),
+    "plain": Unit(1.0, "", 4, "1"),
+    "yes": Unit(1.0, "", 0, "1"),
 }
 
 
@@ -71,8 +64,7 @@ class Number:
         """sha256 of each file the number is computed from."""
         found = files_of(self.stage, self.spec.sources)
         for name in REFERENCES.get(self.spec.path.partition(".")[0], ()):
-            files = self.stage.manifest.get("inputs", {}).get(name, {}).get("sha256", {})
-            found |= {f"{name}: {path}": digest for path, digest in files.items()}
+            found |= {f"{name}: {path}": digest for path, digest in self.stage.hashes(name).items()}
         return found
 
 
@@ -91,10 +83,8 @@ def shown(value: Any, unit: str) -> str:
         return "yes" if value else "no"
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return DASH
-    factor, symbol, digits = DISPLAY[unit]
-    gap = "" if symbol in ("", "°", "%") else "\u202f"
-    if symbol == "%":
-        gap = "\u202f"
+    factor, symbol, digits, _ = UNITS[unit]
+    gap = "" if symbol in ("", "°") else "\u202f"
     size = factor * value
     if symbol == "cm" and abs(size) >= 10.0:
         digits = 1

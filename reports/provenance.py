@@ -42,8 +42,8 @@ def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
     words = [rename(word, names) for word in stage.command if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
-        for name, entry in stage.manifest.get("inputs", {}).items()
-        for path, digest in entry["sha256"].items()
+        for name, entry in stage.manifest.inputs.items()
+        for path, digest in entry.sha256.items()
     ]
     return Step(
         f"{group.name}/{stage.label}",
@@ -68,7 +68,6 @@ def packages(groups: Sequence[Group]) -> list[tuple[str, str]]:
     found: dict[str, set[str]] = {}
     for group in groups:
         for stage in group.stages:
-            for name, version in stage.manifest.get("packages", {}).items():
-                found.setdefault(name, set()).add(str(version))
-            found.setdefault("python", set()).add(str(stage.manifest.get("python", "?")))
+            for name, version in {**stage.manifest.packages, "python": stage.manifest.python}.items():
+                found.setdefault(name, set()).add(version)
     return [(name, ", ".join(sorted(versions))) for name, versions in found.items()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,29 @@ LINKING = (".pgm", ".mcap", ".db3", ".bag", ".tum", ".clf", ".log", ".gz", ".bz2
 DRIVEN = (".mcap", ".tum")
 
 
+class Input(BaseModel):
+    """Something that a stage read: where it lay, and the sha256 of its files."""
+
+    path: Path
+    sha256: dict[str, str]
+
+
+class Manifest(BaseModel):
+    """What reports read of a manifest; whatever else it holds is not looked at."""
+
+    stage: str
+    command: list[str] = []
+    seed: int | None = None
+    inputs: dict[str, Input] = {}
+    outputs: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    packages: dict[str, str] = {}
+    python: str = "?"
+    world: str | None = None
+    robot: str | None = None
+    task: str | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Stage:
     """One stage output: `kind` is one of KINDS; `label` names it within its group, `title` for people."""
@@ -36,23 +59,23 @@ class Stage:
     folder: Path
     kind: str
     label: str
-    manifest: dict[str, Any]
+    manifest: Manifest
     title: str = ""
 
     @property
     def command(self) -> list[str]:
         """The command line that made it."""
-        return [str(word) for word in self.manifest.get("command", [])]
+        return self.manifest.command
 
     @property
     def seed(self) -> int | None:
         """Its seed, where it had one."""
-        return self.manifest.get("seed")
+        return self.manifest.seed
 
     @property
     def outputs(self) -> dict[str, str]:
         """sha256 of every file by its path in the folder."""
-        return dict(self.manifest.get("outputs", {}))
+        return self.manifest.outputs
 
     def option(self, name: str) -> str | None:
         """Value of `--name` in its command line."""
@@ -91,7 +114,7 @@ class Stage:
 
     def fact(self, name: str) -> str | None:
         """World, robot, task or teleop: from the manifest, the config or the command line."""
-        for source in (self.manifest, self.metrics, self.config):
+        for source in (self.manifest.model_dump(include={name}), self.metrics, self.config):
             if isinstance(source.get(name), str):
                 return str(source[name])
         return self.option(name)
@@ -140,20 +163,24 @@ class Stage:
 
     def input_paths(self) -> dict[str, Path]:
         """Its inputs by the names the manifest gives them."""
-        return {name: Path(entry["path"]) for name, entry in self.manifest.get("inputs", {}).items()}
+        return {name: entry.path for name, entry in self.manifest.inputs.items()}
 
-    def read_hashes(self, inputs: Sequence[str]) -> set[str]:
+    def hashes(self, name: str) -> dict[str, str]:
+        """sha256 of the files of one input by their paths in it; none where there is no such input."""
+        entry = self.manifest.inputs.get(name)
+        return {} if entry is None else entry.sha256
+
+    def read_hashes(self, inputs: Iterable[str]) -> set[str]:
         """Hashes of the bags and trajectories among its inputs of those names."""
-        entries = (self.manifest.get("inputs", {}).get(name, {"sha256": {}}) for name in inputs)
         return {
-            digest for entry in entries for path, digest in entry["sha256"].items() if path.endswith(DRIVEN)
+            digest for name in inputs for path, digest in self.hashes(name).items() if path.endswith(DRIVEN)
         }
 
     def linking_hashes(self) -> set[str]:
         """Hashes of the data files it read or wrote."""
         files = dict(self.outputs)
-        for name, entry in self.manifest.get("inputs", {}).items():
-            files |= {f"{name}/{path}": digest for path, digest in entry["sha256"].items()}
+        for name, entry in self.manifest.inputs.items():
+            files |= {f"{name}/{path}": digest for path, digest in entry.sha256.items()}
         return {
             digest
             for path, digest in files.items()
@@ -181,7 +208,7 @@ class Group:
 
         A group may hold several recordings of its world, and times alone fit all of them.
         """
-        for inputs in ("truth",), tuple(stage.manifest.get("inputs", {})):
+        for inputs in ("truth",), tuple(stage.manifest.inputs):
             read = stage.read_hashes(inputs)
             for record in self.of_kind("record"):
                 wrote = {digest for path, digest in record.outputs.items() if path.endswith(DRIVEN)}
@@ -211,24 +238,19 @@ def _whole(digits: str) -> float:
 def load_stage(folder: Path) -> Stage:
     """The stage output in `folder`; InputError for anything else."""
     manifest = _manifest(folder)
-    kind = ALIASES.get(manifest["stage"], manifest["stage"])
+    kind = ALIASES.get(manifest.stage, manifest.stage)
     if kind not in KINDS:
         raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
     return Stage(folder, kind, kind, manifest)
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
+def _manifest(folder: Path) -> Manifest:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder (expected the output of a stage)")
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
     return read_manifest(path)
-
-
-class _Input(BaseModel):
-    path: str
-    sha256: dict[str, str]
 
 
 class _Metrics(BaseModel):
@@ -238,22 +260,9 @@ class _Metrics(BaseModel):
     planners: list[dict[str, Any]] | None = None
 
 
-class _Manifest(BaseModel):
-    """What reports read of a manifest; whatever else it holds is not looked at."""
-
-    stage: str
-    command: list[str] = []
-    seed: int | None = None
-    inputs: dict[str, _Input] = {}
-    outputs: dict[str, str] = {}
-    folders: dict[str, str] = {}
-
-
-def read_manifest(path: Path) -> dict[str, Any]:
-    """A manifest.json as it stands; InputError names the first part that is not of its kind."""
-    data = read_json(path)
-    checked(_Manifest, data, where=str(path))
-    return data
+def read_manifest(path: Path) -> Manifest:
+    """A manifest.json; InputError names the first part that is not of its kind."""
+    return checked(Manifest, read_json(path), where=str(path))
 
 
 def changed_files(stage: Stage) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.reports.content import Chapter, Part
-from turtlebag.reports.numbers import SI
+from turtlebag.reports.numbers import UNITS
 from turtlebag.reports.specs import GOAL_MEANINGS, GOAL_UNITS
 from turtlebag.reports.stage_titles import slug
 
@@ -60,12 +60,12 @@ def _rows(part: Part) -> Iterator[list[Any]]:
     """Path in the metrics, value, its unit, as shown and meaning of each number of a part, goals last."""
     for number in part.numbers:
         spec = number.spec
-        yield [spec.path, number.value, SI[spec.unit], number.text, spec.meaning]
+        yield [spec.path, number.value, UNITS[spec.unit].stored, number.text, spec.meaning]
     for goal in part.goals:
         place = goal["number"] - 1
         for key, value, text in goal["numbers"]:
             meaning = f"{GOAL_MEANINGS[key]} Goal {goal['number']}, {goal['status']}."
-            yield [f"goals.{place}.{key}", value, SI[GOAL_UNITS[key]], text, meaning]
+            yield [f"goals.{place}.{key}", value, UNITS[GOAL_UNITS[key]].stored, text, meaning]
 
 
 def latex_table(head: Sequence[str], rows: Sequence[Sequence[str]], columns: str) -> str:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
-from turtlebag.reports.numbers import DISPLAY
+from turtlebag.reports.numbers import UNITS
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
 LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
@@ -65,8 +65,8 @@ class Result(BaseModel):
 
 
 def _check_unit(unit: str) -> None:
-    if unit not in DISPLAY:
-        raise ValueError(f"unit {unit}: known are {', '.join(DISPLAY)}")
+    if unit not in UNITS:
+        raise ValueError(f"unit {unit}: known are {', '.join(UNITS)}")
 
 
 class Figure(BaseModel):

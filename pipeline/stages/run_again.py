@@ -15,7 +15,7 @@ from typing import Any
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.reports.provenance import rename
-from turtlebag.reports.stages import Group, Stage, read_json
+from turtlebag.reports.stages import Group, Manifest, Stage, read_json, read_manifest
 
 Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, saying nothing; gives the exit code."""
@@ -47,8 +47,7 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
         run(command_again(stage, places, out))
         if not (out / "manifest.json").is_file():
             return None
-        again = read_json(out / "manifest.json")
-        if _read(again) != _read(stage.manifest):
+        if _read(read_manifest(out / "manifest.json")) != _read(stage.manifest):
             return None
         changed = [
             path
@@ -73,7 +72,6 @@ def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[st
     return [*words, *anew, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
 
 
-def _read(manifest: Mapping[str, Any]) -> list[str]:
+def _read(manifest: Manifest) -> list[str]:
     """Hashes of everything a stage read, sorted."""
-    inputs = manifest.get("inputs", {}).values()
-    return sorted(digest for entry in inputs for digest in entry["sha256"].values())
+    return sorted(digest for entry in manifest.inputs.values() for digest in entry.sha256.values())

@@ -53,19 +53,16 @@ class Verification:
 def stage_folders(report: Path) -> list[Path]:
     """Where the report's stages are: where the manifest says, or beside a report that was moved with them."""
     manifest = read_manifest(_file(report, "manifest.json"))
-    if manifest.get("stage") != "report":
-        raise InputError(f"{report}: is a {manifest.get('stage')} output, not a report")
+    if manifest.stage != "report":
+        raise InputError(f"{report}: is a {manifest.stage} output, not a report")
     folders = []
-    for label, entry in manifest.get("inputs", {}).items():
-        relative = manifest.get("folders", {}).get(label, "")
-        for candidate in (report / relative, Path(entry["path"])):
+    for label, entry in manifest.inputs.items():
+        for candidate in (report / manifest.folders.get(label, ""), entry.path):
             if (candidate / "manifest.json").is_file():
                 folders.append(candidate)
                 break
         else:
-            raise InputError(
-                f"{report}: its input {label} is neither at {entry['path']} nor next to the report"
-            )
+            raise InputError(f"{report}: its input {label} is neither at {entry.path} nor next to the report")
     return folders
 
 
@@ -104,15 +101,15 @@ def verify(report: Path, run: Run | None = None) -> Verification:
 
 def _check_report_files(report: Path, groups: list[Group], found: Verification) -> None:
     manifest = read_manifest(report / "manifest.json")
-    for path, digest in manifest.get("outputs", {}).items():
+    for path, digest in manifest.outputs.items():
         found.files += 1
         if not (report / path).is_file() or sha256_file(report / path) != digest:
             found.problems.append(f"{report.name}/{path}: changed since the report was made")
     for group in groups:
         for stage in group.stages:
             name = f"{group.name}/{stage.label}"
-            then = manifest.get("inputs", {}).get(name, {}).get("sha256", {})
-            for path, digest in then.items():
+            then = manifest.inputs.get(name)
+            for path, digest in then.sha256.items() if then is not None else ():
                 if stage.outputs.get(path) != digest:
                     found.problems.append(f"{name}/{path}: regenerated since the report was made")
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from turtlebag.reports.campaign import interval, is_share, levels_of
 from turtlebag.reports.figures.style import MUTED, SERIES, new_figure
-from turtlebag.reports.numbers import DISPLAY
+from turtlebag.reports.numbers import UNITS
 
 Row = Mapping[str, Any]
 COLUMNS = 3
@@ -39,7 +39,7 @@ def result_over_factor(
     One line for each level of `lines`; one panel, all to one scale, for each level of `panels`.
     """
     share = is_share(rows, y)
-    symbol = "%" if share else DISPLAY[unit][1]
+    symbol = "%" if share else UNITS[unit].symbol
     groups = levels_of(rows, panels) if panels is not None else [None]
     columns = min(len(groups), COLUMNS)
     lanes = -(-len(groups) // columns)
@@ -93,7 +93,7 @@ def _draw_lines(
         shift = step * (number - (len(groups) - 1) / 2)
         places = [float(level) + shift if numeric else index + shift for index, level in enumerate(levels)]
         label = None if group is None else words(group)
-        factor = DISPLAY[unit][0]
+        factor = UNITS[unit].factor
         _draw_group(
             axes, chosen, x, y, levels, places, factor, seed, number, label, joined=numeric, dots=not share
         )

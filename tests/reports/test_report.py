@@ -20,7 +20,7 @@ from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.numbers import numbers_of, shown
 from turtlebag.reports.provenance import rename
 from turtlebag.reports.specs import SECTIONS
-from turtlebag.reports.stages import Group, Stage, changed_files, load_stage
+from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, load_stage
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ def test_each_map_is_held_against_its_own_recording():
     def stage(kind, inputs, outputs):
         named = {name: {"path": name, "sha256": files} for name, files in inputs.items()}
         manifest = {"stage": kind, "world": "room", "inputs": named, "outputs": outputs}
-        return Stage(Path(kind), kind, kind, manifest)
+        return Stage(Path(kind), kind, kind, Manifest.model_validate(manifest))
 
     def record(n):
         files = {"bag/bag_0.mcap": f"bag {n}", "truth/map.pgm": "room", "truth/trajectory.tum": f"truth {n}"}
@@ -217,16 +217,17 @@ def test_collisions_count_both_kinds_and_plain_numbers():
 
 def test_a_log_without_truth_is_told_by_its_relations():
     metrics = {"scans": 10, "relations": {"trans_m": {"mean": 0.01234}}}
-    stage = Stage(Path("x"), "map", "map", {})
+    stage = Stage(Path("x"), "map", "map", Manifest(stage="map"))
     assert verdict(stage, metrics) == ("neutral", "10 scans; mean relations error 0.0123\u202fm.")
 
 
 def test_an_error_names_the_truth_it_was_measured_against():
     manifest = {
+        "stage": "map",
         "outputs": {"trajectory.tum": "aa", "map.pgm": "bb"},
         "inputs": {"truth": {"path": "rec/truth", "sha256": {"trajectory.tum": "cc"}}},
     }
-    stage = Stage(Path("x"), "map", "map", manifest)
+    stage = Stage(Path("x"), "map", "map", Manifest.model_validate(manifest))
     (number,) = numbers_of(stage, {"ate_m": {"rmse": 0.01}}, "room")
     assert number.key == "room/map:ate_m.rmse"
     assert number.evidence() == {"trajectory.tum": "aa", "truth: trajectory.tum": "cc"}

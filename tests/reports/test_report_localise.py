@@ -104,7 +104,7 @@ def test_a_stage_is_drawn_on_the_very_map_it_was_given_or_on_none(tmp_path):
     save_map(OccupancyGrid(changed, 0.05, load_map(given / "map.yaml").T_map_grid), given)
     rehash(given, "map.pgm")
     run = load_stage(fake_run(tmp_path / "run", given))
-    assert run.manifest["inputs"]["map_image"]["sha256"] == {"map.pgm": sha256_file(given / "map.pgm")}
+    assert run.hashes("map_image") == {"map.pgm": sha256_file(given / "map.pgm")}
     group = Group("room", (load_stage(record), load_stage(first), load_stage(given), run))
     np.testing.assert_array_equal(given_map(run, group).cells, changed)
     # The file is another map by now: the same one is found by its hashes, where it was moved to.

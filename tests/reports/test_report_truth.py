@@ -12,7 +12,7 @@ from turtlebag.pipeline.stages.verify import verify, words_of
 from turtlebag.reports.content import verdict
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metrics.navigation import outcome
-from turtlebag.reports.stages import Stage, load_stage
+from turtlebag.reports.stages import Manifest, Stage, load_stage
 
 AWAY = ((1.3, 0.6), (-1.3, 0.6), (0.0, 1.2))
 """The robot takes the last of these to be reached 2.4 m from it."""
@@ -82,7 +82,7 @@ def test_the_index_calls_it_bad_too(folders):
 def test_a_single_goal_that_was_missed_unawares_says_how_far_the_robot_was():
     goal = {"x": 0.0, "y": 2.0, "yaw": 0.0, "status": "reached", "error_m": 3.997}
     metrics = {"success": True, "true_success": False, "goals": [goal]}
-    assert verdict(Stage(Path("nowhere"), "navigate", "goal", {}), metrics) == (
+    assert verdict(Stage(Path("nowhere"), "navigate", "goal", Manifest(stage="navigate")), metrics) == (
         "bad",
         "Goal not reached: the robot reported it as reached, but was 4.00\u202fm away; no collision.",
     )
@@ -103,7 +103,10 @@ def test_the_outcome_of_a_goal_is_by_the_truth_where_there_is_one(status, error_
 
 def test_a_success_the_truth_denies_is_bad_whatever_the_goals_say():
     metrics = {"success": True, "true_success": False, "goals": [], "collisions": 0}
-    assert verdict(Stage(Path("nowhere"), "navigate", "explore", {}), metrics)[0] == "bad"
+    assert (
+        verdict(Stage(Path("nowhere"), "navigate", "explore", Manifest(stage="navigate")), metrics)[0]
+        == "bad"
+    )
 
 
 @pytest.mark.slow
@@ -127,7 +130,7 @@ def run_of(goal, *options, seed=1, task="goal"):
         Path("nowhere"),
         "navigate",
         "navigate",
-        {"stage": "navigate", "world": "room", "seed": seed, "command": command},
+        Manifest(stage="navigate", world="room", seed=seed, command=command),
     )
 
 
@@ -157,7 +160,7 @@ def test_maps_of_several_recordings_say_whose_they_are(tmp_path):
     def stage(kind, seed, inputs, outputs):
         named = {name: {"path": name, "sha256": files} for name, files in inputs.items()}
         manifest = {"stage": kind, "world": "room", "seed": seed, "inputs": named, "outputs": outputs}
-        return Stage(tmp_path, kind, kind, manifest)
+        return Stage(tmp_path, kind, kind, Manifest.model_validate(manifest))
 
     records = [stage("record", n, {}, {"bag/bag_0.mcap": f"bag {n}"}) for n in (1, 2)]
     maps = [stage("map", None, {"source": {"bag_0.mcap": f"bag {n}"}}, {}) for n in (1, 2)]
@@ -171,7 +174,7 @@ def test_maps_of_several_recordings_say_whose_they_are(tmp_path):
 
 
 def test_a_localisation_that_only_believes_it_is_there_is_bad():
-    stage = Stage(Path("nowhere"), "localise", "localise", {})
+    stage = Stage(Path("nowhere"), "localise", "localise", Manifest(stage="localise"))
     metrics = {"success": True, "true_success": False, "status": "localised", "last_error_m": 3.98}
     assert verdict(stage, metrics) == (
         "bad",
