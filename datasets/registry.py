@@ -23,6 +23,7 @@ _RELATIONS = (
     "R. Kuemmerle, B. Steder, C. Dornhege, M. Ruhnke, G. Grisetti, C. Stachniss, A. Kleiner: "
     "On measuring the accuracy of SLAM algorithms. Autonomous Robots 27(4), 2009"
 )
+_SOURCE = "http://ais.informatik.uni-freiburg.de/slamevaluation/datasets.php"
 _CC_BY = "CC BY 3.0"
 
 
@@ -59,62 +60,57 @@ class Dataset:
     scans: int
 
 
-def _radish(name: str, title: str, log: str, relations: str, author: str, **facts: float) -> Dataset:
-    return Dataset(
-        name=name,
-        title=title,
-        files=(
-            RemoteFile(f"{_MOLA}{name}.clf.bz2", log),
-            RemoteFile(f"{_MOLA}{name}.relations", relations),
-        ),
-        license=_CC_BY,
-        citation=f"Log: {author}. Relations: {_RELATIONS}",
-        source="http://ais.informatik.uni-freiburg.de/slamevaluation/datasets.php",
-        laser_x_m=facts["laser_x_m"],
-        no_return_m=facts["no_return_m"],
-        beams=int(facts["beams"]),
-        scans=int(facts["scans"]),
-    )
+def _radish(
+    name: str,
+    title: str,
+    author: str,
+    sha256: tuple[str, str],
+    lidar: tuple[float, float, int],
+    scans: int,
+) -> Dataset:
+    """`sha256` of log and relations; `lidar`: metres ahead, its reading for no return, beams."""
+    urls = (f"{_MOLA}{name}.clf.bz2", f"{_MOLA}{name}.relations")
+    files = tuple(RemoteFile(url, digest) for url, digest in zip(urls, sha256, strict=True))
+    citation = f"Log: {author}. Relations: {_RELATIONS}"
+    return Dataset(name, title, files, _CC_BY, citation, _SOURCE, *lidar, scans)
 
 
-DATASETS: Mapping[str, Dataset] = {
-    dataset.name: dataset
-    for dataset in (
-        _radish(
-            "intel",
-            "Intel Research Lab, Seattle",
+_ALL = (
+    _radish(
+        "intel",
+        "Intel Research Lab, Seattle",
+        "Dirk Haehnel",
+        (
             "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a",
             "330378f153eeae652d6756c1746f335801f66c3e097d90611548e6c4f593c359",
-            "Dirk Haehnel",
-            laser_x_m=0.0,
-            no_return_m=81.83,
-            beams=180,
-            scans=13631,
         ),
-        _radish(
-            "fr079",
-            "Freiburg, building 079",
+        (0.0, 81.83, 180),
+        13631,
+    ),
+    _radish(
+        "fr079",
+        "Freiburg, building 079",
+        "Cyrill Stachniss",
+        (
             "9c3930e17957889c24986390dc7fe3eeddd3d7019a8172085dbed8a28a0e6b77",
             "7e7f06b4aca455cb68f1f23d04e7c7316c5e17773e872734c860ed7a274cdfc7",
-            "Cyrill Stachniss",
-            laser_x_m=-0.04,
-            no_return_m=81.91,
-            beams=360,
-            scans=4934,
         ),
-        _radish(
-            "mit-csail",
-            "MIT CSAIL building",
+        (-0.04, 81.91, 360),
+        4934,
+    ),
+    _radish(
+        "mit-csail",
+        "MIT CSAIL building",
+        "Cyrill Stachniss",
+        (
             "e010703e450a20e71a97b0e8de88d9474040c8106e547ff894d885e67a309b47",
             "ffd7ebe97fa1738913931e39ca643ee0a1b67de80499b0197a3d01abad0f589d",
-            "Cyrill Stachniss",
-            laser_x_m=0.0,
-            no_return_m=81.91,
-            beams=361,
-            scans=1988,
         ),
-    )
-}
+        (0.0, 81.91, 361),
+        1988,
+    ),
+)
+DATASETS: Mapping[str, Dataset] = {dataset.name: dataset for dataset in _ALL}
 
 
 def find_dataset(name: str) -> Dataset:

@@ -13,22 +13,9 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Twist
 
-_NUMBERS = (
-    "true_x",
-    "true_y",
-    "true_yaw",
-    "estimate_x",
-    "estimate_y",
-    "estimate_yaw",
-    "odom_x",
-    "odom_y",
-    "odom_yaw",
-    "cmd_v",
-    "cmd_w",
-    "clearance_m",
-)
-_BEFORE_OWNERS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state")
-COLUMNS = (*_BEFORE_OWNERS, "owner")
+_POSES = tuple(f"{whose}_{part}" for whose in ("true", "estimate", "odom") for part in ("x", "y", "yaw"))
+_NUMBERS = (*_POSES, "cmd_v", "cmd_w", "clearance_m")
+COLUMNS = ("t_ns", *_NUMBERS, "contact_visible", "contact_low", "goal_index", "state", "owner")
 OWNER = "navigation"
 _NOWHERE = (float("nan"),) * 3
 
@@ -80,12 +67,11 @@ class RunLog:
         builder = RunLogBuilder()
         with path.open(newline="") as file:
             rows = csv.reader(file)
-            header = tuple(next(rows, ()))
-            if header not in (COLUMNS, _BEFORE_OWNERS):
+            if tuple(next(rows, ())) != COLUMNS:
                 raise InputError(f"{path}: not a run log (its first line is not the expected header)")
             for number, row in enumerate(rows, start=2):
                 try:
-                    visible, low, goal, state, owner = row[13:] if header == COLUMNS else [*row[13:], OWNER]
+                    visible, low, goal, state, owner = row[13:]
                     builder.stamps.append(int(row[0]))
                     builder.numbers.append([float(text) if text else float("nan") for text in row[1:13]])
                     builder.flags.append((bool(int(visible)), bool(int(low)), int(goal)))

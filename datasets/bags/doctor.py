@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from turtlebag.datasets.bags import impossible
-from turtlebag.datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
-from turtlebag.datasets.bags.survey import Survey, TopicSurvey, survey
+from turtlebag.datasets.bags.survey import Finding, Survey, TopicSurvey, survey
+from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
 from turtlebag.datasets.bags.units import directed, stands_still
 
 _LATCHED = ("/tf_static", "/map")
@@ -25,37 +25,32 @@ def examine(path: Path) -> list[Finding]:
     return sorted(findings, key=lambda finding: finding.severity != "error")
 
 
-def _file(found: Survey) -> list[Finding]:
-    findings = []
+def _file(found: Survey) -> Iterator[Finding]:
     for note in found.notes:
         if note.startswith("metadata.yaml"):
             breaks = "`ros2 bag` and most readers refuse the folder; `turtlebag bag recover` writes it anew"
-            findings.append(Finding("error", "missing metadata", note, breaks))
+            yield Finding("error", "missing metadata", note, breaks)
         elif "read up to there" not in note:
             breaks = "readers that need the index refuse the file, and data after this place is not read; "
-            findings.append(Finding("error", "damaged file", note, breaks + "use `turtlebag bag recover`"))
-    return findings
+            yield Finding("error", "damaged file", note, breaks + "use `turtlebag bag recover`")
 
 
-def _missing_topics(found: Survey) -> list[Finding]:
-    findings = []
+def _missing_topics(found: Survey) -> Iterator[Finding]:
     if not found.of_type(SCAN):
         what = "no LaserScan topic"
-        findings.append(Finding("error", "no scans", what, "there is nothing to map or localise with"))
+        yield Finding("error", "no scans", what, "there is nothing to map or localise with")
     moving = any(parent == "odom" for parent, _ in found.link_stamps)
     if not found.of_type(ODOMETRY) and not moving:
         what = "neither an Odometry topic nor odom -> base in /tf"
         breaks = "mapping has the scans alone to go by; AMCL cannot run"
-        findings.append(Finding("warning", "no odometry", what, breaks))
+        yield Finding("warning", "no odometry", what, breaks)
     empty = [name for name, topic in found.topics.items() if topic.undecodable]
     for name in empty:
         what = f"{name}: {found.topics[name].undecodable} messages cannot be decoded"
-        findings.append(Finding("error", "damaged messages", what, "they are skipped"))
-    return findings
+        yield Finding("error", "damaged messages", what, "they are skipped")
 
 
-def _backwards(found: Survey) -> list[Finding]:
-    findings = []
+def _backwards(found: Survey) -> Iterator[Finding]:
     for name, topic in found.topics.items():
         stamps = np.array(topic.stamps, dtype=np.int64)
         if topic.topic.msgtype in TRANSFORMS or stands_still(stamps):
@@ -67,77 +62,62 @@ def _backwards(found: Survey) -> list[Finding]:
             breaks = (
                 "TF buffers clear themselves and message filters drop what is older than what they have seen"
             )
-            findings.append(Finding("error", "time goes backwards", what, breaks))
+            yield Finding("error", "time goes backwards", what, breaks)
         elif (steps == 0).any():
             what = f"{name}: {int((steps == 0).sum())} messages share the stamp of the one before"
-            findings.append(
-                Finding("warning", "repeated stamps", what, "interpolation between them is undefined")
-            )
+            yield Finding("warning", "repeated stamps", what, "interpolation between them is undefined")
     for link, times in found.link_stamps.items():
         count = int((np.diff(np.array(times, dtype=np.int64)) < 0).sum())
         if count:
             what = f"/tf: {link[0]} -> {link[1]} goes back in time {count} times"
-            findings.append(
-                Finding("error", "time goes backwards", what, "tf2 clears its buffer and lookups fail")
-            )
-    return findings
+            yield Finding("error", "time goes backwards", what, "tf2 clears its buffer and lookups fail")
 
 
-def _clocks(found: Survey) -> list[Finding]:
+def _clocks(found: Survey) -> Iterator[Finding]:
     lags = {}
     for name, topic in found.topics.items():
         if topic.stamps and len(topic.stamps) == len(topic.log_times) and not stands_still(topic.stamps):
             lags[name] = float(np.median(np.array(topic.log_times) - np.array(topic.stamps)))
     if len(lags) < 2:
-        return []
+        return
     middle = float(np.median(list(lags.values())))
     odd = {name: lag for name, lag in lags.items() if abs(lag - middle) > _CLOCK_NS}
-    return [
-        Finding(
-            "error",
-            "mixed clocks",
-            f"{name}: its stamps are {abs(lag - middle) * 1e-9:.1f} s off those of the other topics",
-            "scans find no odometry or transform of their time (use_sim_time set on some nodes only?)",
-        )
-        for name, lag in odd.items()
-    ]
+    breaks = "scans find no odometry or transform of their time (use_sim_time set on some nodes only?)"
+    for name, lag in odd.items():
+        what = f"{name}: its stamps are {abs(lag - middle) * 1e-9:.1f} s off those of the other topics"
+        yield Finding("error", "mixed clocks", what, breaks)
 
 
-def _gaps(found: Survey) -> list[Finding]:
-    findings = []
+def _gaps(found: Survey) -> Iterator[Finding]:
     for name, topic in found.topics.items():
-        if topic.topic.msgtype in (SCAN, ODOMETRY, "sensor_msgs/msg/Imu"):
-            findings += _gap(name, topic.stamps, "the motion across the gap is a guess")
+        if topic.topic.msgtype in (SCAN, ODOMETRY, IMU):
+            yield from _gap(name, topic.stamps, "the motion across the gap is a guess")
     for link, times in found.link_stamps.items():
         if link in found.frames.moving and link[0] != "map":
             name = f"/tf: {link[0]} -> {link[1]}"
-            findings += _gap(
-                name, times, "lookups in the gap are refused as extrapolation, scans are dropped"
-            )
-    return findings
+            yield from _gap(name, times, "lookups in the gap are refused as extrapolation, scans are dropped")
 
 
-def _gap(name: str, times: list[int], breaks: str) -> list[Finding]:
+def _gap(name: str, times: list[int], breaks: str) -> Iterator[Finding]:
     steps = np.diff(np.unique(np.array(times, dtype=np.int64)))
     if len(steps) < 3:
-        return []
+        return
     usual, longest = float(np.median(steps)), float(steps.max())
     limit = round(max(5.0 * usual, 3e8))
     if longest < limit:
-        return []
+        return
     count = int((steps >= limit).sum())
     what = f"{name}: {count} gaps, the longest {longest * 1e-9:.2f} s (usually {usual * 1e-9:.3f} s)"
-    return [Finding("warning", "gaps", what, breaks)]
+    yield Finding("warning", "gaps", what, breaks)
 
 
-def _connections(found: Survey) -> list[Finding]:
-    findings = []
+def _connections(found: Survey) -> Iterator[Finding]:
     frames = found.frames
     scans = found.of_type(SCAN)
     if scans and "/tf_static" not in found.topics and not frames.fixed:
         what = "no /tf_static and no fixed link in /tf"
         breaks = "the laser is taken to sit at the robot's centre; --laser X,Y,YAW tells its place"
-        findings.append(Finding("error", "no static transforms", what, breaks))
+        yield Finding("error", "no static transforms", what, breaks)
     base = found.base()
     for topic in scans:
         for frame in topic.frames:
@@ -147,24 +127,22 @@ def _connections(found: Survey) -> list[Finding]:
                     "the laser's place on the robot is unknown: every scan is dropped by tf2 message "
                     "filters, viewers stay blank; here --laser X,Y,YAW tells it"
                 )
-                findings.append(Finding("error", "frames do not connect", what, breaks))
+                yield Finding("error", "frames do not connect", what, breaks)
     for topic in found.of_type(ODOMETRY):
         for child in topic.children:
             ours = topic.topic.name.startswith("/ground_truth")
             if not ours and frames.frames() and child not in frames.frames():
                 what = f"{topic.topic.name}: its child frame '{child}' is not in /tf"
                 breaks = "odometry and sensors do not meet"
-                findings.append(Finding("error", "frames do not connect", what, breaks))
+                yield Finding("error", "frames do not connect", what, breaks)
     for child, parents in found.parents.items():
         if len(parents) > 1:
             what = f"frame '{child}' has several parents: {', '.join(sorted(parents))}"
             breaks = "the tree flickers between them (two nodes publish the same transform?)"
-            findings.append(Finding("error", "two parents", what, breaks))
-    return findings
+            yield Finding("error", "two parents", what, breaks)
 
 
-def _scans(found: Survey) -> list[Finding]:
-    findings = []
+def _scans(found: Survey) -> Iterator[Finding]:
     for name, scans in found.scans.items():
         total = sum(scans.geometries.values())
         (geometry, n), _ = scans.geometries.most_common(1)[0]
@@ -172,77 +150,64 @@ def _scans(found: Survey) -> list[Finding]:
         step = increment or (angle_max - angle_min) / max(n - 1, 1)
         if not directed(angle_min, step, n):
             what = f"{name}: {n} readings from {angle_min:g} rad on, {step:g} rad apart"
-            findings.append(Finding("error", "beam angles", what, "the readings have no directions"))
+            yield Finding("error", "beam angles", what, "the readings have no directions")
         elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
             what = f"{name}: {n} readings, but angle_min, angle_max and the increment speak of {steps}"
             breaks = "slam_toolbox and Karto refuse such scans, others put each beam a little off"
-            findings.append(Finding("warning", "fence-post", what, breaks))
+            yield Finding("warning", "fence-post", what, breaks)
         sizes = sorted({size for _, size in scans.geometries})
         if len(sizes) > 1:
             what = f"{name}: the number of readings varies ({sizes[0]}..{sizes[-1]})"
             breaks = "slam_toolbox and Karto drop the scans that differ; here they are resampled"
-            findings.append(Finding("warning", "fence-post", what, breaks))
+            yield Finding("warning", "fence-post", what, breaks)
         if not (range_max > range_min >= 0.0 and math.isfinite(range_max)):
             what = f"{name}: valid ranges {range_min:g}..{range_max:g} m"
-            findings.append(Finding("error", "range limits", what, "no reading is valid"))
+            yield Finding("error", "range limits", what, "no reading is valid")
         if scans.all_nan:
             what = f"{name}: {scans.all_nan} of {total} scans are NaN only"
-            findings.append(
-                Finding("warning", "empty scans", what, "they carry nothing; the motion is a guess")
-            )
+            yield Finding("warning", "empty scans", what, "they carry nothing; the motion is a guess")
         if scans.no_return:
             what = f"{name}: {scans.no_return} of {total} scans have no return at all"
-            findings.append(Finding("warning", "empty scans", what, "they cannot be matched"))
+            yield Finding("warning", "empty scans", what, "they cannot be matched")
         if scans.zeros > 0.01 * scans.readings:
             what = f"{name}: {100.0 * scans.zeros / scans.readings:.1f} % of the readings are 0"
             breaks = "old drivers mean 'no return' by it; it is read as invalid, so free space stays unknown"
-            findings.append(Finding("warning", "zero readings", what, breaks))
-        findings += _sweep_time(name, found.topics[name], time_increment * (n - 1))
-    return findings
+            yield Finding("warning", "zero readings", what, breaks)
+        yield from _sweep_time(name, found.topics[name], time_increment * (n - 1))
 
 
-def _sweep_time(name: str, topic: TopicSurvey, sweep_s: float) -> list[Finding]:
+def _sweep_time(name: str, topic: TopicSurvey, sweep_s: float) -> Iterator[Finding]:
     steps = np.diff(np.array(topic.stamps, dtype=np.int64))
     period = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
     if period > 0.0 and sweep_s > 1.2 * period:
         what = f"{name}: time_increment makes a sweep of {sweep_s:.3f} s, a scan comes every {period:.3f} s"
-        return [Finding("warning", "sweep time", what, "undoing the motion within a scan bends it instead")]
-    return []
+        yield Finding("warning", "sweep time", what, "undoing the motion within a scan bends it instead")
 
 
-def _rotations(found: Survey) -> list[Finding]:
-    return [
-        Finding(
-            "error",
-            "bad quaternions",
-            f"{name}: {count} quaternions are zero, not normalised or not finite",
-            "tf2 refuses them; here the poses are left out",
-        )
-        for name, count in found.bad_rotations.items()
-    ]
+def _rotations(found: Survey) -> Iterator[Finding]:
+    for name, count in found.bad_rotations.items():
+        what = f"{name}: {count} quaternions are zero, not normalised or not finite"
+        yield Finding("error", "bad quaternions", what, "tf2 refuses them; here the poses are left out")
 
 
-def _quality_of_service(found: Survey) -> list[Finding]:
-    findings = []
+def _quality_of_service(found: Survey) -> Iterator[Finding]:
     for name in _LATCHED:
         topic = found.topics.get(name)
         if topic and "durability" in topic.topic.qos and "transient_local" not in topic.topic.qos:
             what = f"{name} was recorded as volatile"
             breaks = "on `ros2 bag play` nodes that start later never see it"
-            findings.append(Finding("warning", "quality of service", what, breaks))
-    return findings
+            yield Finding("warning", "quality of service", what, breaks)
 
 
-def _truth(found: Survey) -> list[Finding]:
+def _truth(found: Survey) -> Iterator[Finding]:
     leaks = [link for link in found.parents.items() if "world" in link[1]]
-    if not leaks or not found.link_stamps:
-        return []
-    what = f"/tf links 'world' to {', '.join(child for child, _ in leaks)}"
-    return [Finding("warning", "truth in /tf", what, "a mapper that follows /tf may read the answer")]
+    if leaks and found.link_stamps:
+        what = f"/tf links 'world' to {', '.join(child for child, _ in leaks)}"
+        yield Finding("warning", "truth in /tf", what, "a mapper that follows /tf may read the answer")
 
 
-_CHECKS: tuple[Callable[[Survey], list[Finding]], ...] = (
+_CHECKS: tuple[Callable[[Survey], Iterator[Finding]], ...] = (
     _file,
     _missing_topics,
     _backwards,

@@ -11,6 +11,9 @@ from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.units import far_away
 from turtlebag.datasets.se2 import Array
 
+BASES = ("base_footprint", "base_link")
+"""Names of a robot's base frame."""
+
 
 def matrix(xyz: Iterable[float], quaternion: Iterable[float]) -> Array:
     """Homogeneous (4, 4) matrix of a translation and a quaternion x, y, z, w (normalised here)."""

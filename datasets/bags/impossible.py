@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from turtlebag.datasets.bags.findings import ODOMETRY, SCAN, TRANSFORMS, Finding
-from turtlebag.datasets.bags.survey import Survey
+from turtlebag.datasets.bags.survey import Finding, Survey
+from turtlebag.datasets.bags.topics import ODOMETRY, SCAN, TRANSFORMS
 from turtlebag.datasets.bags.units import (
     ARM_M,
     driven_in_millimetres,
@@ -19,7 +19,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps
 
 
-def still_clocks(found: Survey) -> list[Finding]:
+def still_clocks(found: Survey) -> Iterator[Finding]:
     """Topics and links whose stamps never change."""
     clocks = {
         name: topic.stamps for name, topic in found.topics.items() if topic.topic.msgtype not in TRANSFORMS
@@ -27,16 +27,14 @@ def still_clocks(found: Survey) -> list[Finding]:
     moving = {link: times for link, times in found.link_stamps.items() if link in found.frames.moving}
     clocks |= {f"/tf: {parent} -> {child}": times for (parent, child), times in moving.items()}
     breaks = "tf2 and message filters join nothing by it; here the times of recording are taken"
-    return [
-        Finding("error", "no time", f"{name}: all {len(stamps)} stamps are {stamps[0] * 1e-9:g} s", breaks)
-        for name, stamps in clocks.items()
-        if stands_still(stamps)
-    ]
+    for name, stamps in clocks.items():
+        if stands_still(stamps):
+            what = f"{name}: all {len(stamps)} stamps are {stamps[0] * 1e-9:g} s"
+            yield Finding("error", "no time", what, breaks)
 
 
-def mixed_frames(found: Survey) -> list[Finding]:
+def mixed_frames(found: Survey) -> Iterator[Finding]:
     """Topics that carry the messages of several sensors or robots."""
-    findings = []
     for topic in found.of_type(SCAN, ODOMETRY):
         for frames in (topic.frames, topic.children):
             if len(frames) > 1:
@@ -45,37 +43,33 @@ def mixed_frames(found: Survey) -> list[Finding]:
                 breaks = (
                     "two sensors or robots in one look like one that jumps; here the most frequent is used"
                 )
-                findings.append(Finding("error", "mixed frames", what, breaks))
-    return findings
+                yield Finding("error", "mixed frames", what, breaks)
 
 
-def places(found: Survey) -> list[Finding]:
+def places(found: Survey) -> Iterator[Finding]:
     """Transforms and poses beyond the Earth."""
-    findings = []
     for parent, child in sorted(found.frames.far):
         what = f"/tf or /tf_static: {parent} -> {child} is no place on Earth"
-        findings.append(Finding("error", "absurd places", what, "viewers break; here it is left out"))
+        yield Finding("error", "absurd places", what, "viewers break; here it is left out")
     for topic in found.of_type(ODOMETRY):
         if count := sum(map(far_away, topic.places)):
             what = f"{topic.topic.name}: {count} poses are no places on Earth"
-            findings.append(Finding("error", "absurd places", what, "here they are left out"))
-    return findings
+            yield Finding("error", "absurd places", what, "here they are left out")
 
 
-def units(found: Survey) -> list[Finding]:
+def units(found: Survey) -> Iterator[Finding]:
     """Readings, poses and places in millimetres."""
-    findings = []
     for name, scans in found.scans.items():
         (_, _, _, _, _, _, range_max), _ = scans.geometries.most_common(1)[0][0]
         if ranges_in_millimetres(np.concatenate(scans.some), range_max):
             what = f"{name}: the readings are longer than any lidar's"
             breaks = "every reader takes them for metres; here they are taken for millimetres"
-            findings.append(Finding("error", "millimetres", what, breaks))
+            yield Finding("error", "millimetres", what, breaks)
     for name, stamps, places in _driven(found):
         if driven_in_millimetres(stamps, places):
             what = f"{name}: the robot would be faster than any"
             breaks = "every reader takes the poses for metres; here they are taken for millimetres"
-            findings.append(Finding("error", "millimetres", what, breaks))
+            yield Finding("error", "millimetres", what, breaks)
     base = found.base()
     for topic in found.of_type(SCAN):
         for frame in topic.frames:
@@ -83,8 +77,7 @@ def units(found: Survey) -> list[Finding]:
             if T is not None and (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:
                 what = f"{topic.topic.name}: its frame '{frame}' lies {arm:.4g} m from '{base}'"
                 breaks = "no robot is that large; mapping refuses it, --laser X,Y,YAW tells the place"
-                findings.append(Finding("error", "millimetres", what, breaks))
-    return findings
+                yield Finding("error", "millimetres", what, breaks)
 
 
 def _driven(found: Survey) -> Iterator[tuple[str, Stamps, Array]]:

@@ -10,7 +10,8 @@ from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.odometry import find_odometry, odometry_at, running, sensor_matrix
 from turtlebag.datasets.bags.scans import TURNED_OVER, assemble, turned_over
 from turtlebag.datasets.bags.source import Bag
-from turtlebag.datasets.bags.streams import CLOUD, Streams
+from turtlebag.datasets.bags.streams import Streams
+from turtlebag.datasets.bags.topics import CLOUD, SCAN
 from turtlebag.datasets.bags.units import stands_still
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
@@ -109,7 +110,7 @@ def _wanted_topic(streams: Streams, wanted: str) -> str:
         return wanted
     msgtype = streams.seen.get(wanted)
     found = "not in this bag" if msgtype is None else f"of type {msgtype}"
-    if msgtype == "sensor_msgs/msg/LaserScan":
+    if msgtype == SCAN:
         found = "without a message that can be read"
     topics = ", ".join(sorted(streams.seen)[:12]) or "none"
     message = f"{streams.bag.path}: --topic {wanted} is {found}; its topics: {topics}"

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.frames import BASES, FrameTree
 from turtlebag.datasets.bags.streams import Streams
 from turtlebag.datasets.bags.units import ARM_M, FAR_M, driven_in_millimetres, stands_still
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
 
-_BASES = ("base_footprint", "base_link")
 _CLOCK_NS = 1_000_000_000
 """Scans this far outside the odometry's time are taken to carry another clock."""
 
@@ -66,7 +65,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
 def base_of(frames: FrameTree) -> str:
     """Name of the robot's base frame, where no odometry tells it."""
     known = frames.frames()
-    return next((frame for frame in _BASES if frame in known), _BASES[0])
+    return next((frame for frame in BASES if frame in known), BASES[0])
 
 
 def _source(
@@ -111,7 +110,7 @@ def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: 
     """
     if sensor == base:
         return np.eye(4)
-    for start in (base, *_BASES):
+    for start in (base, *BASES):
         T = frames.lookup(start, sensor)
         if T is not None:
             if (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:

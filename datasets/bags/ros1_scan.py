@@ -14,6 +14,7 @@ from pathlib import Path
 
 import lz4.frame
 
+from turtlebag.datasets.bags.mcap_scan import Damage
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
@@ -22,10 +23,6 @@ _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
 _OPERATIONS = range(2, 8)
 _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _LONGEST_HEADER = 1 << 24
-
-
-class Damage(Exception):
-    """A record that cannot be what was written."""
 
 
 @dataclass(frozen=True, slots=True)

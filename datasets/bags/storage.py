@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from turtlebag.datasets.bags.mcap_scan import McapChannel, McapScan
 from turtlebag.datasets.bags.ros1_scan import Ros1Connection, Ros1Scan
@@ -47,55 +47,37 @@ class BagFile(Protocol):
         """Messages of the wanted topics in file order; problems are appended to `notes`."""
 
 
-class _McapFile:
-    def __init__(self, path: Path) -> None:
-        self.scan = McapScan(path)
+class _ScannedFile:
+    """A file that is read front to back; `topic_of` says what one of its channels carries."""
+
+    def __init__(self, scan: McapScan | Ros1Scan, topic_of: Callable[[Any], Topic]) -> None:
+        self.scan, self._topic_of = scan, topic_of
 
     def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
         topics: dict[int, Topic] = {}
 
-        def topic_of(channel: McapChannel) -> Topic:
-            known = topics.get(id(channel))
-            if known is None:
-                schema, metadata = channel.schema, channel.metadata
-                known = topics[id(channel)] = Topic(
-                    channel.topic,
-                    full_type(schema.name),
-                    schema.text,
-                    schema.encoding,
-                    metadata.get("offered_qos_profiles", ""),
-                    metadata.get("topic_type_hash", ""),
-                    channel.encoding,
-                )
-            return known
+        def known(channel: object) -> Topic:
+            if id(channel) not in topics:
+                topics[id(channel)] = self._topic_of(channel)
+            return topics[id(channel)]
 
-        chosen = None if wanted is None else lambda channel: wanted(topic_of(channel))
+        chosen = None if wanted is None else lambda channel: wanted(known(channel))
         for channel, time, data in self.scan.messages(chosen, step_over=step_over):
-            yield Message(topics.get(id(channel)) or topic_of(channel), time, data)
-        state = self.scan.state
-        _note_problems(self.scan.path, state.problems, state.stopped and not step_over, notes)
-
-
-class _Ros1File:
-    def __init__(self, path: Path) -> None:
-        self.scan = Ros1Scan(path)
-
-    def messages(self, wanted: Wanted | None, notes: list[str], *, step_over: bool) -> Iterator[Message]:
-        topics: dict[int, Topic] = {}
-
-        def topic_of(connection: Ros1Connection) -> Topic:
-            known = topics.get(id(connection))
-            if known is None:
-                qos = metadata_text(TOPICS["/map"].qos()) if connection.latching else ""
-                msgtype, text = full_type(connection.msgtype), connection.definition
-                known = Topic(connection.topic, msgtype, text, "ros1msg", qos, "", "ros1")
-                topics[id(connection)] = known
-            return known
-
-        chosen = None if wanted is None else lambda connection: wanted(topic_of(connection))
-        for connection, time, data in self.scan.messages(chosen, step_over=step_over):
-            yield Message(topic_of(connection), time, data)
+            yield Message(topics.get(id(channel)) or known(channel), time, data)
         _note_problems(self.scan.path, self.scan.state.problems, self.scan.state.stopped, notes)
+
+
+def _mcap_topic(channel: McapChannel) -> Topic:
+    schema, metadata = channel.schema, channel.metadata
+    qos, type_hash = (metadata.get(key, "") for key in ("offered_qos_profiles", "topic_type_hash"))
+    name = full_type(schema.name)
+    return Topic(channel.topic, name, schema.text, schema.encoding, qos, type_hash, channel.encoding)
+
+
+def _ros1_topic(connection: Ros1Connection) -> Topic:
+    qos = metadata_text(TOPICS["/map"].qos()) if connection.latching else ""
+    name = full_type(connection.msgtype)
+    return Topic(connection.topic, name, connection.definition, "ros1msg", qos, "", "ros1")
 
 
 class _Rosbag2File:
@@ -144,8 +126,8 @@ def _note_problems(path: Path, problems: list[str], stopped: bool, notes: list[s
 
 
 READERS: dict[str, Callable[[Path], BagFile]] = {
-    "mcap": _McapFile,
-    "ros1": _Ros1File,
+    "mcap": lambda path: _ScannedFile(McapScan(path), _mcap_topic),
+    "ros1": lambda path: _ScannedFile(Ros1Scan(path), _ros1_topic),
     "sqlite3": _Rosbag2File,
 }
 

@@ -10,12 +10,9 @@ from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
 from turtlebag.datasets.bags.frames import FrameTree
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
 from turtlebag.datasets.bags.storage import Topic
-from turtlebag.datasets.bags.topics import typestore
+from turtlebag.datasets.bags.topics import CLOUD, IMU, ODOMETRY, SCAN, TRANSFORMS, typestore
 from turtlebag.datasets.types import ImuLog
 
-SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-CLOUD = "sensor_msgs/msg/PointCloud2"
 _WANTED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
 
 

@@ -6,17 +6,28 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags import decode
-from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.frames import BASES, FrameTree
 from turtlebag.datasets.bags.source import Bag, open_bag
 from turtlebag.datasets.bags.storage import Topic
+from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
 
 _SOME = 200
-_BASES = ("base_footprint", "base_link")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One defect: how grave, which check, what was seen and what it would break."""
+
+    severity: Literal["error", "warning"]
+    check: str
+    what: str
+    breaks: str
 
 
 @dataclass(slots=True)
@@ -65,12 +76,12 @@ class Survey:
 
     def base(self) -> str:
         """The robot's base frame, as far as the bag tells it."""
-        odometry = [topic for topic in self.of_type("nav_msgs/msg/Odometry") if topic.topic.name == "/odom"]
+        odometry = [topic for topic in self.of_type(ODOMETRY) if topic.topic.name == "/odom"]
         child = odometry[0].children.most_common(1)[0][0] if odometry and odometry[0].children else ""
         known = self.frames.frames()
         if child in known:
             return child
-        return next((frame for frame in _BASES if frame in known), child or _BASES[0])
+        return next((frame for frame in BASES if frame in known), child or BASES[0])
 
 
 def survey(path: Path) -> Survey:
@@ -143,10 +154,9 @@ def _transforms(found: Survey, topic: TopicSurvey, bag: Bag, data: bytes) -> Non
 
 
 _EXAMINERS: dict[str, Callable[[Survey, TopicSurvey, Bag, bytes], None]] = {
-    "sensor_msgs/msg/LaserScan": _scan,
-    "nav_msgs/msg/Odometry": _odometry,
-    "sensor_msgs/msg/Imu": _imu,
+    SCAN: _scan,
+    ODOMETRY: _odometry,
+    IMU: _imu,
     "sensor_msgs/msg/JointState": _joints,
-    "tf2_msgs/msg/TFMessage": _transforms,
-    "tf/msg/tfMessage": _transforms,
+    **dict.fromkeys(TRANSFORMS, _transforms),
 }
