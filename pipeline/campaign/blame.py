@@ -50,7 +50,7 @@ def blame(
         raise InputError(f"{folder_of_record}: blame needs the output of record, with its truth")
     resolved = with_sensors(load_config(SlamConfig, config, settings), parts)
     recording, steps = with_truth(record, parts), true_steps(record.truth.poses, parts)
-    result = run_slam(recording, resolved, lambda items, text, total: track(items, text, total), steps=steps)
+    result = run_slam(recording, resolved, track, steps=steps)
     with staged_output(out, force=force, inputs=[folder_of_record]) as folder:
         save_map(result.grid, folder)
         save_tum(result.trajectory, folder / "trajectory.tum")

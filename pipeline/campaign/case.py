@@ -15,50 +15,53 @@ from typing import Any
 
 from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.stage_cache import PLACE_VARIABLE
+from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
+from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
 
 Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, and gives the exit code."""
+Row = dict[str, Any]
+"""A line of the table, by column."""
 ROW = "row.json"
 SHARED, CACHE = "shared", "cache"
 """Beside the cases: outputs that several use, and the stage cache."""
 
 
-def run_case(
-    case: Mapping[str, Any],
-    results: Mapping[str, str],
-    folder: str,
-    keep: Sequence[str],
-    run: Run,
-    shared: Collection[str] = (),
-) -> dict[str, Any]:
-    """Run a case in `folder` (its own) and return its row; a stage that breaks makes a `failed` row.
+def run_case(case: Case, campaign: Campaign, place: Path, run: Run) -> Row:
+    """Run a case in `place`, its own folder, and return its row; a stage that breaks makes a `failed` row.
 
-    What was finished before is not run again; a stage in `shared` whose command another case gives too is
-    run once for both, beside the cases. The row is written last: where it is, the case is done.
+    What was finished before is not run again; a shared stage whose command another case gives too is run
+    once for both, beside the cases. The row is written last: where it is, the case is done.
     """
-    place = Path(folder)
     row_path = place / ROW
     if row_path.is_file():
-        return dict(read_json(row_path))
+        return read_json(row_path)
     place.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     error = ""
-    folders = stage_folders(case["commands"], place, shared)
+    folders = stage_folders(case.commands, place, campaign.shared)
     with _cache_of_the_campaign(place):
-        for stage, words in case["commands"].items():
+        for stage, words in case.commands.items():
             error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place, run)
             if error:
                 break
-    row: dict[str, Any] = {"case": case["name"], **case["factors"], "failed": bool(error), "error": error}
-    row |= {name: None if error else _value(folders, where) for name, where in results.items()}
-    throw_away(place, keep)
+    row = row_of(case, campaign, error)
+    if not error:
+        row |= {name: _value(folders, result.at) for name, result in campaign.results.items()}
+    throw_away(place, campaign.keep)
     timing = {"wall_s": round(time.perf_counter() - started, 3)}
     (place / "timing.json").write_text(json.dumps(timing))
     unfinished = place / (ROW + ".partial")
     write_json(unfinished, row)
     unfinished.rename(row_path)
     return row
+
+
+def row_of(case: Case, campaign: Campaign, error: str) -> Row:
+    """The row of a case before its results are known; `error` says why it failed, if it did."""
+    nothing = dict.fromkeys(campaign.results)
+    return {"case": case.name, **case.factors, "failed": bool(error), "error": error, **nothing}
 
 
 def stage_folders(
@@ -117,10 +120,8 @@ def _value(folders: Mapping[str, Path], where: str) -> Any:
     """The number at `stage:dotted.path` of a stage's metrics.json; None when it is not there."""
     stage, _, path = where.partition(":")
     file = folders[stage] / "metrics.json"
-    node: Any = read_json(file) if file.is_file() else {}
-    for part in path.split("."):
-        node = node.get(part) if isinstance(node, dict) else None
-    return node if isinstance(node, (bool, int, float, str)) else None
+    value = lookup(read_json(file), path) if file.is_file() else None
+    return value if isinstance(value, (bool, int, float, str)) else None
 
 
 def throw_away(place: Path, keep: Sequence[str]) -> None:

@@ -6,13 +6,12 @@ import logging
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
-from turtlebag.pipeline.campaign.case import Run, run_case
+from turtlebag.pipeline.campaign.case import Row, Run, row_of, run_case
 
 
 @contextmanager
@@ -55,7 +54,7 @@ def run_cases(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[Row]:
     """Rows of the cases as they finish, in any order; a case whose worker died is a `failed` row.
 
     Workers write below `folder`: with a remote scheduler it must be on a file system they share.
@@ -67,12 +66,10 @@ def run_cases(
         futures = {
             client.submit(
                 run_case,
-                asdict(case),
-                {name: result.at for name, result in campaign.results.items()},
-                str(place / case.name),
-                campaign.keep,
+                case,
+                campaign,
+                place / case.name,
                 run,
-                campaign.shared,
                 key=f"{campaign.name}-{case.name}",
                 pure=False,
             ): case
@@ -83,11 +80,5 @@ def run_cases(
             if future.status == "finished":
                 yield future.result()
             else:
-                yield _lost(case, campaign, future.exception())
-
-
-def _lost(case: Case, campaign: Campaign, error: BaseException | None) -> dict[str, Any]:
-    """The row of a case that took its worker down. It is not written: a resumed campaign tries it again."""
-    reason = f"worker died ({type(error).__name__})"
-    values = dict.fromkeys(campaign.results)
-    return {"case": case.name, **case.factors, "failed": True, "error": reason, **values}
+                # Not written: a resumed campaign tries the case again.
+                yield row_of(case, campaign, f"worker died ({type(future.exception()).__name__})")

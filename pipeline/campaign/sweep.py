@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from turtlebag.datasets.claims import MARKER, Claim, claimed
 from turtlebag.datasets.errors import InputError
@@ -16,7 +15,7 @@ from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, sha256_text, write_json, write_manifest
 from turtlebag.datasets.stage_cache import surroundings
 from turtlebag.pipeline.campaign.campaign_file import Campaign, Case, campaign_path, cases, load_campaign
-from turtlebag.pipeline.campaign.case import CACHE, ROW, SHARED, Run, throw_away
+from turtlebag.pipeline.campaign.case import CACHE, ROW, SHARED, Row, Run, throw_away
 from turtlebag.pipeline.campaign.engine import run_cases
 from turtlebag.pipeline.campaign.table import write_parquet
 from turtlebag.pipeline.stages.settings import config_text
@@ -136,9 +135,9 @@ def _run(
     run: Run,
     scheduler: str | None,
     workers: int | None,
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     """Rows of all cases in the campaign's order; those that were done before are only read."""
-    rows: dict[str, dict[str, Any]] = {}
+    rows: dict[str, Row] = {}
     for case in todo:
         if (folder / case.name / ROW).is_file():
             rows[case.name] = read_json(folder / case.name / ROW)
@@ -155,7 +154,7 @@ def _run(
     return [rows[case.name] for case in todo]
 
 
-def _told(found: Iterable[dict[str, Any]], total: int) -> Iterator[dict[str, Any]]:
+def _told(found: Iterable[Row], total: int) -> Iterator[Row]:
     """The rows; where no progress bar is seen, a line a minute says how far it is."""
     watch, told_s = Stopwatch(), 0.0
     for done, row in enumerate(found, start=1):
@@ -183,7 +182,7 @@ def _tidy(folder: Path, campaign: Campaign) -> None:
         throw_away(folder / SHARED, campaign.keep)
 
 
-def write_results(campaign: Campaign, rows: Sequence[dict[str, Any]], folder: Path) -> None:
+def write_results(campaign: Campaign, rows: Sequence[Row], folder: Path) -> None:
     """The Parquet table, the statistics and the page."""
     write_parquet(rows, folder / TABLE)
     results = list(campaign.results)

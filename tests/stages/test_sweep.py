@@ -13,7 +13,7 @@ import pytest
 from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
-from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, cases, load_campaign
+from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, Case, cases, load_campaign
 from turtlebag.pipeline.campaign.case import run_case
 from turtlebag.pipeline.campaign.table import query, write_parquet
 from turtlebag.reports.campaign import compare_pairs, summarise
@@ -148,8 +148,9 @@ def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
 
 def row_of(tmp_path, run=fake_main, **factors):
     commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
-    case = {"name": "c", "factors": factors, "commands": commands}
-    return run_case(case, {"error_m": "make:error.rmse"}, str(tmp_path / "c"), ["metrics.json"], run)
+    wanted = {"results": {"error_m": "make:error.rmse"}, "keep": ["metrics.json"]}
+    campaign = Campaign(name="small", factors={"size": [1]}, stages={"make": "fake"}, **wanted)
+    return run_case(Case(0, "c", factors, commands), campaign, tmp_path / "c", run)
 
 
 def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path):
