@@ -89,9 +89,9 @@ def build_map(
         notes += require_same_front_end(continued, earlier[1], resolved)
     log_notes(notes)
     if earlier is not None:
-        result = continue_slam(earlier[0], recordings, resolved, _progress, cache=cache)
+        result = continue_slam(earlier[0], recordings, resolved, track, cache=cache)
     else:
-        result = run_slam(recordings[0], resolved, _progress, more=recordings[1:], cache=cache)
+        result = run_slam(recordings[0], resolved, track, more=recordings[1:], cache=cache)
     cache.trim()
     recording = result.session.recording
     read = {note for one in recordings for note in one.notes}
@@ -171,7 +171,3 @@ def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, ca
         return recording
 
     return cache.step("reading", [str(path), content, *laser, topic], read)[0]
-
-
-def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
-    return track(items, text, total)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ def build_map_3d(
     """
     resolved = load_config(Slam3dConfig, config, settings)
     recording = load_clouds(source, topic)
-    result = run_slam_3d(recording, resolved, _progress)
+    result = run_slam_3d(recording, resolved, track)
     log_notes((*recording.notes, *result.setting.notes))
     slam_s = watch.seconds()
     with staged_output(out, force=force) as folder:
@@ -74,10 +74,6 @@ def build_map_3d(
         )
     tell_map(metrics, out, slam_s)
     return 0
-
-
-def _progress(items: Iterable[int], text: str, total: int) -> Iterable[int]:
-    return track(items, text, total)
 
 
 def _out_of_plane(T: Array) -> dict[str, float]:

@@ -14,11 +14,11 @@ from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.episode import Episode, drive
+from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Request, prepare
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import Source, script_text
-from turtlebag.pipeline.stages.record import deferred_interrupt, own_files
+from turtlebag.pipeline.stages.record import deferred_interrupt, own_files, save_truth
 from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
@@ -111,7 +111,7 @@ def navigate_in(
             save_map(episode.grid, folder)
         if episode.asked:
             (folder / "takeover.yaml").write_text(script_text(episode.asked))
-        _save_truth(episode, simulator, folder / "truth")
+        save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(text)
         write_manifest(
@@ -168,13 +168,6 @@ def _takeovers(mission: Mission) -> Iterator[Source | None]:
     show(TakeoverKeys.TABLE + "\n")
     with keys_of(sys.stdin.fileno()) as read_keys, redrawn() as redraw:
         yield TakeoverKeys(mission.robot.limits, read_keys, clock(mission.config.takeover.speed), redraw)
-
-
-def _save_truth(episode: Episode, simulator: Simulator, folder: Path) -> None:
-    """`truth/`: the trajectory, and the world's map at the lidar's height."""
-    folder.mkdir()
-    save_tum(episode.truth, folder / "trajectory.tum")
-    save_map(simulator.world.rasterize(simulator.robot.lidar_height), folder)
 
 
 def _inputs(request: Request) -> dict[str, Path]:

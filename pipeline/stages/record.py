@@ -5,11 +5,10 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from turtlebag.datasets.bags.writer import BagWriter
@@ -19,6 +18,7 @@ from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, wr
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
+from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.replay import is_recording, load_commands
 from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
@@ -55,25 +55,11 @@ def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
     return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
 
 
-@dataclass
-class TruthLog:
-    """True base pose at the stamp of each scan, for `truth/trajectory.tum`."""
-
-    stamps_ns: list[int] = field(default_factory=list)
-    poses: list[SE2] = field(default_factory=list)
-
-    def add(self, observation: Observation, simulator: Simulator) -> None:
-        """Note the pose when the observation carries a scan."""
-        if observation.scan is not None:
-            self.stamps_ns.append(observation.scan.stamp_ns)
-            self.poses.append(simulator.scan_truth)
-
-    def save(self, folder: Path, world: World, robot: RobotSpec) -> None:
-        """Write `truth/`: the trajectory and the world's map at the height of the lidar plane."""
-        folder.mkdir()
-        poses = SE2.stack(self.poses) if self.poses else SE2.identity(0)
-        save_tum(Trajectory(np.array(self.stamps_ns, dtype=np.int64), poses), folder / "trajectory.tum")
-        save_map(world.rasterize(robot.lidar_height), folder)
+def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) -> None:
+    """Write `truth/`: the true poses at the scans, and the world's map at the height of the lidar plane."""
+    folder.mkdir()
+    save_tum(truth, folder / "trajectory.tum")
+    save_map(world.rasterize(robot.lidar_height), folder)
 
 
 def record(
@@ -162,7 +148,7 @@ def record_drive(
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
     with deferred_interrupt() as interrupted, staged_output(out, force=force, save_bag=True) as folder:
         (folder / "config.yaml").write_text(config_text(config))
-        truth = TruthLog()
+        truth: list[tuple[int, SE2]] = []
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
         custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
         with (
@@ -171,7 +157,7 @@ def record_drive(
             simulated_time() as clock,
         ):
             duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, clock, interrupted)
-        truth.save(folder / "truth", scene.world, scene.robot)
+        save_truth(folder / "truth", trajectory_of(truth), scene.world, scene.robot)
         wall = timer.seconds()
         write_manifest(
             folder,
@@ -195,7 +181,7 @@ def _drive(
     start: SE2 | None,
     driver: Generator[Twist, Truth, None],
     bag: BagWriter,
-    truth: TruthLog,
+    truth: list[tuple[int, SE2]],
     watch: Callable[[Observation], None] | None,
     clock: Simulated,
     interrupted: list[int],
@@ -209,7 +195,8 @@ def _drive(
         bag.observation(observation)
         if observation.cloud is not None:
             bag.cloud(observation.stamp_ns, *observation.cloud, "lidar_3d")
-        truth.add(observation, simulator)
+        if observation.scan is not None:
+            truth.append((observation.scan.stamp_ns, simulator.scan_truth))
         if watch is not None:
             watch(observation)
         clock(observation.stamp_ns, "")

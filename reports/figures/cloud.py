@@ -8,7 +8,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.reports.figures.maps import map_figure
+from turtlebag.reports.figures.maps import add_scale, map_figure
 
 MOST_PIXELS = 900
 MARGIN_M = 0.3
@@ -29,9 +29,7 @@ def cloud_from_above(points: Array) -> Figure:
     artist = axes.imshow(
         shown, origin="lower", extent=extent, cmap=colours, norm=norm, interpolation="nearest"
     )
-    bar = figure.colorbar(artist, ax=axes, shrink=0.7, pad=0.02, aspect=28)
-    bar.set_label("height [m]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    add_scale(axes, artist, "height [m]")
     return figure
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.figures.maps import ERROR_SCALE_M, draw_grid, map_figure, view_box
+from turtlebag.reports.figures.maps import ERROR_SCALE_M, add_scale, draw_grid, map_figure, view_box
 from turtlebag.reports.figures.style import FINE_TO_BAD, MUTED
 from turtlebag.reports.g2o import LoopRecord, PoseGraph
 
@@ -58,9 +58,5 @@ def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord 
     lines.set_rasterized(len(order) > 1500)
     lines.set_array(residual_cm[order])
     axes.add_collection(lines)
-    scale = figure.colorbar(
-        ScalarMappable(norm, FINE_TO_BAD), ax=axes, shrink=0.7, pad=0.02, aspect=28, extend="max"
-    )
-    scale.set_label("residual of the loop [cm]")
-    scale.outline.set_visible(False)  # type: ignore[operator]
+    add_scale(axes, ScalarMappable(norm, FINE_TO_BAD), "residual of the loop [cm]", extend="max")
     return figure

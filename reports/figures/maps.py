@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
@@ -102,17 +103,16 @@ def map_over_truth(grid: OccupancyGrid, true_grid: OccupancyGrid) -> Figure:
     cells = grid.cell_of(error.xy_mapped)
     image[cells[:, 0], cells[:, 1]] = FINE_TO_BAD(norm(100.0 * np.minimum(error.error_m, ERROR_SCALE_M)))
     show_image(axes, image, grid)
-    bar = figure.colorbar(
-        matplotlib.cm.ScalarMappable(norm, FINE_TO_BAD),
-        ax=axes,
-        shrink=0.7,
-        pad=0.02,
-        extend="max",
-        aspect=28,
-    )
-    bar.set_label("mapped cell to true surface [cm]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    add_scale(axes, ScalarMappable(norm, FINE_TO_BAD), "mapped cell to true surface [cm]", extend="max")
     return figure
+
+
+def add_scale(axes: Axes, artist: ScalarMappable, label: str, *, extend: str = "neither") -> None:
+    """A colour scale beside the axes."""
+    figure = cast(Figure, axes.figure)
+    bar = figure.colorbar(artist, ax=axes, shrink=0.7, pad=0.02, aspect=28, extend=extend)
+    bar.set_label(label)
+    bar.outline.set_visible(False)  # type: ignore[operator]
 
 
 def plain_map(grid: OccupancyGrid, paths: Mapping[str, Trajectory | None]) -> Figure:

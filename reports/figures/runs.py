@@ -18,6 +18,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures.maps import (
+    add_scale,
     draw_grid,
     draw_path,
     draw_pose,
@@ -142,9 +143,7 @@ def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m:
         zorder=3,
         rasterized=True,
     )
-    bar = figure.colorbar(points, ax=axes, shrink=0.7, pad=0.02, aspect=28, extend="max")
-    bar.set_label("clearance [cm]")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    add_scale(axes, points, "clearance [cm]", extend="max")
     if np.isfinite(finite).any():
         nearest = int(np.nanargmin(finite))
         axes.plot(truth.poses.x[nearest], truth.poses.y[nearest], "v", color=BAD, markersize=8, zorder=5)

@@ -223,12 +223,3 @@ def test_bad_takeover_files_are_one_line(tmp_path, capsys, text, said):
     assert main([*words, "--out", str(tmp_path / "run")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.slow
-def test_a_log_written_before_there_were_owners_is_still_read(taken, tmp_path):
-    lines = (taken[0] / "runlog.csv").read_text().splitlines()
-    (tmp_path / "old.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines) + "\n")
-    log = RunLog.load(tmp_path / "old.csv")
-    assert set(log.owner) == {"navigation"}
-    assert "teleop" in log.state
