@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bz2
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -50,7 +49,7 @@ print(json.dumps([code, used.ru_utime + used.ru_stime, used.ru_maxrss]))
 
 
 def map_cost(log: Path, scratch: Path) -> Row:
-    """CPU seconds (user and system) and peak memory [MB] of mapping a file, the cache of stages empty.
+    """CPU seconds (user and system) and peak memory [MB] of mapping a file.
 
     A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
     """
@@ -60,7 +59,6 @@ def map_cost(log: Path, scratch: Path) -> Row:
             before, out = _compiled(), Path(place) / "map"
             done = subprocess.run(
                 [sys.executable, "-I", "-S", "-c", METER, *command, str(out)],
-                env=os.environ | {"TURTLEBAG_STAGE_CACHE": f"{place}/cache"},
                 capture_output=True,
                 text=True,
                 check=True,

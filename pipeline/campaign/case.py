@@ -6,15 +6,13 @@ import contextlib
 import hashlib
 import io
 import json
-import os
 import shutil
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.outputs import write_json
-from turtlebag.datasets.stage_cache import PLACE_VARIABLE
 from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
 from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
@@ -24,8 +22,8 @@ Run = Callable[[list[str]], int]
 Row = dict[str, Any]
 """A line of the table, by column."""
 ROW = "row.json"
-SHARED, CACHE = "shared", "cache"
-"""Beside the cases: outputs that several use, and the stage cache."""
+SHARED = "shared"
+"""Beside the cases: outputs that several use."""
 
 
 def run_case(case: Case, campaign: Campaign, place: Path, run: Run) -> Row:
@@ -41,11 +39,10 @@ def run_case(case: Case, campaign: Campaign, place: Path, run: Run) -> Row:
     started = time.perf_counter()
     error = ""
     folders = stage_folders(case.commands, place, campaign.shared)
-    with _cache_of_the_campaign(place):
-        for stage, words in case.commands.items():
-            error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place, run)
-            if error:
-                break
+    for stage, words in case.commands.items():
+        error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place, run)
+        if error:
+            break
     row = row_of(case, campaign, error)
     if not error:
         row |= {name: _value(folders, result.at) for name, result in campaign.results.items()}
@@ -76,20 +73,6 @@ def stage_folders(
         name = hashlib.sha256(recipes[stage].encode()).hexdigest()[:12]
         folders[stage] = place.parents[1] / SHARED / name if stage in shared else place / stage
     return folders
-
-
-@contextlib.contextmanager
-def _cache_of_the_campaign(place: Path) -> Iterator[None]:
-    """Steps of the stages are kept beside the cases, for those that differ only in what comes later."""
-    before = os.environ.get(PLACE_VARIABLE)
-    os.environ[PLACE_VARIABLE] = str(place.parents[1] / CACHE)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[PLACE_VARIABLE]
-        else:
-            os.environ[PLACE_VARIABLE] = before
 
 
 def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path, run: Run) -> str:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
-import shutil
+import platform
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
+
+from llvmlite.binding import get_host_cpu_name
 
 from turtlebag.datasets.claims import MARKER, Claim, claimed
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, sha256_text, write_json, write_manifest
-from turtlebag.datasets.stage_cache import surroundings
+from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, write_json, write_manifest
 from turtlebag.pipeline.campaign.campaign_file import Campaign, Case, campaign_path, cases, load_campaign
-from turtlebag.pipeline.campaign.case import CACHE, ROW, SHARED, Row, Run, throw_away
+from turtlebag.pipeline.campaign.case import ROW, SHARED, Row, Run, throw_away
 from turtlebag.pipeline.campaign.engine import run_cases
 from turtlebag.pipeline.campaign.table import write_parquet
 from turtlebag.pipeline.stages.settings import config_text
@@ -29,6 +32,7 @@ TABLE = "results.parquet"
 TELL_S = 60.0
 MARK = "made_by.txt"
 """In a growing folder: fingerprint of the code, the packages and the machine that made its rows."""
+ROOT = Path(__file__).parents[2]
 MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 
 
@@ -101,7 +105,7 @@ def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
 def _work_folder(campaign: Campaign, claim: Claim) -> Path:
     """OUT.partial: a new one, or the one an earlier start of the same campaign and code left."""
     folder = claim.partial
-    marks = {"config.yaml": config_text(campaign), MARK: surroundings(MAKERS) + "\n"}
+    marks = {"config.yaml": config_text(campaign), MARK: surroundings() + "\n"}
     if any(path.name != MARKER for path in folder.iterdir()) and (maker := _other_maker(folder, marks)):
         if not claim.force:
             raise InputError(f"{folder}: left by {maker}; remove it or pass --force to start over")
@@ -113,6 +117,20 @@ def _work_folder(campaign: Campaign, claim: Claim) -> Path:
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder
+
+
+@cache
+def surroundings() -> str:
+    """Fingerprint of our sources, the packages and the machine: what shapes rows besides the campaign."""
+    files = sorted(
+        path
+        for folder in MAKERS
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".py", ".yaml") and path.is_file()
+    )
+    read = [(path.relative_to(ROOT).as_posix(), path.read_bytes()) for path in files]
+    machine = [platform.python_version(), platform.machine(), get_host_cpu_name()]
+    return fingerprint([read, package_versions(), machine])
 
 
 def _other_maker(folder: Path, marks: Mapping[str, str]) -> str:
@@ -176,7 +194,6 @@ def _collect_timing(folder: Path) -> dict[str, float]:
 
 def _tidy(folder: Path, campaign: Campaign) -> None:
     """What only the running campaign needed goes; of shared outputs stays what stays of any stage."""
-    shutil.rmtree(folder / CACHE, ignore_errors=True)
     (folder / MARK).unlink(missing_ok=True)
     if (folder / SHARED).is_dir():
         throw_away(folder / SHARED, campaign.keep)

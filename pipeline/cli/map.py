@@ -43,18 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", metavar="NAME", help="also save the map as NAME.pgm and NAME.yaml")
     add_config(parser)
     parser.add_argument(
-        "--no-cache",
-        action="store_true",
-        help="run every step and ignore cached results",
-    )
-    parser.add_argument(
         "--explain", action="store_true", help="also write why each loop closure was accepted or rejected"
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Build the map."""
-    from turtlebag.datasets.stage_cache import StageCache, default_cache
     from turtlebag.pipeline.stages.map import build_map
 
     placed, upside_down = laser(args.laser)
@@ -74,5 +68,4 @@ def run(args: argparse.Namespace) -> int:
         explain=args.explain,
         force=args.force,
         command=args.command_line,
-        cache=StageCache() if args.no_cache else default_cache(),
     )

@@ -8,13 +8,12 @@ from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.files import require_same, signatures
+from turtlebag.datasets.files import unchanged
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, sha256_tree, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.stage_cache import StageCache
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
@@ -25,7 +24,7 @@ from turtlebag.pipeline.slam.stored import load_session, require_same_front_end,
 from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.map_summary import summary, tell_map
 from turtlebag.pipeline.stages.settings import config_text, load_config
-from turtlebag.pipeline.terminal.messages import log, log_notes, track
+from turtlebag.pipeline.terminal.messages import log_notes, track
 
 TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
 """Names of our own files in the folder of a map."""
@@ -48,7 +47,6 @@ def build_map(
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
-    cache: StageCache | None = None,
 ) -> int:
     """Map `source` into the folder `out`; returns the exit code.
 
@@ -60,18 +58,16 @@ def build_map(
     of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
     which the map is saved too, as `map_saver -f` would. `laser` and
     `upside_down` override how the input says the laser sits on the robot. InputError when anything given
-    cannot be used, before anything is written. With `cache` only the steps are done whose inputs it does
-    not know.
+    cannot be used, before anything is written.
     """
     check_free(out, force=force, kind="folder")
     _require_name(named)
     settled = _settings(config, settings)
     references = References.load(truth, relations)
     watch = Stopwatch()
-    cache = cache or StageCache()
     earlier = None if continued is None else load_session(continued)
     try:
-        recordings = [_recording(path, (laser, upside_down), topic, cache) for path in (source, *also)]
+        recordings = [_recording(path, (laser, upside_down), topic) for path in (source, *also)]
     except NoScans as error:
         if not error.clouds:
             raise
@@ -89,10 +85,9 @@ def build_map(
         notes += require_same_front_end(continued, earlier[1], resolved)
     log_notes(notes)
     if earlier is not None:
-        result = continue_slam(earlier[0], recordings, resolved, track, cache=cache)
+        result = continue_slam(earlier[0], recordings, resolved, track)
     else:
-        result = run_slam(recordings[0], resolved, track, more=recordings[1:], cache=cache)
-    cache.trim()
+        result = run_slam(recordings[0], resolved, track, more=recordings[1:])
     recording = result.session.recording
     read = {note for one in recordings for note in one.notes}
     log_notes(note for note in recording.notes if note not in read)
@@ -122,11 +117,8 @@ def build_map(
             seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
-            | ({"from_cache": cache.found} if cache.found else {})
             | {"parts": chosen_parts(resolved)},
         )
-    if cache.found:
-        log.info(f"cached: {', '.join(cache.found)}; computed: {', '.join(cache.made) or 'nothing'}")
     tell_map(metrics, out, slam_s)
     return 0
 
@@ -160,14 +152,7 @@ def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], Slam
     return lambda: resolved
 
 
-def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None, cache: StageCache) -> Recording:
-    """An input, from the cache when its bytes were read before; InputError when they change meanwhile."""
-    before = signatures(path)
-    content = sha256_tree(path) if cache.on and path.exists() else {}
-
-    def read() -> Recording:
-        recording = load_recording(path, T_base_lidar=laser[0], upside_down=laser[1], topic=topic)
-        require_same(path, before)  # before it is kept under the hash of what was there at first
-        return recording
-
-    return cache.step("reading", [str(path), content, *laser, topic], read)[0]
+def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None) -> Recording:
+    """An input; InputError when it changes while it is read."""
+    with unchanged(path):
+        return load_recording(path, T_base_lidar=laser[0], upside_down=laser[1], topic=topic)

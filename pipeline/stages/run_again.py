@@ -68,8 +68,7 @@ def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[st
                 next(following, None)
         elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
             words.append(rename(word, dict(places)))
-    anew = ["--no-cache"] if stage.kind == "map" and "--no-cache" not in words else []
-    return [*words, *anew, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
+    return [*words, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
 
 
 def _read(manifest: Manifest) -> list[str]:

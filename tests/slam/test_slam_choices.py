@@ -90,7 +90,7 @@ def test_the_manifest_names_the_parts(log, tmp_path):
     path.write_text(carmen_text(log))
 
     def parts(out, *words):
-        assert main(["map", str(path), "--out", str(tmp_path / out), "-q", "--no-cache", *words]) == 0
+        assert main(["map", str(path), "--out", str(tmp_path / out), "-q", *words]) == 0
         return json.loads((tmp_path / out / "manifest.json").read_text())["parts"]
 
     assert parts("usual") == {"front_end": "lines", "loops.match": "lines"}

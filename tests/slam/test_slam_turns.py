@@ -124,7 +124,7 @@ def test_map_and_localise_say_it(turning, tmp_path, capsys):
         for k in range(len(recording)):
             scan = recording.scan(k)
             writer.scan(scan.stamp_ns, scan)
-    assert main(["map", str(tmp_path / "bag"), "--out", str(tmp_path / "map"), "--no-cache"]) == 0
+    assert main(["map", str(tmp_path / "bag"), "--out", str(tmp_path / "map")]) == 0
     said = capsys.readouterr().err
     assert "note: the odometry runs 0.30 s behind the scans (judged by the turns of both); corrected" in said
     assert json.loads((tmp_path / "map" / "metrics.json").read_text())["odometry_late_s"] == 0.3

@@ -13,7 +13,6 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.runlog import RunLogBuilder
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.stage_cache import StageCache
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
 from turtlebag.pipeline.cli.main import main
@@ -113,13 +112,6 @@ def test_true_loops_are_all_closed_where_they_truly_are(room):
         np.testing.assert_allclose(edge.T_i_j, (truth[i].inverse() @ truth[j]).xyt)
     off = {"refine": {"rounds": 0}, "posing": {"enabled": False}}
     assert left_over(room, ["loops"], **off)[0] < left_over(room, [], **off)[0]
-
-
-@pytest.mark.slow
-def test_what_the_truth_made_is_never_kept_for_others(room, tmp_path):
-    cache = StageCache(tmp_path)
-    run_slam(room[0], SlamConfig(), cache=cache, steps=true_steps(room[1], ["front_end"]))
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes
-from turtlebag.datasets.stage_cache import StageCache
 from turtlebag.pipeline.cli.main import main
 
 
@@ -77,8 +76,7 @@ def test_a_bag_that_changed_between_two_readings_is_refused(bag):
     bag_info(bag)  # who opens it now reads what is there now
 
 
-def test_what_changed_while_it_was_mapped_is_neither_written_nor_kept(bag, tmp_path, monkeypatch, capsys):
-    cache = StageCache(tmp_path / "cache")
+def test_what_changed_while_it_was_mapped_is_not_written(bag, tmp_path, monkeypatch, capsys):
     load = turtlebag.pipeline.stages.map.load_recording
 
     def meanwhile(path, **options):
@@ -87,13 +85,10 @@ def test_what_changed_while_it_was_mapped_is_neither_written_nor_kept(bag, tmp_p
         return recording
 
     monkeypatch.setattr(turtlebag.pipeline.stages.map, "load_recording", meanwhile)
-    monkeypatch.setattr("turtlebag.datasets.stage_cache.default_cache", lambda: cache)
     assert main(["map", str(bag), "--out", str(tmp_path / "map")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "map").exists()
     assert not (tmp_path / "map.partial").exists()
-    assert cache.found == []
-    assert not list(tmp_path.glob("cache/*"))
 
 
 def test_a_file_gives_the_same_bytes_however_it_is_asked(tmp_path):

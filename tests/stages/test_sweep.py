@@ -298,7 +298,7 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
         with claimed(arguments[1]) as claim:
             folder = sweep._work_folder(load_campaign(arguments[0]), claim)
             (folder / "cases/row").write_text("old")
-    monkeypatch.setattr(sweep, "surroundings", lambda sources: "of tomorrow")
+    monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
         sweep.sweep(*arguments, scheduler=scheduler)
     assert (folder / "cases/row").exists()
