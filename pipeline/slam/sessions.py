@@ -38,11 +38,11 @@ class Graph:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """One recording (or several joined) with its map; `key` is that of its last cached step.
+    """One recording (or several joined) with its map.
 
-    The clouds are made when a step needs them: none does when all came from the cache. `clouds` are those
-    of the key scans, all that stays in memory; `clouds_of` makes those of any scans. `motion` is the base's
-    during each sweep, None where a sweep is one instant.
+    The clouds are made when they are needed: `clouds` are those of the key scans, all that stays in memory;
+    `clouds_of` makes those of any scans. `motion` is the base's during each sweep, None where a sweep is one
+    instant.
     """
 
     recording: Recording
@@ -52,7 +52,6 @@ class Session:
     track: Track
     chain: Chain
     graph: Graph
-    key: str
 
     def carried(self) -> Track:
         """The track with its poses where the graph has them."""

@@ -15,7 +15,6 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.stage_cache import StageCache
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
@@ -149,7 +148,6 @@ class _Run:
 
     config: SlamConfig
     progress: Progress
-    cache: StageCache
     steps: Steps
 
 
@@ -159,16 +157,14 @@ def run_slam(
     progress: Progress = no_progress,
     *,
     more: Sequence[Recording] = (),
-    cache: StageCache | None = None,
     steps: Steps = USUAL,
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
 
     `more` are later recordings of the same place: each is found in the map so far and joins the graph;
-    the trajectory holds the scans of all, in that order. InputError when one cannot be placed. Steps
-    whose inputs `cache` has seen before are not done again; it knows the usual `steps` only.
+    the trajectory holds the scans of all, in that order. InputError when one cannot be placed.
     """
-    run = _Run(config, progress, cache if cache and steps is USUAL else StageCache(), steps)
+    run = _Run(config, progress, steps)
     return _mapped(_session(recording, run), more, run)
 
 
@@ -177,11 +173,9 @@ def continue_slam(
     more: Sequence[Recording],
     config: SlamConfig,
     progress: Progress = no_progress,
-    *,
-    cache: StageCache | None = None,
 ) -> SlamResult:
     """As `run_slam`, from the finished session of an earlier map in place of its recording."""
-    return _mapped(session, more, _Run(config, progress, cache or StageCache(), USUAL))
+    return _mapped(session, more, _Run(config, progress, USUAL))
 
 
 def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
@@ -196,33 +190,23 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable = config.usable(recording.lidar)
     clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
-    (poses, overlap), key = run.cache.step(
-        "scan poses",
-        [session.key, config.posing],
-        lambda: pose_all_scans(clouds, session.clouds_of, track, graph.T_map_keys, config.posing, chain.gaps),
+    poses, overlap = pose_all_scans(
+        clouds, session.clouds_of, track, graph.T_map_keys, config.posing, chain.gaps
     )
-    (grid, certainty), key = run.cache.step(
-        "grid",
-        [key, config.grid],
-        lambda: make_checked_grid(recording, poses, config.grid, usable, session.motion),
-    )
+    grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
     borders = [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1]
     placed = replace(track, overlap=overlap)
-    check, _ = run.cache.step(
-        "self-check",
-        [key],
-        lambda: check_map(
-            recording,
-            clouds(),
-            placed,
-            poses,
-            graph.T_map_keys,
-            config.tracking.odometry,
-            breaks,
-            np.array(borders, dtype=np.int64),
-            certainty,
-        ),
+    check = check_map(
+        recording,
+        clouds(),
+        placed,
+        poses,
+        graph.T_map_keys,
+        config.tracking.odometry,
+        breaks,
+        np.array(borders, dtype=np.int64),
+        certainty,
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)
 
@@ -234,10 +218,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
     recording = without_repeats(without_own_body(recording), usable)
-    # Where a recording was read from, and what was repaired in reading it, shapes nothing.
-    content = [replace(recording, source="", notes=()), config.model_dump(exclude=LATER)]
-    told, _ = run.cache.step("turns", content[:1], lambda: compared_turns(recording))
-    recording = in_step(recording, *told)
+    recording = in_step(recording, *compared_turns(recording))
     recording = with_gyro(recording) if config.gyro else recording
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
@@ -246,20 +227,16 @@ def _session(recording: Recording, run: _Run) -> Session:
         make = run.steps.front_end or FRONT_ENDS[config.front_end]
         return track_log(recording, clouds, config.tracking, usable, scans, make)
 
-    content[0] = replace(recording, source="", notes=())
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
         # nobody says how the robot moved during a sweep but the scans themselves, placed once before
-        motion, _ = run.cache.step(
-            "sweeps",
-            content,
-            lambda: sweep_motion_by_track(recording, front_end(make_clouds(recording, usable)).T_track_base),
-        )
+        first = front_end(make_clouds(recording, usable))
+        motion = sweep_motion_by_track(recording, first.T_track_base)
     clouds_of = clouds_maker(recording, usable, motion)
-    track, key = run.cache.step("front end", content, lambda: front_end(clouds_of(None)))
+    track = front_end(clouds_of(None))
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
     chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
-    graph, key = _optimised(clouds, track, chain, steps, key, replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph, key)
+    graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph)
 
 
 def _joined(a: Session, b: Session, run: _Run) -> Session:
@@ -275,11 +252,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
         )
 
     config = _with_sensors(recording, run.config)[1]
-    T_map_b, key = run.cache.step(
-        "joining",
-        [a.key, b.key, config.recall, config.loops],
-        lambda: place_of(clouds(), a, b, config.recall, config.loops),
-    )
+    T_map_b = place_of(clouds(), a, b, config.recall, config.loops)
     if T_map_b is None:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
@@ -288,8 +261,8 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))
-    graph, key = _optimised(clouds, track, chain, [*steps, border], key, replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph, key)
+    graph = _optimised(clouds, track, chain, [*steps, border], replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
@@ -331,23 +304,15 @@ def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
 
 
 def _optimised(
-    clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], key: str, run: _Run
-) -> tuple[Graph, str]:
-    """The graph after loop closure and joint refinement of all key poses, and its key."""
+    clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], run: _Run
+) -> Graph:
+    """The graph after loop closure and joint refinement of all key poses."""
     config, keys = run.config, track.keys
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
         start, configs = closed.T_map_keys, (config.loops, config.recall)
-        closed, key = run.cache.step(
-            "loops",
-            [key, *configs],
-            lambda: run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress),
-        )
+        closed = run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress)
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
-        (T_map_keys, constraints), key = run.cache.step(
-            "refinement",
-            [key, config.refine],
-            lambda: refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine),
-        )
-    return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged), key
+        T_map_keys, constraints = refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine)
+    return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)

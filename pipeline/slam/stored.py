@@ -20,7 +20,6 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import require_bounded_zip
-from turtlebag.datasets.outputs import sha256_file
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
 from turtlebag.datasets.yaml_files import checked
@@ -135,7 +134,7 @@ def load_session(folder: Path) -> tuple[Session, SlamConfig]:
     try:
         require_bounded_zip(path)
         with np.load(path, allow_pickle=False) as stored:
-            return _session({name: stored[name] for name in stored.files}, sha256_file(path))
+            return _session({name: stored[name] for name in stored.files})
     except UNREADABLE as error:
         raise InputError(f"{path}: not a graph that can be read ({error})") from None
 
@@ -165,7 +164,7 @@ def _changes(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
             yield f"{path}{key}", json.dumps(was), json.dumps(now[key])
 
 
-def _session(stored: dict[str, Any], key: str) -> tuple[Session, SlamConfig]:
+def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     about = json.loads(bytes(stored["about"]))
     if about["format"] != FORMAT:
         raise ValueError(f"format {about['format']}, expected {FORMAT}")
@@ -198,7 +197,7 @@ def _session(stored: dict[str, Any], key: str) -> tuple[Session, SlamConfig]:
     chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
     keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
     clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
-    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph, key), config
+    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:
