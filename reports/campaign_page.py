@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from turtlebag.reports.campaign import LevelSummary, PairedSummary, levels_of
 from turtlebag.reports.figures.album import Album, Picture
-from turtlebag.reports.figures.campaign import result_over_factor, words
+from turtlebag.reports.figures.campaign import Wish, result_over_factor, words
 from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import DASH, shown
 from turtlebag.reports.page import fill
@@ -19,59 +20,55 @@ Names = Mapping[str, tuple[str, str]]
 """Result -> (what it is called, unit of turtlebag.reports.numbers.UNITS)."""
 
 
-def draw_campaign(
-    figures: Sequence[Mapping[str, Any]],
-    rows: Sequence[Row],
-    seed: int,
-    names: Names,
-    album: Album,
-) -> None:
-    """Draw the figures a campaign asks for: mappings of x, y, lines, panels, title, unit, log."""
-    for number, wish in enumerate(figures, start=1):
-        label, unit = names[wish["y"]]
-        unit = wish["unit"] or unit
-        options = {key: wish[key] for key in ("lines", "panels", "log")}
-        drawing = partial(
-            result_over_factor, rows, wish["x"], wish["y"], label=label, unit=unit, seed=seed, **options
-        )
-        shares = [words(wish[key]) for key in ("lines", "panels") if wish[key]]
-        caption = f"{label} over {words(wish['x'])}" + (
-            f", for each {' and '.join(shares)}" if shares else ""
-        )
-        name = f"{number:02d}-{slug(wish['y'])}-over-{slug(wish['x'])}"
-        album.add(name, wish["title"] or label, caption[0].upper() + caption[1:] + ".", drawing)
+def draw_campaign(wishes: Sequence[Wish], rows: Sequence[Row], seed: int, album: Album) -> None:
+    """Draw the figures a campaign asks for."""
+    for number, wish in enumerate(wishes, start=1):
+        shares = [words(factor) for factor in (wish.lines, wish.panels) if factor]
+        each = f", for each {' and '.join(shares)}" if shares else ""
+        caption = f"{wish.label} over {words(wish.x)}{each}."
+        name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
+        drawing = partial(result_over_factor, rows, wish, seed)
+        album.add(name, wish.title or wish.label, caption[0].upper() + caption[1:], drawing)
 
 
-def render_campaign(
-    name: str,
-    question: str,
-    rows: Sequence[Row],
-    summaries: Mapping[str, Sequence[LevelSummary]],
-    pairs: Sequence[PairedSummary],
-    *,
-    compare: str,
-    against: Any,
-    names: Names,
-    factors: Sequence[str],
-    pictures: Sequence[Picture],
-    file: str,
-) -> str:
-    """The page as HTML text; `names` says how each result is called and its unit."""
-    compared = [_pair(pair, names) for pair in pairs]
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A finished campaign as its page shows it: its question, its table, and the numbers made of that.
+
+    `against` is the level of the factor `compare` that the pairs hold the others against; `file` the text of
+    the campaign file.
+    """
+
+    name: str
+    question: str
+    factors: Sequence[str]
+    rows: Sequence[Row]
+    names: Names
+    summaries: Mapping[str, Sequence[LevelSummary]]
+    pairs: Sequence[PairedSummary]
+    compare: str
+    against: Any
+    file: str
+
+
+def render_campaign(study: Study, pictures: Sequence[Picture]) -> str:
+    """The page as HTML text."""
+    compared = [_pair(pair, study.names) for pair in study.pairs]
+    summaries = study.summaries.items()
     return fill(
         "campaign.html.j2",
-        name=name,
-        question=question,
-        total=len(rows),
-        sizes=", ".join(f"{words(factor)} {len(levels_of(rows, factor))}" for factor in factors),
-        failed=[_failure(row, factors) for row in rows if row["failed"]],
+        name=study.name,
+        question=study.question,
+        total=len(study.rows),
+        sizes=", ".join(f"{words(factor)} {len(levels_of(study.rows, factor))}" for factor in study.factors),
+        failed=[_failure(row, study.factors) for row in study.rows if row["failed"]],
         pictures=pictures,
-        compare=words(compare),
-        against=words(against),
+        compare=words(study.compare),
+        against=words(study.against),
         pairs=compared,
         clear=_clear(compared),
-        levels=[_level(factor, item, names) for factor, found in summaries.items() for item in found],
-        file=file,
+        levels=[_level(factor, item, study.names) for factor, found in summaries for item in found],
+        file=study.file,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,14 @@ class Section:
     title: str
     hint: str
     specs: tuple[Spec, ...]
+
+
+def section(
+    title: str, hint: str, *specs: Spec, sources: tuple[str, ...] = (), topics: tuple[str, ...] = ()
+) -> Section:
+    """A section; `sources` and `topics` are those of all its numbers that name none."""
+    common = (replace(s, sources=s.sources or sources, topics=s.topics or topics) for s in specs)
+    return Section(title, hint, tuple(common))
 
 
 BAG = ("bag/",)

@@ -2,192 +2,160 @@
 
 from __future__ import annotations
 
-from turtlebag.reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Section, Spec
+from turtlebag.reports.spec import GRAPH, MAP_FILES, TRAJECTORY, Spec, section
 
-WALLS = Section(
+WALLS = section(
     "Walls",
-    "Judge a map by the two marked numbers: the first shows that no walls were invented, the second "
-    "that none are missing. Use the others to compare maps on the same grid. Distances are between "
-    "cell centres.",
-    (
-        Spec(
-            "map.occupied_error_m.within_one_cell",
-            "wall cells within one cell",
-            "percent",
-            "Occupied map cells that are, or touch, a true surface cell: no invented walls.",
-            MAP_FILES,
-            trusted=True,
-        ),
-        Spec(
-            "map.coverage",
-            "surfaces found",
-            "percent",
-            "True visible surface cells with an occupied map cell on or beside them: no missing walls.",
-            MAP_FILES,
-            trusted=True,
-        ),
-        Spec(
-            "map.occupied_error_m.mean",
-            "wall error, mean",
-            "cm",
-            "Distance from each occupied map cell to the nearest true surface cell a robot could see.",
-            MAP_FILES,
-        ),
-        Spec(
-            "map.occupied_error_m.p95",
-            "wall error, 95 %",
-            "cm",
-            "95 % of the cells are no farther off than this.",
-            MAP_FILES,
-        ),
-        Spec(
-            "map.iou_one_cell",
-            "map IoU, one cell tolerance",
-            "percent",
-            "Both marked shares in one number: matching cells over all cells of either map. A "
-            "neighbouring cell counts as a match.",
-            MAP_FILES,
-        ),
-        Spec(
-            "map.iou",
-            "map IoU, no tolerance",
-            "percent",
-            "Occupied map cells against true visible surface cells, cell by cell. Walls are one cell "
-            "thick, so a wall just across a cell border counts twice against the map, as missing and "
-            "as invented; the true map shifted by half a cell scores below 20 %. Use it to compare "
-            "maps on the same grid, not to judge one.",
-            MAP_FILES,
-        ),
+    "Judge a map by the two marked numbers: the first shows that no walls were invented, the "
+    "second that none are missing. Use the others to compare maps on the same grid. Distances "
+    "are between cell centres.",
+    Spec(
+        "map.occupied_error_m.within_one_cell",
+        "wall cells within one cell",
+        "percent",
+        "Occupied map cells that are, or touch, a true surface cell: no invented walls.",
+        trusted=True,
     ),
+    Spec(
+        "map.coverage",
+        "surfaces found",
+        "percent",
+        "True visible surface cells with an occupied map cell on or beside them: no missing walls.",
+        trusted=True,
+    ),
+    Spec(
+        "map.occupied_error_m.mean",
+        "wall error, mean",
+        "cm",
+        "Distance from each occupied map cell to the nearest true surface cell a robot could see.",
+    ),
+    Spec(
+        "map.occupied_error_m.p95",
+        "wall error, 95 %",
+        "cm",
+        "95 % of the cells are no farther off than this.",
+    ),
+    Spec(
+        "map.iou_one_cell",
+        "map IoU, one cell tolerance",
+        "percent",
+        "Both marked shares in one number: matching cells over all cells of either map. A "
+        "neighbouring cell counts as a match.",
+    ),
+    Spec(
+        "map.iou",
+        "map IoU, no tolerance",
+        "percent",
+        "Occupied map cells against true visible surface cells, cell by cell. Walls are one cell "
+        "thick, so a wall just across a cell border counts twice against the map, as missing and "
+        "as invented; the true map shifted by half a cell scores below 20 %. Use it to compare "
+        "maps on the same grid, not to judge one.",
+    ),
+    sources=MAP_FILES,
 )
 MAP = (
     WALLS,
-    Section(
+    section(
         "The path",
         "Distance between the estimated and the true position at each scan.",
-        (
-            Spec(
-                "ate_m.rmse",
-                "trajectory error (ATE), RMSE",
-                "cm",
-                "Root mean square distance between SLAM and true positions at the scans, without alignment.",
-                TRAJECTORY,
-                trusted=True,
-            ),
-            Spec(
-                "ate_m.max", "trajectory error, largest", "cm", "The largest of these distances.", TRAJECTORY
-            ),
-            Spec(
-                "ate_aligned_m.rmse",
-                "trajectory error after alignment, RMSE",
-                "cm",
-                "The same after the best rigid alignment: it measures the shape of the path, not its start.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "rpe.trans_m",
-                "drift per metre",
-                "cm/m",
-                "Relative pose error over each metre of true path, RMSE.",
-                TRAJECTORY,
-            ),
-            Spec("rpe.rot_rad", "heading error per metre", "deg/m", "The same for the heading.", TRAJECTORY),
+        Spec(
+            "ate_m.rmse",
+            "trajectory error (ATE), RMSE",
+            "cm",
+            "Root mean square distance between SLAM and true positions at the scans, without alignment.",
+            trusted=True,
         ),
+        Spec("ate_m.max", "trajectory error, largest", "cm", "The largest of these distances."),
+        Spec(
+            "ate_aligned_m.rmse",
+            "trajectory error after alignment, RMSE",
+            "cm",
+            "The same after the best rigid alignment: it measures the shape of the path, not its start.",
+        ),
+        Spec(
+            "rpe.trans_m",
+            "drift per metre",
+            "cm/m",
+            "Relative pose error over each metre of true path, RMSE.",
+        ),
+        Spec("rpe.rot_rad", "heading error per metre", "deg/m", "The same for the heading."),
+        sources=TRAJECTORY,
     ),
-    Section(
+    section(
         "Hand-made relations",
         "For public logs without truth: relative poses of some pairs of scans, verified by hand.",
-        (
-            Spec("relations.n", "relations", "count", "Hand-made pose relations used.", TRAJECTORY),
-            Spec(
-                "relations.trans_m.mean",
-                "relations error, mean",
-                "m4",
-                "Translation error by metricEvaluator's definition (Kümmerle et al. 2009).",
-                TRAJECTORY,
-                trusted=True,
-            ),
-            Spec(
-                "relations.trans_m.std",
-                "relations error, standard deviation",
-                "m4",
-                "Standard deviation of that error over the relations.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "relations.rot_deg.mean",
-                "relations heading error, mean",
-                "deg1",
-                "Mean absolute yaw error.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "relations_cartographer.trans_m.mean",
-                "relations error (Cartographer's), mean",
-                "m4",
-                "Norm of (p1^-1 p2) expected^-1.",
-                TRAJECTORY,
-            ),
+        Spec("relations.n", "relations", "count", "Hand-made pose relations used."),
+        Spec(
+            "relations.trans_m.mean",
+            "relations error, mean",
+            "m4",
+            "Translation error by metricEvaluator's definition (Kümmerle et al. 2009).",
+            trusted=True,
         ),
+        Spec(
+            "relations.trans_m.std",
+            "relations error, standard deviation",
+            "m4",
+            "Standard deviation of that error over the relations.",
+        ),
+        Spec("relations.rot_deg.mean", "relations heading error, mean", "deg1", "Mean absolute yaw error."),
+        Spec(
+            "relations_cartographer.trans_m.mean",
+            "relations error (Cartographer's), mean",
+            "m4",
+            "Norm of (p1^-1 p2) expected^-1.",
+        ),
+        sources=TRAJECTORY,
     ),
-    Section(
+    section(
         "Self-check",
-        "Consistency of the map without any truth: where the robot passed twice, the walls of both "
-        "visits must agree.",
-        (
-            Spec(
-                "self_check.revisits",
-                "revisits compared",
-                "count",
-                "Pairs of key scans taken at the same place at different times.",
-            ),
-            Spec(
-                "self_check.denied_mean",
-                "free-space violations",
-                "percent",
-                "Mean share of the wall points of one visit that lie where the other visit saw free "
-                "space. High in a doubled or folded map.",
-                trusted=True,
-            ),
-            Spec(
-                "self_check.bad_places",
-                "contradicting revisits",
-                "percent",
-                "Revisits in which more than a third of the wall points lie in free space.",
-            ),
-            Spec(
-                "self_check.lost_scans",
-                "unmatched scans",
-                "count",
-                "Scans that match nothing seen before them.",
-            ),
+        "Consistency of the map without any truth: where the robot passed twice, the walls of "
+        "both visits must agree.",
+        Spec(
+            "self_check.revisits",
+            "revisits compared",
+            "count",
+            "Pairs of key scans taken at the same place at different times.",
+        ),
+        Spec(
+            "self_check.denied_mean",
+            "free-space violations",
+            "percent",
+            "Mean share of the wall points of one visit that lie where the other visit saw free "
+            "space. High in a doubled or folded map.",
+            trusted=True,
+        ),
+        Spec(
+            "self_check.bad_places",
+            "contradicting revisits",
+            "percent",
+            "Revisits in which more than a third of the wall points lie in free space.",
+        ),
+        Spec(
+            "self_check.lost_scans", "unmatched scans", "count", "Scans that match nothing seen before them."
         ),
     ),
-    Section(
+    section(
         "Mapping",
         "",
-        (
-            Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
-            Spec("log_s", "log", "s", "Time span of the scans.", TRAJECTORY),
-            Spec(
-                "odometry_late_s",
-                "odometry delay",
-                "s",
-                "Delay of the odometry behind the scans (negative: ahead), judged by the turns of "
-                "both; corrected.",
-            ),
-            Spec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),
-            Spec(
-                "loops.proposed",
-                "loops proposed",
-                "count",
-                "Loop closure candidates: places that look as if the robot had been there before.",
-                GRAPH[1:],
-            ),
-            Spec("loops.accepted", "loops accepted", "count", "Candidates kept in the graph.", GRAPH[1:]),
-            Spec(
-                "loops.rejected", "loops rejected", "count", "Candidates that failed verification.", GRAPH[1:]
-            ),
+        Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
+        Spec("log_s", "log", "s", "Time span of the scans.", TRAJECTORY),
+        Spec(
+            "odometry_late_s",
+            "odometry delay",
+            "s",
+            "Delay of the odometry behind the scans (negative: ahead), judged by the turns of both; "
+            "corrected.",
         ),
+        Spec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),
+        Spec(
+            "loops.proposed",
+            "loops proposed",
+            "count",
+            "Loop closure candidates: places that look as if the robot had been there before.",
+            GRAPH[1:],
+        ),
+        Spec("loops.accepted", "loops accepted", "count", "Candidates kept in the graph.", GRAPH[1:]),
+        Spec("loops.rejected", "loops rejected", "count", "Candidates that failed verification.", GRAPH[1:]),
     ),
 )

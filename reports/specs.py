@@ -2,148 +2,139 @@
 
 from __future__ import annotations
 
-from turtlebag.reports.spec import BAG, GRAPH, LOG, MAP_FILES, ODOMETRY, TRAJECTORY, TRUTH, Section, Spec
+from turtlebag.reports.spec import (
+    BAG,
+    GRAPH,
+    LOG,
+    MAP_FILES,
+    ODOMETRY,
+    TRAJECTORY,
+    TRUTH,
+    Section,
+    Spec,
+    section,
+)
 from turtlebag.reports.spec_map import MAP
 from turtlebag.reports.spec_run import RUN
 
 RECORD = (
-    Section(
+    section(
         "Recording",
         "",
-        (
-            Spec("scans", "scans", "count", "Lidar sweeps in the bag.", BAG, ("/scan",)),
-            Spec(
-                "duration_s",
-                "duration",
-                "s",
-                "From the first scan to the last, simulated time.",
-                BAG,
-                ("/scan",),
-            ),
-            Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
+        Spec("scans", "scans", "count", "Lidar sweeps in the bag.", topics=("/scan",)),
+        Spec(
+            "duration_s",
+            "duration",
+            "s",
+            "From the first scan to the last, simulated time.",
+            topics=("/scan",),
         ),
+        Spec("distance_m", "distance driven", "m", "Length of the true path.", topics=TRUTH),
+        sources=BAG,
     ),
-    Section(
+    section(
         "Wheel odometry error",
         "Odometry errors accumulate; mapping has to correct them.",
-        (
-            Spec(
-                "odometry_ate_m.rmse",
-                "odometry error, RMSE",
-                "cm",
-                "Wheel odometry against the truth at each scan, without alignment: both start at the "
-                "same pose.",
-                BAG,
-                ODOMETRY,
-            ),
-            Spec(
-                "odometry_ate_m.max",
-                "odometry error, largest",
-                "cm",
-                "Largest distance between wheel odometry and truth.",
-                BAG,
-                ODOMETRY,
-            ),
-            Spec(
-                "odometry_rpe.trans_m",
-                "odometry drift per metre",
-                "cm/m",
-                "Relative pose error of the odometry over each metre of true path, RMSE.",
-                BAG,
-                ODOMETRY,
-            ),
-            Spec(
-                "odometry_rpe.rot_rad",
-                "odometry heading error per metre",
-                "deg/m",
-                "The same for the heading.",
-                BAG,
-                ODOMETRY,
-            ),
+        Spec(
+            "odometry_ate_m.rmse",
+            "odometry error, RMSE",
+            "cm",
+            "Wheel odometry against the truth at each scan, without alignment: both start at the same pose.",
         ),
+        Spec(
+            "odometry_ate_m.max",
+            "odometry error, largest",
+            "cm",
+            "Largest distance between wheel odometry and truth.",
+        ),
+        Spec(
+            "odometry_rpe.trans_m",
+            "odometry drift per metre",
+            "cm/m",
+            "Relative pose error of the odometry over each metre of true path, RMSE.",
+        ),
+        Spec(
+            "odometry_rpe.rot_rad", "odometry heading error per metre", "deg/m", "The same for the heading."
+        ),
+        sources=BAG,
+        topics=ODOMETRY,
     ),
 )
 
 LOCALISE = (
-    Section(
+    section(
         "Localisation",
         "",
-        (
-            Spec(
-                "true_success",
-                "localised (ground truth)",
-                "yes",
-                "At the end the filter had converged, and it was within 25 cm of the truth.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "success",
-                "localised (filter's estimate)",
-                "yes",
-                "At the end the filter had converged, and the scans agreed with the map.",
-            ),
-            Spec(
-                "last_error_m",
-                "error at the end",
-                "cm",
-                "Distance between the estimate and the true position at the last scan.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "localisation_error_m.rmse",
-                "localisation error, RMSE",
-                "cm",
-                "Distance between the estimate and the true position at the scans.",
-                TRAJECTORY,
-                trusted=True,
-            ),
-            Spec(
-                "localisation_error_m.max",
-                "localisation error, largest",
-                "cm",
-                "The largest of these distances.",
-                TRAJECTORY,
-            ),
-            Spec(
-                "localisation_error_rad.rmse",
-                "heading error, RMSE",
-                "deg",
-                "The same for the heading.",
-                TRAJECTORY,
-            ),
+        Spec(
+            "true_success",
+            "localised (ground truth)",
+            "yes",
+            "At the end the filter had converged, and it was within 25 cm of the truth.",
+            TRAJECTORY,
+        ),
+        Spec(
+            "success",
+            "localised (filter's estimate)",
+            "yes",
+            "At the end the filter had converged, and the scans agreed with the map.",
+        ),
+        Spec(
+            "last_error_m",
+            "error at the end",
+            "cm",
+            "Distance between the estimate and the true position at the last scan.",
+            TRAJECTORY,
+        ),
+        Spec(
+            "localisation_error_m.rmse",
+            "localisation error, RMSE",
+            "cm",
+            "Distance between the estimate and the true position at the scans.",
+            TRAJECTORY,
+            trusted=True,
+        ),
+        Spec(
+            "localisation_error_m.max",
+            "localisation error, largest",
+            "cm",
+            "The largest of these distances.",
+            TRAJECTORY,
+        ),
+        Spec(
+            "localisation_error_rad.rmse",
+            "heading error, RMSE",
+            "deg",
+            "The same for the heading.",
+            TRAJECTORY,
         ),
     ),
-    Section(
+    section(
         "Filter state",
         "",
-        (
-            Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
-            Spec("updates", "filter updates", "count", "Scans used to weight the particles."),
-            Spec(
-                "converged.share",
-                "time converged",
-                "percent",
-                "Share of the scans at which the particles had converged.",
-            ),
+        Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
+        Spec("updates", "filter updates", "count", "Scans used to weight the particles."),
+        Spec(
+            "converged.share",
+            "time converged",
+            "percent",
+            "Share of the scans at which the particles had converged.",
         ),
     ),
 )
 
 PLAN = (
-    Section(
+    section(
         "The path",
         "",
-        (
-            Spec("length_m", "length", "m", "Length of the planned path.", ("path.csv",), trusted=True),
-            Spec(
-                "min_clearance_m",
-                "minimum clearance",
-                "cm",
-                "Smallest distance from the footprint to an occupied or unknown cell.",
-                ("path.csv",),
-            ),
-            Spec("poses", "poses", "count", "Poses of the path.", ("path.csv",)),
+        Spec("length_m", "length", "m", "Length of the planned path.", trusted=True),
+        Spec(
+            "min_clearance_m",
+            "minimum clearance",
+            "cm",
+            "Smallest distance from the footprint to an occupied or unknown cell.",
         ),
+        Spec("poses", "poses", "count", "Poses of the path."),
+        sources=("path.csv",),
     ),
 )
 

@@ -24,8 +24,9 @@ from turtlebag.pipeline.campaign.table import write_parquet
 from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import log, track
 from turtlebag.reports.campaign import compare_pairs, summarise
-from turtlebag.reports.campaign_page import draw_campaign, render_campaign
+from turtlebag.reports.campaign_page import Study, draw_campaign, render_campaign
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.figures.campaign import Wish
 from turtlebag.reports.stages import read_json
 
 TABLE = "results.parquet"
@@ -55,39 +56,26 @@ def sweep(
     campaign = load_campaign(campaign_name)
     check_free(out, force=force, kind="folder")
     with claimed(out, force=force) as claim:
-        return _sweep(campaign, campaign_name, claim, run, scheduler, workers, command, watch)
-
-
-def _sweep(
-    campaign: Campaign,
-    campaign_name: str,
-    claim: Claim,
-    run: Run,
-    scheduler: str | None,
-    workers: int | None,
-    command: Sequence[str],
-    watch: Stopwatch,
-) -> int:
-    folder = _work_folder(campaign, claim)
-    todo = cases(campaign)
-    inputs = _inputs(campaign_name, todo)
-    claim.watch(inputs.values())
-    rows = _run(campaign, todo, folder / "cases", run, scheduler, workers)
-    timing = _collect_timing(folder / "cases")
-    _tidy(folder, campaign)
-    write_results(campaign, rows, folder)
-    write_manifest(
-        folder,
-        stage="sweep",
-        command=command,
-        inputs=inputs,
-        seed=campaign.seed,
-        wall_s=watch.seconds(),
-        extra={"case_wall_s": timing},
-    )
-    claim.finish()
+        folder = _work_folder(campaign, claim)
+        todo = cases(campaign)
+        inputs = _inputs(campaign_name, todo)
+        claim.watch(inputs.values())
+        rows = _run(campaign, todo, folder / "cases", run, scheduler, workers)
+        timing = _collect_timing(folder / "cases")
+        _tidy(folder, campaign)
+        write_results(campaign, rows, folder)
+        write_manifest(
+            folder,
+            stage="sweep",
+            command=command,
+            inputs=inputs,
+            seed=campaign.seed,
+            wall_s=watch.seconds(),
+            extra={"case_wall_s": timing},
+        )
+        claim.finish()
     failed = sum(bool(row["failed"]) for row in rows)
-    log.info(f"{claim.out}: {len(rows)} cases, {failed} failed")
+    log.info(f"{out}: {len(rows)} cases, {failed} failed")
     return int(failed > 0)
 
 
@@ -221,18 +209,22 @@ def write_results(campaign: Campaign, rows: Sequence[Row], folder: Path) -> None
     )
     album = Album(folder / "figures", paper=True)
     names = {key: (item.label or key.replace("_", " "), item.unit) for key, item in campaign.results.items()}
-    draw_campaign([figure.model_dump() for figure in campaign.figures], rows, campaign.seed, names, album)
-    page = render_campaign(
+    wishes = [
+        Wish(f.x, f.y, names[f.y][0], f.unit or names[f.y][1], f.lines, f.panels, f.title, f.log)
+        for f in campaign.figures
+    ]
+    draw_campaign(wishes, rows, campaign.seed, album)
+    study = Study(
         campaign.name,
         campaign.question,
+        list(campaign.factors),
         rows,
+        names,
         summaries,
         pairs,
-        compare=campaign.compare or "",
-        against=campaign.against,
-        names=names,
-        factors=list(campaign.factors),
-        pictures=album.pictures,
-        file=config_text(campaign),
+        campaign.compare or "",
+        campaign.against,
+        config_text(campaign),
     )
+    page = render_campaign(study, album.pictures)
     (folder / "index.html").write_text(page)

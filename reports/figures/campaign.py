@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from turtlebag.reports.campaign import interval, is_share, levels_of
 from turtlebag.reports.figures.style import MUTED, SERIES, new_figure
+from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import UNITS
 
 Row = Mapping[str, Any]
@@ -22,24 +24,27 @@ WRAP = 32
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
-def result_over_factor(
-    rows: Sequence[Row],
-    x: str,
-    y: str,
-    *,
-    lines: str | None,
-    panels: str | None,
-    label: str,
-    unit: str,
-    log: bool,
-    seed: int,
-) -> Figure:
-    """Median (or share) of `y` with its interval at each level of `x`; single cases as faint dots.
+@dataclass(frozen=True)
+class Wish:
+    """A figure that is asked for: the result `y`, called `label` and shown in `unit`, over the factor `x`.
 
     One line for each level of `lines`; one panel, all to one scale, for each level of `panels`.
     """
-    share = is_share(rows, y)
-    symbol = "%" if share else UNITS[unit].symbol
+
+    x: str
+    y: str
+    label: str
+    unit: str
+    lines: str | None = None
+    panels: str | None = None
+    title: str = ""
+    log: bool = False
+
+
+def result_over_factor(rows: Sequence[Row], wish: Wish, seed: int) -> Figure:
+    """Median (or share) with its interval at each level; single cases as faint dots."""
+    share = is_share(rows, wish.y)
+    unit, panels = UNITS["percent" if share else wish.unit], wish.panels
     groups = levels_of(rows, panels) if panels is not None else [None]
     columns = min(len(groups), COLUMNS)
     lanes = -(-len(groups) // columns)
@@ -47,28 +52,28 @@ def result_over_factor(
     grid = figure.subplots(lanes, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, group in zip(grid, groups, strict=False):
         chosen = [row for row in rows if panels is None or row[panels] == group]
-        _draw_lines(axes, chosen, x, y, lines, "percent" if share else unit, seed, share)
+        _draw_lines(axes, chosen, wish, unit.factor, seed)
         if group is not None:
             axes.set_title(words(group), fontsize="small")
     for axes in grid[len(groups) :]:
         axes.set_visible(False)
-    if log and not share:
+    if wish.log and not share:
         grid[0].set_yscale("log")
         grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         grid[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[0].yaxis.set_minor_formatter(NullFormatter())
     else:
         grid[0].set_ylim(bottom=0.0, top=105.0 if share else None)
-    text = textwrap.fill(f"{label} [{symbol}]" if symbol else label, WRAP)
+    text = textwrap.fill(f"{wish.label} [{unit.symbol}]" if unit.symbol else wish.label, WRAP)
     if panels is None:
-        grid[0].set_xlabel(words(x))
+        grid[0].set_xlabel(words(wish.x))
         grid[0].set_ylabel(text)
     else:
-        figure.supxlabel(words(x), fontsize="medium")
+        figure.supxlabel(words(wish.x), fontsize="medium")
         figure.supylabel(text, fontsize="medium")
-    if lines is not None and grid[0].get_legend_handles_labels()[0]:
+    if wish.lines is not None and grid[0].get_legend_handles_labels()[0]:
         handles, names = grid[0].get_legend_handles_labels()
-        names[0] = f"{words(lines)}: {names[0]}"
+        names[0] = f"{words(wish.lines)}: {names[0]}"
         # Above, where it hides no mark.
         figure.legend(handles, names, loc="outside upper right", ncols=len(names))
     return figure
@@ -79,24 +84,27 @@ def words(level: Any) -> str:
     return str(level).replace("_", " ")
 
 
-def _draw_lines(
-    axes: Axes, rows: Sequence[Row], x: str, y: str, lines: str | None, unit: str, seed: int, share: bool
-) -> None:
+def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, seed: int) -> None:
     """All lines of one panel."""
-    levels = levels_of(rows, x)
+    share, levels = is_share(rows, wish.y), levels_of(rows, wish.x)
     numeric = all(isinstance(level, (int, float)) and not isinstance(level, bool) for level in levels)
-    groups = levels_of(rows, lines) if lines is not None else [None]
+    groups = levels_of(rows, wish.lines) if wish.lines is not None else [None]
     for number, group in enumerate(groups):
-        chosen = [row for row in rows if lines is None or row[lines] == group]
+        chosen = [row for row in rows if wish.lines is None or row[wish.lines] == group]
         # Beside each other, so that intervals do not hide one another.
         step = 0.012 * (max(levels) - min(levels)) if numeric else 0.16
         shift = step * (number - (len(groups) - 1) / 2)
-        places = [float(level) + shift if numeric else index + shift for index, level in enumerate(levels)]
         label = None if group is None else words(group)
-        factor = UNITS[unit].factor
-        _draw_group(
-            axes, chosen, x, y, levels, places, factor, seed, number, label, joined=numeric, dots=not share
-        )
+        found = []
+        for index, level in enumerate(levels):
+            here = [row for row in chosen if row[wish.x] == level]
+            place = float(level) + shift if numeric else index + shift
+            found.append((place, interval(here, wish.y, seed, f"{wish.x}={level} {label}")))
+            if not share:
+                values = [factor * row[wish.y] for row in here if isinstance(row[wish.y], (int, float))]
+                at = np.full(len(values), place)
+                axes.plot(at, values, ".", color=MUTED, markersize=3, alpha=0.45, zorder=2)
+        _draw_line(axes, found, factor, number, label, "-" if numeric else "none")
     if not numeric:
         crowded = len(levels) > 6
         names = [words(level) for level in levels]
@@ -105,38 +113,32 @@ def _draw_lines(
         )
 
 
-def _draw_group(
+def _draw_line(
     axes: Axes,
-    rows: Sequence[Row],
-    x: str,
-    y: str,
-    levels: Sequence[Any],
-    places: Sequence[float],
+    found: Sequence[tuple[float, Interval]],
     factor: float,
-    seed: int,
     number: int,
     label: str | None,
-    *,
-    joined: bool,
-    dots: bool,
+    style: str,
 ) -> None:
-    colour, marker = SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)]
-    centres: list[tuple[float, float, float, float]] = []
-    for level, place in zip(levels, places, strict=True):
-        here = [row for row in rows if row[x] == level]
-        found = interval(here, y, seed, f"{x}={level} {label}")
-        if dots:
-            values = [factor * row[y] for row in here if isinstance(row[y], (int, float))]
-            axes.plot(
-                np.full(len(values), place), values, ".", color=MUTED, markersize=3, alpha=0.45, zorder=2
-            )
-        if found.value is not None and found.low is not None and found.high is not None:
-            centres.append((place, factor * found.value, factor * found.low, factor * found.high))
-    if not centres:
+    """The medians with their intervals, at places along the x axis."""
+    known = [
+        (place, value.value, value.low, value.high)
+        for place, value in found
+        if value.value is not None and value.low is not None and value.high is not None
+    ]
+    if not known:
         return
-    at, value, low, high = np.array(centres).T
-    spread = np.maximum(np.stack([value - low, high - value]), 0.0)
-    style = "-" if joined else "none"
+    at, value, low, high = np.array(known).T
+    spread = factor * np.maximum(np.stack([value - low, high - value]), 0.0)
     axes.errorbar(
-        at, value, yerr=spread, fmt=marker, linestyle=style, color=colour, capsize=3, label=label, zorder=3
+        at,
+        factor * value,
+        yerr=spread,
+        fmt=MARKERS[number % len(MARKERS)],
+        linestyle=style,
+        color=SERIES[number % len(SERIES)],
+        capsize=3,
+        label=label,
+        zorder=3,
     )
