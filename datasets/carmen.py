@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +37,15 @@ _END_OF_TIME_S = 2.0**31
 """ROS's seconds are 32 bits wide; a larger stamp is damage, and so is one before 1970."""
 
 
-@dataclass(slots=True)
-class _Lines:
-    """Parsed lines of one kind, before they become arrays: `numbers` as text, beams then two poses."""
+class _Line(NamedTuple):
+    """A scan line before it becomes an array: its readings and two poses as text, and where it stands."""
 
-    numbers: list[bytes]
-    beams: list[int]
-    stamps: list[int]
-    line_numbers: list[int]
-    views: list[tuple[float, float]]  # (first angle, increment) of lines that state them
+    text: bytes
+    beams: int
+    stamp_ns: int
+    number: int
+    view: tuple[float, float] | None
+    """First angle and increment, where the line states them."""
 
 
 def is_carmen(content: bytes) -> bool:
@@ -57,7 +58,7 @@ def is_carmen(content: bytes) -> bool:
 def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes: list[str]) -> Recording:
     """Recording from the unpacked content of a log; `path` names it in messages."""
     found, params, broken, rear = _collect(content)
-    lines = found[b"FLASER"] if found[b"FLASER"].stamps else found[b"ROBOTLASER1"]
+    lines = found[b"FLASER"] or found[b"ROBOTLASER1"]
     keys = _geometries(lines, notes)
     stamps, values, lidar = _on_one_grid(lines, keys, broken, notes)
     if not len(stamps):
@@ -89,9 +90,9 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
     )
 
 
-def _collect(content: bytes) -> tuple[dict[bytes, _Lines], dict[bytes, bytes], list[int], int]:
+def _collect(content: bytes) -> tuple[dict[bytes, list[_Line]], dict[bytes, bytes], list[int], int]:
     """Scan lines by kind, parameters, numbers of the damaged lines and the count of rear scans."""
-    found = {kind: _Lines([], [], [], [], []) for kind in (b"FLASER", b"ROBOTLASER1")}
+    found: dict[bytes, list[_Line]] = {b"FLASER": [], b"ROBOTLASER1": []}
     params: dict[bytes, bytes] = {}
     broken: list[int] = []
     rear = 0
@@ -99,7 +100,7 @@ def _collect(content: bytes) -> tuple[dict[bytes, _Lines], dict[bytes, bytes], l
         kind = line[: line.find(b" ")]
         if kind in found:
             try:
-                _append(found[kind], kind, line.split(), number)
+                found[kind].append(_parsed(kind, line.split(), number))
             except (ValueError, IndexError, OverflowError):
                 broken.append(number)
         elif kind == b"PARAM":
@@ -111,8 +112,8 @@ def _collect(content: bytes) -> tuple[dict[bytes, _Lines], dict[bytes, bytes], l
     return found, params, broken, rear
 
 
-def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None:
-    """Add one scan line; ValueError or IndexError when its fields do not add up."""
+def _parsed(kind: bytes, words: list[bytes], number: int) -> _Line:
+    """One scan line; ValueError or IndexError when its fields do not add up."""
     if kind == b"FLASER":
         n, first = int(words[1]), 2
         poses = first + n
@@ -130,40 +131,37 @@ def _append(lines: _Lines, kind: bytes, words: list[bytes], number: int) -> None
     if not 0.0 <= float(words[-3]) < _END_OF_TIME_S:
         raise ValueError("an impossible stamp")
     stamp = stamp_from_text(words[-3].decode("ascii"))
-    lines.numbers.append(b" ".join(words[first : first + n] + words[poses : poses + 6]))
-    lines.beams.append(n)
-    lines.stamps.append(stamp)
-    lines.line_numbers.append(number)
-    if view:
-        lines.views.append(view)
+    text = b" ".join(words[first : first + n] + words[poses : poses + 6])
+    return _Line(text, n, stamp, number, view)
 
 
-def _geometries(lines: _Lines, notes: list[str]) -> list[Geometry | None]:
+def _geometries(lines: list[_Line], notes: list[str]) -> list[Geometry | None]:
     """The beams of each scan; None for one whose field of view nobody knows.
 
     The half circle that FLASER lines leave unsaid is that of the SICK's numbers of beams, and of the most
     frequent number.
     """
-    sizes = Counter(lines.beams)
+    sizes = Counter(line.beams for line in lines)
     usual = sizes.most_common(1)[0][0] if sizes else 0
-    if not lines.views:
+    known = set(sizes)
+    if lines and lines[0].view is None:
         known = {*_HALF_CIRCLES, usual}
         if usual and usual not in _HALF_CIRCLES:
             notes.append(f"{usual} beams: a field of view of 180 degrees is assumed")
         if sizes.keys() - known:
             unknown = sum(count for n, count in sizes.items() if n not in known)
             notes.append(f"{unknown} scans with other than {usual} beams skipped")
-        views = [(-math.pi / 2.0, math.pi / max(n - n % 2, 1)) for n in lines.beams]
-    else:
-        known, views = set(lines.beams), lines.views
-    return [
-        Geometry(first, first + (n - 1) * step, step, 0.0, FAR, n) if n in known else None
-        for n, (first, step) in zip(lines.beams, views, strict=True)
-    ]
+    return [_geometry(line) if line.beams in known else None for line in lines]
+
+
+def _geometry(line: _Line) -> Geometry:
+    n = line.beams
+    first, step = line.view or (-math.pi / 2.0, math.pi / max(n - n % 2, 1))
+    return Geometry(first, first + (n - 1) * step, step, 0.0, FAR, n)
 
 
 def _on_one_grid(
-    lines: _Lines, keys: list[Geometry | None], broken: list[int], notes: list[str]
+    lines: list[_Line], keys: list[Geometry | None], broken: list[int], notes: list[str]
 ) -> tuple[Stamps, Array, LidarSpec]:
     """Stamps (n,), readings and the two poses (n, n_beams + 6) in the file's order, and the beams.
 
@@ -175,16 +173,16 @@ def _on_one_grid(
         if key is not None and key.usable():
             same.setdefault(key, []).append(index)
         elif key is not None:
-            broken.append(lines.line_numbers[index])
+            broken.append(lines[index].number)
     parts, found = [], []
     for key, scans in same.items():
-        part = _select(lines, scans)
-        parts.append((_numbers(part, broken), part))
-        found += [key] * len(part.stamps)
+        parts.append(_numbers([lines[index] for index in scans], broken))
+        found += [key] * len(parts[-1][1])
     if not found:
         return np.empty(0, dtype=np.int64), np.empty((0, 6)), LidarSpec(1, 0.0, 0.0, 0.0, FAR)
-    order = np.argsort([number for _, part in parts for number in part.line_numbers], kind="stable")
-    stamps = np.array([stamp for _, part in parts for stamp in part.stamps], dtype=np.int64)[order]
+    kept = [line for _, part in parts for line in part]
+    order = np.argsort([line.number for line in kept], kind="stable")
+    stamps = np.array([line.stamp_ns for line in kept], dtype=np.int64)[order]
     main = Counter(found).most_common(1)[0][0]
     lidar = LidarSpec(main.n, main.angle_min, main.increment, 0.0, FAR)
     if len(parts) == 1:
@@ -195,42 +193,30 @@ def _on_one_grid(
     return stamps, np.hstack([readings, [row[-6:] for row in rows]]), lidar
 
 
-def _select(lines: _Lines, keep: list[int]) -> _Lines:
-    return _Lines(
-        [lines.numbers[i] for i in keep],
-        [lines.beams[i] for i in keep],
-        [lines.stamps[i] for i in keep],
-        [lines.line_numbers[i] for i in keep],
-        [lines.views[i] for i in keep] if lines.views else [],
-    )
-
-
-def _numbers(lines: _Lines, broken: list[int]) -> Array:
-    """Ranges and the two poses, (n_scans, n_beams + 6); rows with non-numbers leave `lines` too."""
-    if not lines.stamps:
-        return np.empty((0, 6))
-    width, values = lines.beams[0] + 6, np.empty((len(lines.numbers), lines.beams[0] + 6))
+def _numbers(lines: list[_Line], broken: list[int]) -> tuple[Array, list[_Line]]:
+    """Ranges and the two poses, (n_scans, n_beams + 6), and the lines that hold nothing but such numbers."""
+    if not lines:
+        return np.empty((0, 6)), []
+    width = lines[0].beams + 6
+    values = np.empty((len(lines), width))
     try:
         for at in range(0, len(values), LINES_AT_ONCE):
-            part = lines.numbers[at : at + LINES_AT_ONCE]
+            part = [line.text for line in lines[at : at + LINES_AT_ONCE]]
             words = np.array(b" ".join(part).split(), dtype="S32")
             values[at : at + len(part)] = words.astype(np.float64).reshape(len(part), width)
     except ValueError:
         rows, good = [], []
-        for index, text in enumerate(lines.numbers):
+        for line in lines:
             try:
-                rows.append([float(word) for word in text.split()])
-                good.append(index)
+                rows.append([float(word) for word in line.text.split()])
+                good.append(line)
             except ValueError:
-                broken.append(lines.line_numbers[index])
-        values = np.array(rows).reshape(-1, width)
-        _replace(lines, good)
+                broken.append(line.number)
+        values, lines = np.array(rows).reshape(-1, width), good
     with np.errstate(invalid="ignore"):
-        finite = (np.abs(values[:, -6:]) < FAR_M).all(axis=1)
-    if not finite.all():
-        broken.extend(lines.line_numbers[index] for index in np.flatnonzero(~finite))
-        _replace(lines, np.flatnonzero(finite).tolist())
-    return values[finite]
+        finite = np.asarray((np.abs(values[:, -6:]) < FAR_M).all(axis=1))
+    broken.extend(line.number for line, kept in zip(lines, finite, strict=True) if not kept)
+    return values[finite], [line for line, kept in zip(lines, finite, strict=True) if kept]
 
 
 def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
@@ -243,12 +229,6 @@ def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
         notes.append("the robot would be faster than any; its poses taken for millimetres")
         scale[[-6, -5, -3, -2]] = 1e-3
     return values if (scale == 1.0).all() else values * scale
-
-
-def _replace(lines: _Lines, keep: list[int]) -> None:
-    kept = _select(lines, keep)
-    lines.numbers, lines.beams, lines.stamps = kept.numbers, kept.beams, kept.stamps
-    lines.line_numbers, lines.views = kept.line_numbers, kept.views
 
 
 def _normalised(readings: Array, notes: list[str]) -> tuple[NDArray[np.float32], float]:
@@ -274,14 +254,14 @@ def _laser_pose(T_odom_base: SE2, T_odom_lidar: SE2, params: dict[bytes, bytes],
     """Where the laser sits on the robot: from the two poses of each line, else from the parameters."""
     relative = (T_odom_base.inverse() @ T_odom_lidar).xyt
     median = np.median(relative, axis=0)
-    spread = np.median(np.abs(relative - median), axis=0)
-    if spread.max() < 2e-3 and np.abs(median).max() > 1e-4:
+    deviation = np.median(np.abs(relative - median), axis=0)
+    if deviation.max() < 2e-3 and np.abs(median).max() > 1e-4:
         return SE2.from_array(np.round(median, 4))
     try:
         offset = float(params.get(b"robot_frontlaser_offset", b"0"))
     except ValueError:
         offset = 0.0
-    if spread.max() >= 2e-3:
+    if deviation.max() >= 2e-3:
         notes.append(
             f"laser and robot poses are not rigidly linked; laser taken {offset:g} m ahead of the robot"
         )

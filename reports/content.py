@@ -247,11 +247,11 @@ def _map_verdict(metrics: Mapping[str, Any], odometry_m: float | None) -> tuple[
 
 
 def _plan_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
-    rivals = metrics.get("planners") or []
-    if rivals:
-        found = sum(bool(entry.get("success")) for entry in rivals)
+    compared = metrics.get("planners") or []
+    if compared:
+        found = sum(bool(entry.get("success")) for entry in compared)
         good = bool(metrics.get("success", found))
-        sentence = f"{found} of {len(rivals)} planners found a path; the chosen one "
+        sentence = f"{found} of {len(compared)} planners found a path; the chosen one "
         return GOOD if good else BAD, sentence + ("did." if good else "did not.")
     if not metrics.get("success", True):
         return BAD, f"No path was found: {metrics.get('reason') or 'no reason is given'}."

@@ -71,13 +71,13 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
     if not path.is_file():
         return []
     grid, poses = given_map(stage, group), read_path(path)
-    rivals = rival_paths(stage)
-    if rivals:
+    compared = planner_paths(stage)
+    if compared:
         caption = (
             "Each planner's path from the same start to the same goal. Look for paths that are shorter "
             "but keep less clearance, and for those that take another route."
         )
-        draw = partial(maps.plans, grid, rivals)
+        draw = partial(maps.plans, grid, compared)
         return [album.add(f"{prefix}-path", "Planners compared", caption, draw)]
     if len(poses) == 0:
         return []
@@ -101,7 +101,7 @@ def read_path(path: Path) -> SE2:
     return SE2.from_array(np.array(rows).reshape(-1, 3))
 
 
-def rival_paths(stage: Stage) -> dict[str, SE2]:
+def planner_paths(stage: Stage) -> dict[str, SE2]:
     """The way of each planner of a comparison that found one, in the order of the metrics."""
     found = {}
     for entry in stage.metrics.get("planners") or []:

@@ -20,8 +20,8 @@ TITLES = {
     "explore": "Exploration",
     "run": "Navigation",
 }
-# Options of the command lines, the most telling first, and how they are put into words.
-TELLING = {
+# Options of the command lines that tell stages apart, the first that do so first, and their wording.
+DISTINGUISHING = {
     "robot": "{}",
     "teleop": "{}",
     "goal": "at {}",
@@ -100,7 +100,7 @@ def _title(stage: Stage, base: str) -> str:
 def _differences(stages: Sequence[Stage], recordings: Sequence[str | None]) -> list[dict[str, str]]:
     """For each stage what tells it from the others, by option: as few as tell them all apart."""
     told: list[dict[str, str]] = [{} for _ in stages]
-    for name, template in TELLING.items():
+    for name, template in DISTINGUISHING.items():
         if name == "recording":
             values = [label and label.removeprefix("record-").replace("-", " ") for label in recordings]
         else:

@@ -16,12 +16,11 @@ from turtlebag.datasets.bags.copying import (
     Copier,
     Untranslatable,
     Write,
-    completed,
+    as_ros2,
     into_mcap,
     is_latched,
     store_of,
     to_ros1,
-    to_ros2,
 )
 from turtlebag.datasets.bags.folder import BagFolder
 from turtlebag.datasets.bags.source import Bag, open_bag
@@ -51,10 +50,7 @@ def to_sqlite3(path: Path, folder: Path, *, exclude: Collection[str] = ()) -> tu
 
 
 def _register(writer: Writer2, topic: Topic) -> Write:
-    translate = None
-    if topic.encoding == "ros1":
-        topic, translate = to_ros2(topic)
-    topic = completed(topic)
+    topic, translate = as_ros2(topic)
     if not topic.definition or topic.encoding != "cdr":
         raise Untranslatable(f"{topic.name}: {topic.msgtype} has no definition, or is not CDR")
     connection = writer.add_connection(
@@ -64,8 +60,6 @@ def _register(writer: Writer2, topic: Topic) -> Write:
         rihs01=topic.type_hash or "RIHS01_" + "0" * 64,
         offered_qos_profiles=parse_qos(topic.qos),
     )
-    if translate is None:
-        return lambda message: writer.write(connection, message.log_time_ns, message.data)
     return lambda message: writer.write(connection, message.log_time_ns, translate(message.data))
 
 

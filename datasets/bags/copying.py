@@ -77,6 +77,14 @@ def to_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
     return renamed, lambda data: bytes(store.ros1_to_cdr(data, source))
 
 
+def as_ros2(topic: Topic) -> tuple[Topic, Callable[[bytes], bytes]]:
+    """A topic of either layout as ROS 2 has it, with its definition, and the translation of its messages."""
+    translate: Callable[[bytes], bytes] = bytes
+    if topic.encoding == "ros1":
+        topic, translate = to_ros2(topic)
+    return completed(topic), translate
+
+
 def to_ros1(topic: Topic) -> tuple[str, str, Callable[[bytes], bytes]]:
     """ROS 1's definition text and md5 sum of a topic, and the translation of its CDR messages."""
     store = store_of(topic, ros2_header=True)
@@ -146,10 +154,7 @@ def into_mcap(bag: BagFolder) -> Copier:
     """A copier into a rosbag2 folder with mcap storage."""
 
     def register(topic: Topic) -> Write:
-        translate = None
-        if topic.encoding == "ros1":
-            topic, translate = to_ros2(topic)
-        topic = completed(topic)
+        topic, translate = as_ros2(topic)
         channel = bag.add_topic(
             topic.name,
             topic.msgtype,
@@ -159,8 +164,6 @@ def into_mcap(bag: BagFolder) -> Copier:
             type_hash=topic.type_hash,
             encoding=topic.encoding,
         )
-        if translate is None:
-            return lambda message: bag.write(channel, message.log_time_ns, message.data)
         return lambda message: bag.write(channel, message.log_time_ns, translate(message.data))
 
     return Copier(register)

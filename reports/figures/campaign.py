@@ -130,11 +130,11 @@ def _draw_line(
     if not known:
         return
     at, value, low, high = np.array(known).T
-    spread = factor * np.maximum(np.stack([value - low, high - value]), 0.0)
+    whiskers = factor * np.maximum(np.stack([value - low, high - value]), 0.0)
     axes.errorbar(
         at,
         factor * value,
-        yerr=spread,
+        yerr=whiskers,
         fmt=MARKERS[number % len(MARKERS)],
         linestyle=style,
         color=SERIES[number % len(SERIES)],

@@ -33,8 +33,8 @@ def _interval(values: Array, statistic: object, rng: np.random.Generator) -> Int
     if len(values) == 0:
         return Interval(0, None, None, None)
     drawn = values[rng.integers(len(values), size=(RESAMPLES, len(values)))]
-    spread = statistic(drawn, axis=1)  # type: ignore[operator]
-    low, high = np.quantile(spread, [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
+    resampled = statistic(drawn, axis=1)  # type: ignore[operator]
+    low, high = np.quantile(resampled, [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
     return Interval(len(values), float(statistic(values)), float(low), float(high))  # type: ignore[operator]
 
 

@@ -10,7 +10,7 @@ from turtlebag.datasets.bags import units
 from turtlebag.datasets.carmen import (
     _in_metres,
     _laser_pose,
-    _Lines,
+    _Line,
     _numbers,
     _period,
     is_carmen,
@@ -20,11 +20,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 
 
-def lines(texts, beams=2, views=()):
-    n = len(texts)
-    return _Lines(
-        [t.encode() for t in texts], [beams] * n, list(range(n)), [10 + k for k in range(n)], list(views)
-    )
+def lines(texts):
+    return [_Line(text.encode(), 2, k, 10 + k, None) for k, text in enumerate(texts)]
 
 
 @pytest.mark.parametrize(
@@ -39,19 +36,17 @@ def test_a_log_is_told_by_a_line_of_a_known_kind_near_its_beginning(kind):
 
 def test_rows_with_words_or_impossible_poses_leave_every_column():
     good, word, far, nan = "1 2 0 0 0 3 4 5", "1 x 0 0 0 3 4 5", "1 2 0 0 0 3 2e8 5", "1 2 0 nan 0 3 4 5"
-    found, broken = lines([good, far, good, nan], views=[(0, 1), (1, 1), (2, 1), (3, 1)]), []
-    values = _numbers(found, broken)
+    broken = []
+    values, found = _numbers(lines([good, far, good, nan]), broken)
     np.testing.assert_array_equal(values, [[1, 2, 0, 0, 0, 3, 4, 5]] * 2)
     assert broken == [11, 13]
-    assert (found.stamps, found.line_numbers, found.beams) == ([0, 2], [10, 12], [2, 2])
-    assert found.views == [(0, 1), (2, 1)]
-    found, broken = lines([word, good, "inf 2 0 0 0 0 0 0", far]), []
-    np.testing.assert_array_equal(
-        _numbers(found, broken), [[1, 2, 0, 0, 0, 3, 4, 5], [np.inf, 2, 0, 0, 0, 0, 0, 0]]
-    )
+    assert [(line.stamp_ns, line.number) for line in found] == [(0, 10), (2, 12)]
+    broken = []
+    values, found = _numbers(lines([word, good, "inf 2 0 0 0 0 0 0", far]), broken)
+    np.testing.assert_array_equal(values, [[1, 2, 0, 0, 0, 3, 4, 5], [np.inf, 2, 0, 0, 0, 0, 0, 0]])
     assert broken == [10, 13]
-    assert found.stamps == [1, 2]
-    assert _numbers(lines([]), []).shape == (0, 6)
+    assert [line.stamp_ns for line in found] == [1, 2]
+    assert _numbers([], [])[0].shape == (0, 6)
 
 
 def test_millimetres_become_metres_apart_for_readings_and_poses():

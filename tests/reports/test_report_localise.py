@@ -16,7 +16,7 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.content import pointer_of
-from turtlebag.reports.draw_localise import given_map, read_path, rival_paths
+from turtlebag.reports.draw_localise import given_map, planner_paths, read_path
 from turtlebag.reports.stages import Group, load_stage
 
 
@@ -70,7 +70,7 @@ def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
     for number, name in enumerate(("RRTConnect", "PRM", "BITstar")):
         rows = "" if name == "PRM" else f"-2,-1.5,0\n0,{-1.5 + 0.2 * number},0\n2,-1.5,0\n"
         (plan / f"path-{name}.csv").write_text("x,y,yaw\n" + rows)
-    assert list(rival_paths(load_stage(plan))) == ["RRTConnect", "BITstar"]
+    assert list(planner_paths(load_stage(plan))) == ["RRTConnect", "BITstar"]
     page = make_report([plan], tmp_path / "out", animate=False).read_text()
     assert "2 of 3 planners found a path; the chosen one did." in page
     assert "Planners compared." in page
