@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100
+FREE_TO, OCCUPIED_FROM = 25, 65
+"""map_saver's thresholds [percent]: what lies between them is unknown."""
 MAX_CELLS, MAX_GB = 64_000_000, 5
 """Cells of a map that others can work with (8000 x 8000), and the memory that localising in them takes."""
 

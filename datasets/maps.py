@@ -13,7 +13,16 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import FREE, MAX_CELLS, MAX_GB, OCCUPIED, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.grid import (
+    FREE,
+    FREE_TO,
+    MAX_CELLS,
+    MAX_GB,
+    OCCUPIED,
+    OCCUPIED_FROM,
+    UNKNOWN,
+    OccupancyGrid,
+)
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import load_model
 
@@ -41,9 +50,8 @@ class MapYaml(BaseModel):
 def save_map(grid: OccupancyGrid, folder: Path, name: str = "map") -> Path:
     """Write `name.pgm` and `name.yaml` (trinary, map_saver's thresholds); returns the yaml's path."""
     pixels = np.full(grid.shape, PIXEL_UNKNOWN, dtype=np.uint8)
-    # map_saver's own thresholds in percent: 0..25 free, 65..100 occupied, all else unknown.
-    pixels[(grid.cells >= FREE) & (grid.cells <= 25)] = PIXEL_FREE
-    pixels[grid.cells >= 65] = PIXEL_OCCUPIED
+    pixels[(grid.cells >= FREE) & (grid.cells <= FREE_TO)] = PIXEL_FREE
+    pixels[grid.cells >= OCCUPIED_FROM] = PIXEL_OCCUPIED
     rows, cols = grid.shape
     header = f"P5\n# CREATOR: turtlebag {grid.resolution:.3f} m/pix\n{cols} {rows}\n255\n"
     (folder / f"{name}.pgm").write_bytes(header.encode() + pixels[::-1].tobytes())

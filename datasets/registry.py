@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,8 +75,8 @@ def _radish(
     return Dataset(name, title, files, _CC_BY, citation, _SOURCE, *lidar, scans)
 
 
-_ALL = (
-    _radish(
+def _logs() -> Iterator[Dataset]:
+    yield _radish(
         "intel",
         "Intel Research Lab, Seattle",
         "Dirk Haehnel",
@@ -86,8 +86,8 @@ _ALL = (
         ),
         (0.0, 81.83, 180),
         13631,
-    ),
-    _radish(
+    )
+    yield _radish(
         "fr079",
         "Freiburg, building 079",
         "Cyrill Stachniss",
@@ -97,8 +97,8 @@ _ALL = (
         ),
         (-0.04, 81.91, 360),
         4934,
-    ),
-    _radish(
+    )
+    yield _radish(
         "mit-csail",
         "MIT CSAIL building",
         "Cyrill Stachniss",
@@ -108,9 +108,10 @@ _ALL = (
         ),
         (0.0, 81.91, 361),
         1988,
-    ),
-)
-DATASETS: Mapping[str, Dataset] = {dataset.name: dataset for dataset in _ALL}
+    )
+
+
+DATASETS: Mapping[str, Dataset] = {dataset.name: dataset for dataset in _logs()}
 
 
 def find_dataset(name: str) -> Dataset:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED_FROM, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.content import stage_metrics, verdict
@@ -204,6 +204,6 @@ def map_overlap(a: OccupancyGrid, b: OccupancyGrid) -> tuple[int, int, int]:
     """Occupied cells of A that are occupied in B too, those that are not, and those of B not in A."""
     cells_a = a.center_of(np.argwhere(occupied(a)))
     cells_b = b.center_of(np.argwhere(occupied(b)))
-    in_b = b.value_at(cells_a) >= 65
-    in_a = a.value_at(cells_b) >= 65
+    in_b = b.value_at(cells_a) >= OCCUPIED_FROM
+    in_a = a.value_at(cells_b) >= OCCUPIED_FROM
     return int(in_b.sum()), int((~in_b).sum()), int((~in_a).sum())

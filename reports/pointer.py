@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from turtlebag.datasets.grid import FREE, OccupancyGrid
+from turtlebag.datasets.grid import FREE, FREE_TO, OccupancyGrid
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.metrics.navigation import truly_reached
@@ -79,7 +79,7 @@ def _known_box(grid: OccupancyGrid) -> tuple[float, float, float, float]:
 def _png(grid: OccupancyGrid) -> str:
     """The grid as a PNG in a data address, row 0 at the bottom."""
     pixels = np.full(grid.shape, PIXELS["unknown"], dtype=np.uint8)
-    pixels[(grid.cells >= FREE) & (grid.cells <= 25)] = PIXELS["free"]
+    pixels[(grid.cells >= FREE) & (grid.cells <= FREE_TO)] = PIXELS["free"]
     pixels[occupied(grid)] = PIXELS["occupied"]
     buffer = io.BytesIO()
     Image.fromarray(pixels[::-1]).save(buffer, format="PNG", optimize=True)

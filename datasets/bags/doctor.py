@@ -11,11 +11,9 @@ import numpy as np
 from turtlebag.datasets.bags import impossible
 from turtlebag.datasets.bags.survey import Finding, Survey, TopicSurvey, survey
 from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
-from turtlebag.datasets.bags.units import directed, stands_still
+from turtlebag.datasets.bags.units import CLOCK_NS, directed, stands_still
 
 _LATCHED = ("/tf_static", "/map")
-_CLOCK_NS = 1_000_000_000
-"""Header stamps of two topics that lie this much apart come from different clocks."""
 
 
 def examine(path: Path) -> list[Finding]:
@@ -81,7 +79,7 @@ def _clocks(found: Survey) -> Iterator[Finding]:
     if len(lags) < 2:
         return
     middle = float(np.median(list(lags.values())))
-    odd = {name: lag for name, lag in lags.items() if abs(lag - middle) > _CLOCK_NS}
+    odd = {name: lag for name, lag in lags.items() if abs(lag - middle) > CLOCK_NS}
     breaks = "scans find no odometry or transform of their time (use_sim_time set on some nodes only?)"
     for name, lag in odd.items():
         what = f"{name}: its stamps are {abs(lag - middle) * 1e-9:.1f} s off those of the other topics"

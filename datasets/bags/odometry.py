@@ -10,13 +10,10 @@ import numpy as np
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.frames import BASES, FrameTree
 from turtlebag.datasets.bags.streams import Streams
-from turtlebag.datasets.bags.units import ARM_M, FAR_M, driven_in_millimetres, stands_still
+from turtlebag.datasets.bags.units import ARM_M, CLOCK_NS, FAR_M, driven_in_millimetres, stands_still
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory
-
-_CLOCK_NS = 1_000_000_000
-"""Scans this far outside the odometry's time are taken to carry another clock."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -133,7 +130,7 @@ def odometry_at(odometry: OdometrySource, stamps: Stamps, log_times: Stamps, not
     if poses is None:
         return None
     first, last = int(poses.stamps_ns[0]), int(poses.stamps_ns[-1])
-    if stamps.min() > last + _CLOCK_NS or stamps.max() < first - _CLOCK_NS:
+    if stamps.min() > last + CLOCK_NS or stamps.max() < first - CLOCK_NS:
         if odometry.by_log_time is None:
             notes.append("scans and odometry carry different clocks; odometry not used")
             return None

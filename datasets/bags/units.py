@@ -14,6 +14,8 @@ FAR_M = 1e8
 """No place on Earth is as far from another; coordinates of a country's grid are less."""
 ARM_M = 30.0
 """No sensor sits as far from its robot's centre: 30 mm do."""
+CLOCK_NS = 1_000_000_000
+"""Stamps this far apart are of two clocks."""
 _FAST = 50.0
 """No wheeled robot drives as fast [m/s]: 5 cm/s in millimetres are."""
 _LONG_M = 50.0

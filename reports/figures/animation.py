@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.reports.figures.maps import length_text, scale_length, view_box
@@ -202,7 +202,7 @@ def _ground(canvas: Canvas, grid: OccupancyGrid | None) -> Image.Image:
     points = np.stack(np.meshgrid(x, y), axis=-1)
     values = grid.value_at(points)
     shades = np.where(values == UNKNOWN, UNSEEN, FREE)
-    shades[values >= 65] = WALL
+    shades[values >= OCCUPIED_FROM] = WALL
     frame = canvas.blank()
     frame.paste(Image.fromarray(shades.astype(np.uint8), mode="P"))
     return frame

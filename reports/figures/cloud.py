@@ -8,10 +8,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.reports.figures.maps import add_scale, map_figure
+from turtlebag.reports.figures.maps import MARGIN_M, add_scale, map_figure
 
 MOST_PIXELS = 900
-MARGIN_M = 0.3
 
 
 def cloud_from_above(points: Array) -> Figure:

@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED_FROM, OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures.maps import draw_grid, legend_above, map_figure, show_image, view_box
@@ -28,7 +28,7 @@ def maps(a: OccupancyGrid, b: OccupancyGrid) -> Figure:
     for grid, other, colour in ((a, b, COLOUR_A), (b, a, COLOUR_B)):
         image = np.zeros((*grid.shape, 4))
         cells = np.argwhere(occupied(grid))
-        agreed = other.value_at(grid.center_of(cells)) >= 65
+        agreed = other.value_at(grid.center_of(cells)) >= OCCUPIED_FROM
         for chosen, shade in ((cells[agreed], MUTED), (cells[~agreed], colour)):
             image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
         show_image(axes, image, grid)

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle, Polygon
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.reports.figures.style import INK, ODOMETRY, SLAM
+from turtlebag.reports.metrics.map import occupied
 
 
 def draw_world(
@@ -34,7 +35,7 @@ def draw_world(
     figure = Figure(figsize=(width, height + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    shades = np.where(grid.cells < 0, 0.75, np.where(grid.cells >= 65, 0.0, 1.0))
+    shades = np.where(grid.cells < 0, 0.75, np.where(occupied(grid), 0.0, 1.0))
     axes.imshow(
         shades, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=grid.extent(), interpolation="nearest"
     )

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.reports.metrics.map import EIGHT
 
 Mask = NDArray[np.bool_]
 STANDS_M = 0.2
 """Spacing of the places from which the floor that can be seen is looked at."""
-EIGHT = np.ones((3, 3), dtype=bool)
 
 
 class AreaMetrics(TypedDict):

@@ -16,10 +16,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.grid import FREE, OccupancyGrid
+from turtlebag.datasets.grid import FREE, OCCUPIED_FROM, OccupancyGrid
 from turtlebag.datasets.se2 import Array
 
-OCCUPIED_FROM = 65  # map_saver's threshold in percent
 EIGHT = np.ones((3, 3), dtype=bool)
 
 
