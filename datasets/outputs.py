@@ -129,12 +129,12 @@ class Stopwatch:
 
 def write_manifest(
     folder: Path,
-    *,
     stage: str,
     command: Sequence[str],
     inputs: Mapping[str, Path],
-    seed: int | None,
+    *,
     wall_s: float,
+    seed: int | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> None:
     """Write `manifest.json`: the hashes of inputs and of all outputs in `folder`, and the volatile facts.

@@ -60,14 +60,8 @@ def blame(
             left["patrol"] = _patrol(record, folder / "map.yaml", parts)
         write_json(folder / "metrics.json", left)
         (folder / "config.yaml").write_text(config_text(resolved))
-        write_manifest(
-            folder,
-            stage="blame",
-            command=command,
-            inputs={"source": folder_of_record},
-            seed=record.seed,
-            wall_s=watch.seconds(),
-        )
+        inputs = {"source": folder_of_record}
+        write_manifest(folder, "blame", command, inputs, seed=record.seed, wall_s=watch.seconds())
     return 0
 
 

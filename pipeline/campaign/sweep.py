@@ -64,15 +64,9 @@ def sweep(
         timing = _collect_timing(folder / "cases")
         _tidy(folder, campaign)
         write_results(campaign, rows, folder)
-        write_manifest(
-            folder,
-            stage="sweep",
-            command=command,
-            inputs=inputs,
-            seed=campaign.seed,
-            wall_s=watch.seconds(),
-            extra={"case_wall_s": timing},
-        )
+        extra = {"case_wall_s": timing}
+        wall_s = watch.seconds()
+        write_manifest(folder, "sweep", command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra)
         claim.finish()
     failed = sum(bool(row["failed"]) for row in rows)
     log.info(f"{out}: {len(rows)} cases, {failed} failed")

@@ -236,11 +236,4 @@ def _a_bag(path: Path) -> Path:
 def _manifest(folder: Path, stage: str, args: argparse.Namespace, watch: Stopwatch) -> None:
     from turtlebag.datasets.outputs import write_manifest
 
-    write_manifest(
-        folder,
-        stage=stage,
-        command=args.command_line,
-        inputs={"bag": args.bag},
-        seed=None,
-        wall_s=watch.seconds(),
-    )
+    write_manifest(folder, stage, args.command_line, {"bag": args.bag}, wall_s=watch.seconds())

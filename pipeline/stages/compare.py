@@ -30,14 +30,7 @@ def write_comparison(
         draw_comparison(*stages, album)
         (folder / "index.html").write_text(render_comparison(*names, found, album.pictures))
         write_json(folder / "metrics.json", {row.path: row.values for row in found.rows})
-        write_manifest(
-            folder,
-            stage="compare",
-            command=command,
-            inputs={"A": a, "B": b},
-            seed=None,
-            wall_s=watch.seconds(),
-        )
+        write_manifest(folder, "compare", command, {"A": a, "B": b}, wall_s=watch.seconds())
     return found
 
 

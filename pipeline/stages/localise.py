@@ -100,15 +100,8 @@ def localise(
         (folder / "config.yaml").write_text(config_text(config))
         inputs = {"bag": bag, **map_files(map_yaml)} | ({"truth": truth} if truth else {})
         extra = {"update_ms": _milliseconds(result)} if result else {}
-        write_manifest(
-            folder,
-            stage="localise",
-            command=command,
-            inputs=inputs,
-            seed=seed,
-            wall_s=watch.seconds(),
-            extra=extra,
-        )
+        wall_s = watch.seconds()
+        write_manifest(folder, "localise", command, inputs, seed=seed, wall_s=wall_s, extra=extra)
     if result is not None:
         _summarise(metrics, out)
     return 0 if metrics.get("true_success", metrics["success"]) else 1

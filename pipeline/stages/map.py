@@ -114,7 +114,6 @@ def build_map(
                 **({} if continued is None else {"continued": continued / GRAPH}),
                 **references.inputs,
             },
-            seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
             | {"parts": chosen_parts(resolved)},

@@ -68,7 +68,6 @@ def build_map_3d(
             stage="map",
             command=command,
             inputs={"source": source, **references.inputs},
-            seed=None,
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)},
         )

@@ -63,7 +63,7 @@ def plan(
     times: dict[str, float] = {config.plan.ompl.planner: planning_s}
     if compare:
         metrics["planners"] = []
-        for other in with_every_planner(config):
+        for other in rivals(config):
             name: str = other.plan.ompl.planner
             others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
             metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
@@ -95,7 +95,7 @@ def plan(
     return 0
 
 
-def with_every_planner(config: PlanStageConfig) -> list[PlanStageConfig]:
+def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
     """The same settings with every planner that the space allows, the chosen one among them."""
     out = []
     for planner in get_args(PlannerName):

@@ -52,16 +52,9 @@ def make_report(
         }
         write_json(partial / "metrics.json", numbers)
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
-        write_manifest(
-            partial,
-            stage="report",
-            command=command,
-            inputs=inputs,
-            seed=None,
-            wall_s=watch.seconds(),
-            # A report moved together with its inputs still finds them.
-            extra={"folders": {name: os.path.relpath(folder, out) for name, folder in inputs.items()}},
-        )
+        # A report moved together with its inputs still finds them.
+        places = {name: os.path.relpath(folder, out) for name, folder in inputs.items()}
+        write_manifest(partial, "report", command, inputs, wall_s=watch.seconds(), extra={"folders": places})
     return out / "index.html"
 
 
@@ -76,5 +69,5 @@ def make_index(
         raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
     with staged_output(out, force=force, inputs=shown_outputs(roots)) as partial:
         (partial / "index.html").write_text(render_index(lines))
-        write_manifest(partial, stage="index", command=command, inputs={}, seed=None, wall_s=watch.seconds())
+        write_manifest(partial, "index", command, {}, wall_s=watch.seconds())
     return out / "index.html"
