@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import NoScans
@@ -62,7 +62,7 @@ def build_map(
     """
     check_free(out, force=force, kind="folder")
     _require_name(named)
-    settled = _settings(config, settings)
+    settled = _settled(config, settings)
     references = References.load(truth, relations)
     watch = Stopwatch()
     earlier = None if continued is None else load_session(continued)
@@ -79,7 +79,9 @@ def build_map(
         return build_map_3d(
             source, topic, out, references, config, settings, named, explain, force, command, watch
         )
-    resolved = settled()
+    if isinstance(settled, InputError):
+        raise settled
+    resolved = settled
     notes = [note for one in recordings for note in _notes(one, several=bool(also))]
     if continued is not None and earlier is not None:
         notes += require_same_front_end(continued, earlier[1], resolved)
@@ -136,19 +138,13 @@ def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
     return (f"{recording.source}: {note}" if several else note for note in recording.notes)
 
 
-def _settings(config: Path | None, settings: Sequence[str]) -> Callable[[], SlamConfig]:
-    """Read the settings before anything else. What is wrong with them for planar scans is an error only
-    once the input turns out to be planar: the returned function gives the settings or raises it."""
+def _settled(config: Path | None, settings: Sequence[str]) -> SlamConfig | InputError:
+    """The settings, read before anything else; what is wrong with them for planar scans is an error only
+    once the input turns out to be planar."""
     try:
-        resolved = load_config(SlamConfig, config, settings)
+        return load_config(SlamConfig, config, settings)
     except InputError as error:
-        problem = error
-
-        def refuse() -> SlamConfig:
-            raise problem
-
-        return refuse
-    return lambda: resolved
+        return error
 
 
 def _recording(path: Path, laser: tuple[SE2 | None, bool], topic: str | None) -> Recording:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypedDict
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -13,19 +12,14 @@ from turtlebag.datasets.relations import Relations, load_relations
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
-from turtlebag.reports.metrics.relations import Relation, relations_metrics
-from turtlebag.reports.metrics.trajectory import Drift, Extremes, trajectory_metrics
+from turtlebag.reports.metrics.relations import RelationErrors, relations_metrics
+from turtlebag.reports.metrics.trajectory import TrajectoryErrors, trajectory_metrics
 
 
-class MapErrors(TypedDict, total=False):
+class MapErrors(TrajectoryErrors, RelationErrors, total=False):
     """The contract's keys for what a map was measured against."""
 
-    ate_m: Extremes
-    ate_aligned_m: Extremes
-    rpe: Drift
     map: MapMetrics
-    relations: Relation
-    relations_cartographer: Relation
 
 
 @dataclass(frozen=True, eq=False)

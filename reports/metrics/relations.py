@@ -49,7 +49,7 @@ class Relation(TypedDict):
     rot_deg: Moments
 
 
-class RelationErrors(TypedDict):
+class RelationErrors(TypedDict, total=False):
     """Both definitions."""
 
     relations: Relation

@@ -81,7 +81,7 @@ class Drift(TypedDict):
     rot_rad: float | None
 
 
-class TrajectoryErrors(TypedDict):
+class TrajectoryErrors(TypedDict, total=False):
     """What a truth says of the trajectory of a map."""
 
     ate_m: Extremes
