@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 
 def fingerprint(value: object) -> str:
-    """sha256 of a value's content: arrays, settings, dataclasses, lists, mappings, plain values."""
+    """sha256 of a value's content: arrays, lists, mappings, plain values."""
     digest = hashlib.sha256()
     _feed(digest, value)
     return digest.hexdigest()
@@ -24,11 +21,6 @@ def _feed(digest: Any, value: object) -> None:
     if isinstance(value, np.ndarray):
         digest.update(f"array {value.dtype.str} {value.shape};".encode())
         digest.update(np.ascontiguousarray(value).data)
-    elif isinstance(value, BaseModel):
-        _feed(digest, [type(value).__qualname__, value.model_dump(mode="json")])
-    elif is_dataclass(value) and not isinstance(value, type):
-        digest.update(f"{type(value).__qualname__};".encode())
-        _feed(digest, {field.name: getattr(value, field.name) for field in fields(value)})
     elif isinstance(value, Mapping):
         digest.update(b"mapping;")
         _feed(digest, [item for pair in value.items() for item in pair])
@@ -36,7 +28,7 @@ def _feed(digest: Any, value: object) -> None:
         digest.update(f"list {len(value)};".encode())
         for item in value:
             _feed(digest, item)
-    elif value is None or isinstance(value, (bool, int, float, str, bytes, Path)):
+    elif value is None or isinstance(value, (bool, int, float, str, bytes)):
         text = repr(value).encode()
         digest.update(f"{type(value).__name__} {len(text)};".encode() + text)
     else:
