@@ -45,6 +45,7 @@ class LoopConfig(BaseModel):
     min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
     reach_m: float = Field(default=4.0, gt=0.0, description="searched no further than this")
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
+    min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the search")
     inflation: float = Field(
         default=50.0, gt=0.0, description="the information of a match over that of a loop"
     )
@@ -208,6 +209,8 @@ class LoopFinder:
         coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, TURN_RAD)
         fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)
         fine, score = best_pose(fine_field, points, coarse, CELL_M, TURN_RAD, 0.01)
+        if score < config.min_score:
+            return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
         found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
         verdict = "accepted"
         if found.overlap < LEAST_OVERLAP or found.agreement < config.min_overlap:
