@@ -122,7 +122,6 @@ bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
 	$(PY) -m benchmarks.navigate
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
-	$(PY) -m benchmarks.bags_kill
 	$(PY) -m benchmarks.kills
 
 mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)

@@ -1,13 +1,14 @@
 """Stages killed at random moments and started again; stages that cannot write what they should.
 
-python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--demo 5] [--seed 0] [--out DIR]
+python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--seed 0] [--out DIR]
 
 A small chain with every command that writes is made once undisturbed. Then each is killed with
 SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
 finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
 disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
 with exit 2, one line, and nothing left behind. Every stage runs in a process of its own, forked after
-the imports, so that the moments fall into the stage's work and not into its start.
+the imports, so that the moments fall into the stage's work and not into its start. What a killed
+`record` leaves is recovered: nothing of it may look whole, and at most 2 s of data may be lost.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import argparse
 import csv
 import ctypes
 import importlib
+import mmap
 import os
 import pkgutil
 import resource
@@ -30,10 +32,19 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 
-from benchmarks.kills_demo import demo_kills
+from benchmarks.rows import write
+from turtlebag.datasets.bags.recover import recover
+from turtlebag.datasets.bags.source import open_bag
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.cli.main import main as turtlebag
+from turtlebag.pipeline.stages.record import record
 
 DONE = (0, 1)
 """Exit codes of complete outputs; a drive of some seconds does not reach everything."""
@@ -251,6 +262,75 @@ def one_hindrance(chain: Path, stage: str, words: list[str], what: str, parent: 
         subprocess.run(["umount", str(parent)], check=True)
 
 
+def recoveries(folder: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
+    """("recover", moment [s], outcome) of recordings killed at a moment of their data and recovered."""
+    folder.mkdir()
+    record("turtlebot3_world", None, "tour", 1, folder / "whole")
+    full_s = max(m.log_time_ns for m in open_bag(folder / "whole").messages()) * 1e-9
+    moments = np.random.default_rng(seed).uniform(0.0, full_s, count)
+    return [
+        ("recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)) for k, at in enumerate(moments)
+    ]
+
+
+def one_recovery(out: Path, kill_s: float, full_s: float) -> str:
+    """Outcome of a recording killed when it was so many seconds long."""
+    progress = mmap.mmap(-1, 8)
+
+    def tell() -> None:
+        kept = BagWriter.observation
+
+        def told(self: BagWriter, observation: Observation) -> None:
+            kept(self, observation)
+            progress[:8] = observation.stamp_ns.to_bytes(8, "little")
+
+        BagWriter.observation = told  # type: ignore[method-assign]
+
+    words = [
+        "record",
+        "-q",
+        "--world",
+        "turtlebot3_world",
+        "--teleop",
+        "tour",
+        "--seed",
+        "1",
+        "--out",
+        str(out),
+    ]
+    pid = start(words, out.with_name("stderr"), tell)
+    while int.from_bytes(progress[:8], "little") * 1e-9 < kill_s and not out.exists():
+        time.sleep(0.0005)
+    os.kill(pid, signal.SIGKILL)
+    finish(pid)
+    written = int.from_bytes(progress[:8], "little") * 1e-9
+    if out.exists():
+        return "finished before the kill" if looks_whole(out / "bag") else "BAD: half an output"
+    partial = out.with_name(out.name + ".partial")
+    if not (partial / "bag").exists():
+        return "killed before the bag was opened"
+    if looks_whole(partial / "bag") and written < full_s:
+        return "BAD: looks whole and is not"
+    try:
+        lost = written - recover(partial, out.with_name(out.name + ".saved")).end_ns * 1e-9
+    except InputError as error:
+        return "nothing on disk yet" if written < 2.0 else f"BAD: {error}"
+    if written > 3.0:
+        load_recording(out.with_name(out.name + ".saved"))
+    return f"recovered; lost {lost:.3f} s" if lost <= 2.0 else f"BAD: lost {lost:.3f} s"
+
+
+def looks_whole(bag: Path) -> bool:
+    """Whether metadata or the official reader would take it for a complete bag."""
+    if (bag / "metadata.yaml").exists():
+        return True
+    try:
+        with (bag / "bag_0.mcap").open("rb") as file:
+            return make_reader(file).get_summary() is not None
+    except (McapError, OSError):
+        return False
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=190)
@@ -258,13 +338,9 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="+", default=[], choices=commands(Path()), metavar="STAGE", help="kill these alone"
     )
-    parser.add_argument("--demo", type=int, metavar="N", help="instead: kill the whole `make demo` N times")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
-    if args.demo is not None:
-        with tempfile.TemporaryDirectory() as name:
-            return written(demo_kills(args.demo, args.seed, Path(name) / "tree"), args.out / "kills_demo.csv")
     load_everything()
     with tempfile.TemporaryDirectory() as name:
         chain = Path(name)
@@ -272,20 +348,12 @@ def main() -> int:
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
         rows = kills(chain, took, len(took) if args.quick else args.count, args.seed)
         rows += hindrances(chain, took)
-    counts = Counter((stage, outcome) for stage, _, outcome in rows if not outcome.startswith("exit 2"))
-    for (stage, outcome), n in counts.items():
-        print(f"{n:5}  {stage:9} {outcome}")
-    for stage, what, outcome in rows:
-        if outcome.startswith("exit 2"):
-            print(f"{stage:9} {what:15} {outcome}")
-    return written(rows, args.out / "kills.csv")
-
-
-def written(rows: list[tuple[str, str, str]], path: Path) -> int:
-    """Write the table; 1 when any outcome is bad."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
+        rows += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
+    args.out.mkdir(parents=True, exist_ok=True)
+    with (args.out / "kills.csv").open("w", newline="") as file:
         csv.writer(file).writerows([("stage", "after_s_or_hindrance", "outcome"), *rows])
+    counts = Counter((stage, outcome.partition(";")[0]) for stage, _, outcome in rows)
+    write(args.out, "kills-summary", [{"n": n, "stage": s, "outcome": o} for (s, o), n in counts.items()])
     return int(any(outcome.startswith("BAD") for _, _, outcome in rows))
 
 

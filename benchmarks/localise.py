@@ -12,25 +12,24 @@ against the SLAM trajectory. `global`, `silent` (the same with beams of no retur
 (`global` in generated offices and mazes), `kidnap`, `pose` (told 0.5 m and 30 degrees off) and `dropout`
 (no returns for 2 s) are episodes of 60 s, in the house where not said: found means within 10 cm and 5
 degrees at the end; `settled_s` is when the estimate became so for good. Shares come with 95 % Wilson
-intervals. Every episode is a row of `episodes.csv` and is repeated by its seed. Times are CPU times.
+intervals. Every episode is a row of `episodes.jsonl` and is repeated by its seed; the same command goes on
+where it was stopped. Times are CPU times.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import functools
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.intervals import wilson
-from benchmarks.localise_drives import Sweep, Wanderer, kidnapped
+from benchmarks.drives import Maps, Place, Sweep, kidnapped
+from benchmarks.rows import Row, Rows, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
@@ -41,13 +40,10 @@ from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.stages.localise import run_amcl
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.record import record
-from turtlebag.sim.simulator import Sensors, SimConfig
+from turtlebag.sim.simulator import Sensors
 
 PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
-TABLES = ("accuracy", "models", "speed", "log")
 EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
-PARTS = (*TABLES, *EPISODES)
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
 ROS_DEFAULTS = AmclConfig(
@@ -56,6 +52,19 @@ ROS_DEFAULTS = AmclConfig(
     alpha4=0.2, recovery_alpha_slow=0.0, recovery_alpha_fast=0.0, refine=False,
 )  # fmt: skip
 MODELS = {"default": AmclConfig(), "mean only": AmclConfig(refine=False), "ROS's numbers": ROS_DEFAULTS}
+
+
+class Session:
+    """One set of sensors: its places, their maps, and where tables go."""
+
+    def __init__(self, sensors: Sensors, out: Path, quick: bool) -> None:
+        self.out, self.seconds, self.quick = out, 60.0 if quick else 180.0, quick
+        self.places = {name: Place(*names, sensors) for name, names in PLACES.items()}
+        self._maps = Maps(out / "maps", sensors)
+
+    def grids(self, name: str) -> dict[str, OccupancyGrid]:
+        """The true map of a place, and the one made by SLAM."""
+        return {"true": self.places[name].grid, "slam": load_map(self._maps.slam(*PLACES[name]))}
 
 
 def follow(amcl: Amcl, log: list[Sweep], *, deskew: bool = True) -> Array:
@@ -68,112 +77,71 @@ def follow(amcl: Amcl, log: list[Sweep], *, deskew: bool = True) -> Array:
     return np.array(out)
 
 
-def started(place: Wanderer, grid: OccupancyGrid, log: list[Sweep], config: AmclConfig, seed: int) -> Amcl:
+def started(place: Place, grid: OccupancyGrid, log: list[Sweep], config: AmclConfig, seed: int) -> Amcl:
     """A filter told the true start, 5 cm and 3 degrees uncertain."""
     amcl = Amcl(grid, log[0].scan.lidar, place.robot.T_base_lidar, config, stream(seed, "amcl"))
     amcl.initialise(log[0].T_world_base, NARROW)
     return amcl
 
 
-def rmse(errors: Array) -> tuple[float, float]:
-    """Root mean squares in cm and degrees."""
+def rmse(errors: Array) -> Row:
+    """Root mean squares."""
     position, heading = np.sqrt(np.mean(errors**2, axis=0))
-    return 100.0 * float(position), math.degrees(float(heading))
+    return {"position_cm": 100.0 * float(position), "heading_deg": math.degrees(float(heading))}
 
 
-def accuracy(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[list[str]]:
+def accuracy(session: Session) -> Iterator[Row]:
     """A row a place, map and drive."""
-    yield ["place", "map", "seed", "odometry_cm", "position_cm", "max_cm", "heading_deg"]
-    for name, place in places.items():
-        grids = {"true": place.grid, "slam": slam_map(name, place.sim.sensors, out)}
-        for seed in range(1, 3 if quick else 6):
-            log = place.drive(seed, 60.0 if quick else 180.0)
+    for name, place in session.places.items():
+        for seed in range(1, 3 if session.quick else 6):
+            log = place.drive(seed, session.seconds)
             drift = np.linalg.norm([s.T_odom_base.xy - s.T_world_base.xy for s in log], axis=1)
-            for kind, grid in grids.items():
+            for kind, grid in session.grids(name).items():
                 errors = follow(started(place, grid, log, AmclConfig(), seed), log)
-                position, heading = rmse(errors)
-                yield [
-                    name, kind, str(seed), f"{100 * np.sqrt(np.mean(drift**2)):.1f}", f"{position:.2f}",
-                    f"{100 * errors[:, 0].max():.1f}", f"{heading:.3f}",
-                ]  # fmt: skip
+                about = {"place": name, "map": kind, "seed": seed, "max_cm": 100.0 * errors[:, 0].max()}
+                yield about | rmse(errors) | {"odometry_cm": 100.0 * math.sqrt(np.mean(drift**2))}
 
 
-@functools.cache
-def slam_map(name: str, sensors: Sensors, out: Path) -> OccupancyGrid:
-    """The map that `turtlebag map` makes of a tour recorded with these sensors."""
-    world, robot = PLACES[name]
-    record(world, robot, "tour", 1, out / f"{name}_record", sim=SimConfig(sensors=sensors), force=True)
-    build_map(out / f"{name}_record", out / f"{name}_map", force=True)
-    return load_map(out / f"{name}_map" / "map.yaml")
-
-
-def models(places: dict[str, Wanderer], quick: bool, out: Path) -> Iterator[list[str]]:
+def models(session: Session) -> Iterator[Row]:
     """The same drives on both maps with every model."""
-    yield ["place", "map", "model", "position_cm", "heading_deg", "scan_ms"]
-    for name, place in places.items():
-        log = place.drive(11, 60.0 if quick else 180.0)
-        cases = [(model, config, log, True) for model, config in MODELS.items()]
-        cases.append(
-            ("beam, product, no returns dropped", MODELS["beam, product, mean only"], deaf(log), True)
-        )
-        cases.append(("default, no deskewing", AmclConfig(), log, False))
-        for kind, grid in {"true": place.grid, "slam": slam_map(name, place.sim.sensors, out)}.items():
-            for model, config, heard, deskew in cases:
-                amcl = started(place, grid, heard, config, 11)
+    cases = [(model, config, True) for model, config in MODELS.items()]
+    for name, place in session.places.items():
+        log = place.drive(11, session.seconds)
+        for kind, grid in session.grids(name).items():
+            for model, config, deskew in [*cases, ("default, no deskewing", AmclConfig(), False)]:
+                amcl = started(place, grid, log, config, 11)
                 before = time.process_time()
-                errors = follow(amcl, heard, deskew=deskew)
+                errors = follow(amcl, log, deskew=deskew)
                 spent = (time.process_time() - before) / len(log)
-                position, heading = rmse(errors)
-                yield [name, kind, model, f"{position:.2f}", f"{heading:.3f}", f"{1e3 * spent:.2f}"]
+                yield {"place": name, "map": kind, "model": model} | rmse(errors) | {"scan_ms": 1e3 * spent}
 
 
-def deaf(log: list[Sweep]) -> list[Sweep]:
-    """The drive with beams of no return dropped."""
-    return [
-        replace(s, scan=replace(s.scan, ranges=np.where(np.isposinf(s.scan.ranges), np.nan, s.scan.ranges)))
-        for s in log
-    ]
-
-
-def intel(out: Path) -> Iterator[list[str]]:
+def intel(session: Session) -> Iterator[Row]:
     """AMCL along a real log on our map of it, against the SLAM trajectory, by where it was told to start."""
-    yield [
-        "start",
-        "scans",
-        "median_cm",
-        "rmse_cm",
-        "p95_cm",
-        "max_cm",
-        "heading_deg",
-        "within 20 cm",
-        "scan_ms",
-    ]
     source = Path(os.environ.get("TURTLEBAG_DATA", "")) / "radish" / "intel.clf.bz2"
     if not source.is_file():
         print("log: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         return
-    if not (out / "intel_map" / "manifest.json").is_file():
-        build_map(source, out / "intel_map", force=True)
-    recording, grid = load_recording(source), load_map(out / "intel_map" / "map.yaml")
-    slam = load_tum(out / "intel_map" / "trajectory.tum").poses
+    built = session.out / "intel_map"
+    if not (built / "manifest.json").is_file():
+        build_map(source, built, force=True)
+    recording, grid = load_recording(source), load_map(built / "map.yaml")
+    slam = load_tum(built / "trajectory.tum").poses
     for label, start in (("told", slam[0]), ("global", "global")):
         before = time.process_time()
         found = run_amcl(recording, grid, start, AmclConfig(), stream(1, "amcl")).trajectory.poses
         spent = 1e3 * (time.process_time() - before) / len(recording)
         error = (slam.inverse() @ found).xyt
-        off = 100.0 * np.hypot(error[:, 0], error[:, 1])
-        yield [
-            label, str(len(recording)), f"{np.median(off):.1f}", f"{np.sqrt(np.mean(off**2)):.1f}",
-            f"{np.percentile(off, 95):.1f}", f"{off.max():.1f}",
-            f"{math.degrees(np.sqrt(np.mean(error[:, 2] ** 2))):.2f}", f"{np.mean(off < 20.0):.3f}",
-            f"{spent:.2f}",
-        ]  # fmt: skip
+        off = np.hypot(error[:, 0], error[:, 1])
+        middle, far = 100.0 * np.percentile(off, [50, 95])
+        about = {"start": label, "scans": len(recording), "median_cm": float(middle), "p95_cm": float(far)}
+        about |= rmse(np.stack([off, np.abs(error[:, 2])], axis=1))
+        yield about | {"max_cm": 100.0 * off.max(), "within 20 cm": np.mean(off < 0.2), "scan_ms": spent}
 
 
-def speed(places: dict[str, Wanderer]) -> Iterator[list[str]]:
+def speed(session: Session) -> Iterator[Row]:
     """Milliseconds of a filter update with 2000 particles and 60 beams, warmed up."""
-    yield ["place", "median_ms", "p95_ms", "least_ms"]
-    for name, place in places.items():
+    for name, place in session.places.items():
         log = place.drive(12, 60.0)
         amcl = started(place, place.grid, log, AmclConfig(min_particles=2000), 12)
         times = []
@@ -181,15 +149,20 @@ def speed(places: dict[str, Wanderer]) -> Iterator[list[str]]:
             before = time.process_time()
             if amcl.update(sweep.scan, sweep.T_odom_base, sweep.T_odom_base_end):
                 times.append(1e3 * (time.process_time() - before))
-        warm = np.array(times[20:])
-        yield [name, f"{np.median(warm):.2f}", f"{np.percentile(warm, 95):.2f}", f"{warm.min():.2f}"]
+        median, p95, least = np.percentile(times[20:], [50, 95, 0]).tolist()
+        yield {"place": name, "median_ms": median, "p95_ms": p95, "least_ms": least}
 
 
-def episode(kind: str, place: Wanderer, seed: int) -> Array:
+def unheard(log: list[Sweep], lost: Callable[[Array], Array]) -> list[Sweep]:
+    """The drive with other ranges."""
+    return [replace(s, scan=replace(s.scan, ranges=lost(s.scan.ranges).astype(np.float32))) for s in log]
+
+
+def episode(kind: str, place: Place, seed: int) -> Array:
     """Errors over 60 s of one episode."""
     if kind == "unseen":
         unseen = f"{('office', 'maze')[seed % 2]}:{2000 + seed // 2 % 10}"
-        place = Wanderer(unseen, "burger", place.sim.sensors)
+        place = Place(unseen, "burger", place.sim.sensors)
     log = place.drive(1000 + seed, 60.0)
     config = AmclConfig()
     if kind == "kidnap":
@@ -200,91 +173,66 @@ def episode(kind: str, place: Wanderer, seed: int) -> Array:
     if kind in ("global", "silent", "unseen"):
         amcl.initialise_globally()
     if kind == "silent":
-        log = deaf(log)
+        log = unheard(log, lambda ranges: np.where(np.isposinf(ranges), np.nan, ranges))
     if kind == "pose":
         way = stream(seed, "wrong pose").uniform(-math.pi, math.pi)
-        side = 1.0 if seed % 2 else -1.0
-        start = log[0].T_world_base
-        amcl.initialise(
-            SE2.from_xyt(
-                start.x + 0.5 * math.cos(way), start.y + 0.5 * math.sin(way), start.yaw + side * math.pi / 6
-            )
-        )
+        x, y, yaw = log[0].T_world_base.xyt.tolist()
+        side = math.copysign(math.pi / 6, seed % 2 - 0.5)
+        amcl.initialise(SE2.from_xyt(x + 0.5 * math.cos(way), y + 0.5 * math.sin(way), yaw + side))
     if kind == "dropout":
-        blind = np.full(log[0].scan.lidar.n_beams, np.inf, dtype=np.float32)
-        log[50:60] = [replace(s, scan=replace(s.scan, ranges=blind)) for s in log[50:60]]
+        log[50:60] = unheard(log[50:60], lambda ranges: np.full_like(ranges, np.inf))
     return follow(amcl, log)
 
 
-def episodes(kinds: list[str], place: Wanderer, count: int, out: Path) -> Iterator[list[str]]:
-    """A row a kind; every episode goes to episodes.csv."""
-    yield ["episode", "n", "found", "share_%", "interval_%", "settled_s median", "p95", "failed seeds"]
-    with (out / "episodes.csv").open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(["kind", "seed", "found", "settled_s", "position_m", "heading_rad"])
-        for kind in kinds:
-            settled, failed = [], []
-            for seed in range(count):
+def finding(kinds: list[str], place: Place, count: int, out: Path) -> Iterator[Row]:
+    """A row a kind; every episode is a row of its own."""
+    rows = Rows(out / "episodes.jsonl")
+    for kind in kinds:
+        found = []
+        for seed in range(count):
+            row = rows.get(f"{kind} {seed}")
+            if row is None:
                 errors = episode(kind, place, seed)
                 good = (errors[:, 0] < FOUND_M) & (errors[:, 1] < FOUND_RAD)
                 bad = np.flatnonzero(~good)
-                since = 0.2 * (bad[-1] + 1) if len(bad) else 0.0
-                rows.writerow([kind, seed, int(good[-1]), f"{since:.1f}", *(f"{e:.4f}" for e in errors[-1])])
-                settled.append(since)
-                failed += [] if good[-1] else [seed]
-            ok = count - len(failed)
-            low, high = wilson(ok, count)
-            yield [
-                kind, str(count), str(ok), f"{100 * ok / count:.0f}", f"{100 * low:.1f}..{100 * high:.1f}",
-                f"{np.median(settled):.1f}", f"{np.percentile(settled, 95):.1f}", " ".join(map(str, failed)),
-            ]  # fmt: skip
+                since = 0.2 * (int(bad[-1]) + 1) if len(bad) else 0.0
+                figures = {"seed": seed, "found": bool(good[-1]), "settled_s": round(since, 1)}
+                row = rows.add(f"{kind} {seed}", figures | rmse(errors[-1:]))
+            found.append(row)
+        settled = [row["settled_s"] for row in found]
+        yield {
+            "episode": kind, "found": share(sum(row["found"] for row in found), count),
+            "settled_s median": float(np.median(settled)), "p95": float(np.percentile(settled, 95)),
+            "failed seeds": " ".join(str(row["seed"]) for row in found if not row["found"]),
+        }  # fmt: skip
 
 
-def show(name: str, table: Iterator[list[str]], out: Path) -> None:
-    """Print a table as it grows and write it as CSV."""
-    print(f"\n{name}", flush=True)
-    with (out / f"{name}.csv").open("w", newline="") as file:
-        rows = csv.writer(file)
-        for row in table:
-            rows.writerow(row)
-            print(
-                "  ".join(f"{cell:<22}" if i < 2 else f"{cell:>11}" for i, cell in enumerate(row)), flush=True
-            )
+TABLES: dict[str, Callable[[Session], Iterator[Row]]] = {
+    "accuracy": accuracy, "models": models, "speed": speed, "log": intel
+}  # fmt: skip
 
 
 def main() -> None:
     """Print and write the tables."""
+    parts = (*TABLES, *EPISODES)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}")
     parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
     parser.add_argument("--quick", action="store_true", help="shorter drives, 10 episodes instead of 100")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
     parser.add_argument("--out", type=Path, default=Path("data/benchmarks/localise"))
-    arguments = parser.parse_args()
-    parts = arguments.parts or list(PARTS)
-    if unknown := set(parts) - set(PARTS):
+    args = parser.parse_args()
+    asked = args.parts or list(parts)
+    if unknown := set(asked) - set(parts):
         parser.error(f"unknown part {', '.join(sorted(unknown))}")
-    for sensors in arguments.sensors:
-        print(f"\nsensors: {sensors}")
-        measure(parts, sensors, arguments)
-
-
-def measure(parts: Sequence[str], sensors: Sensors, arguments: argparse.Namespace) -> None:
-    """The tables asked for, with one set of sensors."""
-    out, quick = arguments.out / sensors, arguments.quick
-    out.mkdir(parents=True, exist_ok=True)
-    places = {name: Wanderer(*names, sensors) for name, names in PLACES.items()}
-    if "accuracy" in parts:
-        show("accuracy", accuracy(places, quick, out), out)
-    if "models" in parts:
-        show("models", models(places, quick, out), out)
-    if "speed" in parts:
-        show("speed", speed(places), out)
-    if "log" in parts:
-        show("log", intel(out), out)
-    if kinds := [part for part in EPISODES if part in parts]:
-        count = arguments.episodes or (10 if quick else 100)
-        show("finding", episodes(kinds, places["house"], count, out), out)
+    for sensors in args.sensors:
+        session = Session(sensors, args.out / sensors, args.quick)
+        session.out.mkdir(parents=True, exist_ok=True)
+        for name in [name for name in TABLES if name in asked]:
+            write(session.out, name, list(TABLES[name](session)))
+        if kinds := [part for part in EPISODES if part in asked]:
+            count = args.episodes or (10 if args.quick else 100)
+            write(session.out, "finding", list(finding(kinds, session.places["house"], count, session.out)))
 
 
 if __name__ == "__main__":

@@ -1,110 +1,164 @@
 """Small mistakes made in the code one at a time: how many do the tests of its subject notice?
 
-python -m benchmarks.mutants [--seed 1] [--count 100] [--together S] [--survivors] [--ref COMMIT] [--out DIR]
+python -m benchmarks.mutants [--seed 1] [--count 100] [--survivors] [--out DIR]
 
-Which tests run which function is measured once (minutes), and anew for test files that changed (for all of
-them when OUT/tests.json is deleted). Every mutant is tried in a copy of the tree on the tests that run its
-function, the quickest first. A row is written as soon as it is known, and the same command goes on from
-there; `--survivors` tries only those again that nothing noticed. Mutants that change nothing that matters
-are listed in mutants_equivalent.yaml with the reason, and do not count. Needs Python 3.11.
+Every mutant is tried in a copy of the tree: first on the test files that import its module, then on the quick
+tests of the others in the same folder of `tests`. A row is written as soon as it is known, and the same
+command goes on from there; `--survivors` tries only those again that nothing noticed. Mutants that change
+nothing that matters are listed in mutants_equivalent.yaml with the reason, and do not count.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from benchmarks.intervals import wilson
 from benchmarks.mutants_draw import FOLDERS, Mutant, draw
-from benchmarks.mutants_run import Tree
-from benchmarks.mutants_tests import TOGETHER_S, Recorder, chosen, folder_of, imported, load, subject_files
+from benchmarks.rows import Rows, interval
 
 ROOT = Path(__file__).parents[1]
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
-CAUGHT = ("failed", "timeout", "crashed")
-MEASURING_S = 900.0
+CAUGHT = ("failed", "timeout")
+GRACE_S, COMPILE_S = 20.0, 150.0
+"""Processor time of a run besides four times that of its tests, and what compiling a mutated kernel takes."""
+MEMORY = 8 << 30
+# What is imported as `turtlebag.planners` is the copy's folder `planners`, and not what is installed.
+PACKAGE = "from pathlib import Path\n\n__path__ = [str(Path(__file__).parents[1])]\n"
+Tests = tuple[list[str], str]
+"""Test files, and pytest's expression of the marks that are run."""
 
 
-def measured(tree: Tree, home: Path) -> dict[str, dict[str, Any]]:
-    """Per test its seconds, functions and subjects; measures what is not known yet."""
-    kept = home / "tests.json"
-    table = load(kept)
-    files = {name for folder in FOLDERS for name in subject_files(tree.path, folder)}
-    table = {test: row for test, row in table.items() if row["digest"] == _digest(tree.path / _file(test))}
-    for name in sorted(files - {_file(test) for test in table}):
-        print(f"measuring {name}", flush=True)
-        recorder, part = Recorder(tree.path), home / "part.json"
-        outcome = tree.run(
-            [name],
-            cpu_s=MEASURING_S,
-            plugin=recorder,
-            after=lambda rows=recorder.rows, part=part: part.write_text(json.dumps(rows)),
+class Tree:
+    """A copy of the sources and tests that mistakes are made in, with a kernel cache of its own."""
+
+    def __init__(self, root: Path, home: Path) -> None:
+        self.path, self._log = home / "tree", home / "pytest.log"
+        self._environment = {
+            **os.environ, "NUMBA_CACHE_DIR": str(home / "kernels"), "PYTHONPATH": str(self.path),
+            "PYTHONDONTWRITEBYTECODE": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        }  # fmt: skip
+        self._usual: dict[str, float] = {}
+        shutil.rmtree(self.path, ignore_errors=True)
+        listed = subprocess.run(
+            ["git", "ls-files", "-co", "--exclude-standard"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
         )
-        if outcome.verdict == "failed":
-            print(f"  {outcome.by} fails without any mutant and is not asked")
-        for test, row in load(part).items():
-            if "functions" in row:
-                table[test] = row | {"digest": _digest(tree.path / name)}
-        part.unlink(missing_ok=True)
-        kept.write_text(json.dumps(table))
-    subjects = {folder: set(subject_files(tree.path, folder)) for folder in FOLDERS}
-    imports = {name: imported(tree.path / name) for name in files}
-    for test, row in table.items():
-        row["imports"] = imports[_file(test)]
-        row["subjects"] = [folder for folder in FOLDERS if _file(test) in subjects[folder]]
-    return table
+        for name in listed.stdout.splitlines():
+            if (root / name).is_file():
+                (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(root / name, self.path / name)
+        (self.path / "turtlebag").mkdir(parents=True)
+        (self.path / "turtlebag/__init__.py").write_text(PACKAGE)
+
+    def tests_of(self, path: str) -> list[Tests]:
+        """The test files that import a module, and the quick tests of the others of its subject."""
+        folder = next(folder for folder in FOLDERS if path.startswith(f"{folder}/"))
+        files = sorted((self.path / "tests" / Path(folder).name).rglob("test_*.py"))
+        package, name = path.removesuffix(".py").replace("/", ".").rpartition(".")[::2]
+        module = re.compile(rf"turtlebag\.{package}(\.{name}\b| import .*\b{name}\b)")
+        near = [file for file in files if module.search(file.read_text())]
+        parts = ((near, ""), ([file for file in files if file not in near], "not slow"))
+        return [([str(file.relative_to(self.path)) for file in part], mark) for part, mark in parts if part]
+
+    def run(self, tests: Tests, cpu_s: float) -> tuple[str, str]:
+        """How a run of tests ended (survived, failed, timeout), and the first test that failed."""
+        files, mark = tests
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-x",
+            "-rfE",
+            "--tb=no",
+            "--assert=plain",
+            "-m",
+            mark,
+            *files,
+        ]
+        with self._log.open("w") as log:
+            child = subprocess.Popen(
+                command, cwd=self.path, env=self._environment, stdout=log, stderr=log,
+                start_new_session=True, preexec_fn=lambda: _limited(cpu_s),
+            )  # fmt: skip
+            try:
+                code = child.wait(10.0 * cpu_s)  # the processor may be shared with others
+            except subprocess.TimeoutExpired:
+                os.killpg(child.pid, signal.SIGKILL)
+                code = child.wait()
+        if code < 0:  # too slow, or it crashed the interpreter
+            return "timeout", ""
+        told = re.search(r"^(?:FAILED|ERROR) (\S+)", self._log.read_text(errors="replace"), re.MULTILINE)
+        return ("survived" if code in (0, 5) else "failed"), told[1] if told else ""
+
+    def judge(self, mutant: Mutant) -> dict[str, Any]:
+        """Whether the tests notice the mutant; the tree is whole again afterwards."""
+        path, begun = self.path / mutant.path, time.monotonic()
+        source, found = path.read_text(), ("survived", "")
+        for tests in self.tests_of(mutant.path):
+            usual = self._seconds(tests)
+            path.write_text(mutant.applied(source))
+            try:
+                found = self.run(tests, GRACE_S + COMPILE_S * mutant.kernel + 4.0 * usual)
+            finally:
+                path.write_text(source)
+            if found[0] in CAUGHT:
+                break
+        about = {"kind": mutant.kind, "kernel": mutant.kernel, "seconds": round(time.monotonic() - begun, 1)}
+        return {"verdict": found[0], "by": found[1], **about}
+
+    def _seconds(self, tests: Tests) -> float:
+        """Seconds that tests take without any mutant; RuntimeError when they fail then."""
+        if str(tests) not in self._usual:
+            for _ in range(2):  # the first run compiles
+                begun = time.monotonic()
+                if (found := self.run(tests, 3600.0))[0] != "survived":
+                    raise RuntimeError(f"{found[1] or tests[0]} fails without any mutant")
+            self._usual[str(tests)] = time.monotonic() - begun
+        return self._usual[str(tests)]
 
 
-def _file(test: str) -> str:
-    return test.split("::", 1)[0]
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.exists() else ""
-
-
-def tried(tree: Tree, table: dict[str, dict[str, Any]], mutant: Mutant, together_s: float) -> dict[str, Any]:
-    """The row of one mutant."""
-    tests = chosen(table, mutant.path, mutant.function, together_s)
-    usual = sum(table[test]["seconds"] for test in tests)
-    row = {"key": mutant.key, "kind": mutant.kind, "kernel": mutant.kernel, "tests": len(tests)}
-    if not tests:
-        return row | {"verdict": "survived", "by": "no test runs it", "seconds": 0.0}
-    outcome = tree.judge(mutant, tests, usual)
-    return row | {"verdict": outcome.verdict, "by": outcome.by, "seconds": round(outcome.seconds, 1)}
+def _limited(cpu_s: float) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s) + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def report(rows: list[dict[str, Any]], equivalent: dict[str, str]) -> str:
     """The score with its interval, by folder and kind, and what survived."""
-    counted = [row for row in rows if row["key"] not in equivalent or row["verdict"] in CAUGHT]
+    counted = [row for row in rows if row["case"] not in equivalent or row["verdict"] in CAUGHT]
     caught = sum(row["verdict"] in CAUGHT for row in counted)
-    low, high = wilson(caught, len(counted))
+    low, high = interval(caught, len(counted))
     verdicts = Counter(row["verdict"] for row in counted)
-    share = caught / max(1, len(counted))
     lines = [
-        f"{caught} of {len(counted)} caught: {share:.0%} (95 % interval {low:.0%} to {high:.0%}); "
+        f"{caught} of {len(counted)} caught: {caught / max(1, len(counted)):.0%} "
+        f"(95 % interval {low:.0%} to {high:.0%}); "
         f"{', '.join(f'{n} {name}' for name, n in sorted(verdicts.items()))}; "
         f"{len(rows) - len(counted)} of {len(rows)} drawn change nothing that matters",
         "",
-        f"{'of':24}  caught",
     ]
-    groups = {folder: [row for row in counted if folder_of(row["key"]) == folder] for folder in FOLDERS}
+    groups = {folder: [row for row in counted if row["case"].startswith(f"{folder}/")] for folder in FOLDERS}
     groups["numba kernels"] = [row for row in counted if row["kernel"]]
-    groups["other functions"] = [row for row in counted if not row["kernel"]]
     groups |= {
-        kind: [row for row in counted if row["kind"] == kind] for kind in sorted({r["kind"] for r in rows})
+        kind: [r for r in counted if r["kind"] == kind] for kind in sorted({r["kind"] for r in counted})
     }
     for name, group in groups.items():
         lines.append(f"{name:24}  {sum(row['verdict'] in CAUGHT for row in group)} of {len(group)}")
-    survived = [row for row in counted if row["verdict"] not in CAUGHT]
-    lines += ["", *(f"survived {row['tests']:3} tests: {row['key']}" for row in survived)]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *(f"survived: {r['case']}" for r in counted if r["verdict"] not in CAUGHT)])
 
 
 def main() -> None:
@@ -114,31 +168,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
-    parser.add_argument("--together", type=float, default=TOGETHER_S, help="seconds of tests for a mutant")
-    parser.add_argument("--ref", default="", help="a commit, for the tree as it was; default: as it is")
     parser.add_argument("--out", type=Path, default=ROOT / "data/benchmarks/mutants")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    path = args.out / f"seed-{args.seed}.jsonl"
     equivalent = yaml.safe_load(EQUIVALENT.read_text()) or {}
-    rows = (
-        {row["key"]: row for row in map(json.loads, path.read_text().splitlines())} if path.exists() else {}
-    )
-    tree = Tree(ROOT, args.out.resolve(), args.ref)
-    mutants = draw(tree.path, args.seed, args.count)
-    again = {key for key, row in rows.items() if row["verdict"] == "survived"} if args.survivors else set()
-    todo = [m for m in mutants if m.key not in equivalent and (m.key not in rows or m.key in again)]
-    table = measured(tree, args.out) if todo else {}
-    for mutant in todo:
-        rows[mutant.key] = tried(tree, table, mutant, args.together)
-        with path.open("a") as out:
-            out.write(json.dumps(rows[mutant.key]) + "\n")
-        print(
-            f"{rows[mutant.key]['verdict']:9} {rows[mutant.key]['seconds']:6.1f} s  {mutant.key}", flush=True
-        )
-    skipped = {"kind": "", "kernel": False, "tests": 0, "verdict": "equivalent", "by": "", "seconds": 0.0}
-    final = [rows.get(m.key, {"key": m.key, **skipped}) for m in mutants]
-    text = report(final, equivalent)
+    rows = Rows(args.out / f"seed-{args.seed}.jsonl")
+    tree = Tree(ROOT, args.out.resolve())
+    skipped = {"kind": "", "kernel": False, "verdict": "equivalent", "by": "", "seconds": 0.0}
+    found = []
+    for mutant in draw(tree.path, args.seed, args.count):
+        row = rows.get(mutant.key)
+        again = row is not None and args.survivors and row["verdict"] == "survived"
+        if mutant.key in equivalent:
+            row = row or {"case": mutant.key, **skipped}
+        elif row is None or again:
+            row = rows.add(mutant.key, tree.judge(mutant))
+            print(f"{row['verdict']:9} {row['seconds']:6.1f} s  {mutant.key}", flush=True)
+        found.append(row)
+    text = report(found, equivalent)
     (args.out / f"seed-{args.seed}.txt").write_text(text + "\n")
     print(text)
 

@@ -8,7 +8,7 @@ Collisions are Bullet's contacts, errors are against the truth. Every map is mad
 recorded tour. Sensors are the simulator's `realistic` ones, on the tour and in the episodes; `--sensors
 clean` runs the same episodes with its clean ones, as scenarios "patrol, clean" and so on. Rows are
 written as they come: started again with the same --out, a campaign goes on where it was (delete
-navigate.csv to start anew). `--from` runs other seeds; `--replay` drives one episode again and keeps
+navigate.jsonl to start anew). `--from` runs other seeds; `--replay` drives one episode again and keeps
 its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
 """
 
@@ -21,11 +21,11 @@ import time
 from pathlib import Path
 
 from benchmarks import navigate_cases as cases
-from benchmarks import navigate_clutter as clutter
 from benchmarks import navigate_faults as faults
+from benchmarks.drives import Maps
 from benchmarks.navigate_cases import Case, Scenario
-from benchmarks.navigate_maps import Maps
-from benchmarks.navigate_rows import HEAD, Table, failures, refused_row, row_of, summary
+from benchmarks.navigate_rows import failures, refused_row, row_of, summary
+from benchmarks.rows import Row, Rows, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.recorder import NoBag
@@ -62,8 +62,8 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
         of("house waffle_pi", 200, 3, functools.partial(cases.house_goal, maps, "waffle_pi")),
         of("house burger", 200, 3, functools.partial(cases.house_goal, maps, "burger")),
         of("new worlds", 100, 3, functools.partial(cases.new_world_goal, maps)),
-        of("boxes and movers", 200, 3, functools.partial(clutter.obstacles, maps, True)),
-        of("boxes and blind movers", 200, 3, functools.partial(clutter.obstacles, maps, False)),
+        of("boxes and movers", 200, 3, functools.partial(cases.obstacles, maps, True)),
+        of("boxes and blind movers", 200, 3, functools.partial(cases.obstacles, maps, False)),
         of("avoid guarded", 50, 2, functools.partial(cases.avoid, "guarded", duration)),
         of("avoid tutorial", 50, 2, functools.partial(cases.avoid, "tutorial", duration)),
         of("explore", 24, 1, functools.partial(cases.explore, QUICK_AVOID_S if quick else EXPLORE_S)),
@@ -75,6 +75,10 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
             of(f"wheel slip, {place}", 50, 2, functools.partial(faults.slip, maps, place)),
             of(f"lidar dropout, {place}", 50, 2, functools.partial(faults.dropout, maps, place)),
         ]
+        found += [
+            of(f"{controller}, {place}", 32, 1, functools.partial(cases.controlled, maps, place, controller))
+            for controller in cases.CONTROLLERS
+        ]
     found.append(of("closed ring, arena", 50, 2, functools.partial(faults.closed_ring, maps)))
     found.append(of("closed door, house", 50, 2, functools.partial(faults.closed_door, maps)))
     if worlds := cases.barn_worlds():
@@ -82,7 +86,7 @@ def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
     return found
 
 
-def run(case: Case) -> dict:
+def run(case: Case) -> Row:
     """Drive one episode; its row."""
     started = time.process_time()
     try:
@@ -100,14 +104,14 @@ def replay(scenario: Scenario, seed: int, out: Path) -> int:
     return navigate_in(case.world, case.robot, case.request, out, config=case.config, force=True)
 
 
-def campaign(chosen: list[Scenario], table: Table, first: int, episodes: int | None, quick: bool) -> None:
-    """Run what is not in the table yet."""
+def campaign(chosen: list[Scenario], rows: Rows, first: int, episodes: int | None, quick: bool) -> None:
+    """Run what has no row yet."""
     for scenario in chosen:
         count = episodes or (scenario.short if quick else scenario.count)
         for seed in range(first, first + count):
-            if not table.has(scenario.name, seed):
-                table.add(run(scenario.make(seed)))
-        print(summary(scenario.name, table.of(scenario.name)), flush=True)
+            if rows.get(f"{scenario.name} {seed}") is None:
+                row = rows.add(f"{scenario.name} {seed}", run(scenario.make(seed)))
+                print(f"  {row['case']}: {'success' if row['success'] else row['reasons']}", flush=True)
 
 
 def main() -> None:
@@ -135,12 +139,11 @@ def main() -> None:
     if args.replay:
         raise SystemExit(replay(chosen[0], int(args.replay[1]), args.out))
     args.out.mkdir(parents=True, exist_ok=True)
-    table = Table(args.out / "navigate.csv")
-    campaign(chosen, table, args.first, args.episodes, args.quick)
-    lines = [HEAD, *(summary(s.name, table.of(s.name)) for s in known if table.of(s.name))]
-    text = "\n".join([*lines, "", *failures(table.rows)]) + "\n"
-    (args.out / "navigate.md").write_text(text)
-    print(text)
+    rows = Rows(args.out / "navigate.jsonl")
+    campaign(chosen, rows, args.first, args.episodes, args.quick)
+    found = {s.name: [row for row in rows.all if row["scenario"] == s.name] for s in known}
+    write(args.out, "navigate", [summary(name, part) for name, part in found.items() if part])
+    print("\n".join(failures(rows.all)))
 
 
 if __name__ == "__main__":

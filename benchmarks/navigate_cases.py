@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.navigate_maps import Maps
+from benchmarks.drives import Maps
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request
+from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.tasks.avoid import AvoidConfig
@@ -29,6 +30,20 @@ ROOM_M = 0.05
 GOALS_PER_WORLD = 5
 NEW_WORLDS_FROM = 7000
 """Generated worlds of the benchmark have numbers from here on: nothing else uses those."""
+
+
+APART_M = 1.5
+"""Nobody walks nearer than this to a robot that has just been put down."""
+CONTROL_PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
+CONTROLLERS = {
+    "pursuit": NavigateConfig(),
+    "dwa": NavigateConfig(controller="dwa"),
+    "tutorial's dwa": NavigateConfig(
+        controller="dwa",
+        dwa=DwaConfig(preset="tutorial"),
+        goal_checker=GoalCheckerConfig(preset="tutorial"),
+    ),
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,6 +156,32 @@ def explore(duration: float, name: str, seed: int) -> Case:
     start = pose_on(grid, cells, stream(seed, name))
     request = Request(task="explore", seed=seed, start=start, duration_s=duration)
     return Case(name, seed, world, robot, request, seen=0.95)
+
+
+def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
+    """House goals among five boxes and three people of the simulator's clutter; waffle_pi and burger in turn.
+
+    Movers that do not yield walk on whoever stands in their way.
+    """
+    robot_name = ("waffle_pi", "burger")[seed % 2]
+    world, robot = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3"), load_robot(robot_name)
+    movers = tuple(dataclasses.replace(mover, yields=yields) for mover in world.movers)
+    world, rng = dataclasses.replace(world, movers=movers), stream(seed, name)
+    grid, cells = floor(world, robot)
+    start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
+    while min(np.linalg.norm(mover.path[0] - start.xy) for mover in movers) < APART_M:
+        start = pose_on(grid, cells, rng)
+    path = maps.slam("turtlebot3_house", robot_name)
+    return Case(name, seed, world, robot, goal_request(seed, path, start, goal))
+
+
+def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Case:
+    """A random goal on the true map, the same for every controller."""
+    world, robot, grid, cells = named_floor(*CONTROL_PLACES[place])
+    rng = stream(seed, f"controllers {place}")
+    start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
+    request = goal_request(seed, maps.true(place, grid), start, goal)
+    return Case(name, seed, world, robot, request, CONTROLLERS[controller])
 
 
 def barn_worlds() -> list[Path]:

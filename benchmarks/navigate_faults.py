@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from benchmarks.drives import Maps
 from benchmarks.navigate_cases import Case, floor, goal_request, house_goal, named_floor, patrol, pose_on
-from benchmarks.navigate_maps import Maps
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream

@@ -1,50 +1,24 @@
-"""What an episode of the navigation benchmark leaves: a row of the CSV, and lines of the tables."""
+"""What an episode of the navigation benchmark leaves: a row, and lines of the tables."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.intervals import clopper_pearson, wilson
 from benchmarks.navigate_cases import Case
+from benchmarks.rows import Row, interval
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.navigation.episode import Episode
 from turtlebag.reports.metrics.navigation import collision_episodes
 
-COLUMNS = (
-    "scenario",
-    "seed",
-    "world",
-    "robot",
-    "success",
-    "reached",
-    "goals",
-    "reasons",
-    "visible",
-    "low",
-    "own_speed",
-    "worst_error_m",
-    "worst_error_rad",
-    "min_clearance_m",
-    "localisation_rmse_m",
-    "distance_m",
-    "seen_m2",
-    "seen_share",
-    "time_s",
-    "score",
-    "x_real_time",
-    "replay",
-)
 MOVING_M, MOVING_RAD = 0.002, 0.01
 """Wheels that turned the robot more than this in the tick before a contact make it the robot's own."""
 
 
-def row_of(case: Case, episode: Episode, cpu_s: float) -> dict[str, Any]:
+def row_of(case: Case, episode: Episode, cpu_s: float) -> Row:
     """The row of an episode. Success: every goal ended as wanted, and nothing was touched at own speed.
 
     Reached means truly there: a robot that believes so in the wrong place has failed. `own_speed` counts
@@ -60,11 +34,9 @@ def row_of(case: Case, episode: Episode, cpu_s: float) -> dict[str, Any]:
     unknown = case.request.task in ("avoid", "explore")
     counted = m["collisions"]["visible"] + (0 if unknown else m["collisions"]["low"])
     touched = counted > 0 and not standing_still
-    localisation = m["localisation_error_m"]
-    share = m.get("area", {}).get("share", math.nan)
-    unseen = share < case.seen
-    return {
-        **blank_row(case),
+    area = m.get("area", {"share": None, "seen_m2": None})
+    unseen = area["share"] is not None and area["share"] < case.seen
+    return about(case) | {
         "success": int(not others and not touched and not unseen),
         "reached": len(reached),
         "goals": len(m["goals"]),
@@ -72,17 +44,30 @@ def row_of(case: Case, episode: Episode, cpu_s: float) -> dict[str, Any]:
         "visible": m["collisions"]["visible"],
         "low": m["collisions"]["low"],
         "own_speed": own,
-        "worst_error_m": max((g["error_m"] for g in reached), default=math.nan),
-        "worst_error_rad": max((g["error_rad"] for g in reached), default=math.nan),
+        "worst_error_m": max((g["error_m"] for g in reached), default=None),
+        "worst_error_rad": max((g["error_rad"] for g in reached), default=None),
         "min_clearance_m": m["min_clearance_m"],
-        "localisation_rmse_m": math.nan if localisation is None else localisation["rmse"],
+        "localisation_rmse_m": (m["localisation_error_m"] or {}).get("rmse"),
         "distance_m": m["distance_m"],
-        "seen_m2": m.get("area", {}).get("seen_m2", math.nan),
-        "seen_share": share,
+        "seen_m2": area["seen_m2"],
+        "seen_share": area["share"],
         "time_s": m["time_s"],
-        "score": math.nan if case.score is None else case.score(m),
+        "score": None if case.score is None else case.score(m),
         "x_real_time": round(m["time_s"] / max(cpu_s, 1e-9), 1),
     }
+
+
+def about(case: Case) -> Row:
+    """Which episode it is, and how to see it again."""
+    replay = f'python -m benchmarks.navigate --replay "{case.name}" {case.seed}'
+    which = {"scenario": case.name, "seed": case.seed, "world": case.world.name, "robot": case.robot.name}
+    return which | {"replay": replay}
+
+
+def refused_row(case: Case, why: str) -> Row:
+    """The row of an episode that was refused at the door: a failure as any other."""
+    nothing = dict.fromkeys(("success", "reached", "visible", "low", "own_speed", "distance_m"), 0)
+    return about(case) | nothing | {"goals": 1, "reasons": f"refused {why}"}
 
 
 def _truly_there(goal: dict[str, Any], case: Case) -> bool:
@@ -90,20 +75,6 @@ def _truly_there(goal: dict[str, Any], case: Case) -> bool:
     if goal["status"] != "reached":
         return True
     return bool(goal["error_m"] <= case.within[0] and goal["error_rad"] <= case.within[1])
-
-
-def refused_row(case: Case, why: str) -> dict[str, Any]:
-    """The row of an episode that was refused at the door: a failure as any other."""
-    return {**blank_row(case), "success": 0, "reached": 0, "goals": 1, "reasons": f"refused {why}"}
-
-
-def blank_row(case: Case) -> dict[str, Any]:
-    """Which episode it is, and how to see it again."""
-    row: dict[str, Any] = dict.fromkeys(COLUMNS, math.nan)
-    row.update(visible=0, low=0, own_speed=0, reasons="", distance_m=0.0, time_s=0.0)
-    row.update(scenario=case.name, seed=case.seed, world=case.world.name, robot=case.robot.name)
-    row["replay"] = f'python -m benchmarks.navigate --replay "{case.name}" {case.seed}'
-    return row
 
 
 def own_contacts(log: RunLog) -> int:
@@ -124,64 +95,33 @@ def _why(goal: dict[str, Any]) -> str:
     return f"{goal['status']} {goal.get('reason', '')}".strip()
 
 
-class Table:
-    """The CSV of a campaign: rows are added as they come, and read again when it goes on."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.rows: list[dict[str, Any]] = []
-        if path.exists():
-            with path.open(newline="") as file:
-                self.rows = [_numbers(row) for row in csv.DictReader(file)]
-        else:
-            with path.open("w", newline="") as file:
-                csv.DictWriter(file, COLUMNS, lineterminator="\n").writeheader()
-
-    def has(self, name: str, seed: int) -> bool:
-        """Whether that episode was run."""
-        return any(row["scenario"] == name and row["seed"] == seed for row in self.rows)
-
-    def add(self, row: dict[str, Any]) -> None:
-        """Append a row; it is on disk when this returns."""
-        self.rows.append(row)
-        with self._path.open("a", newline="") as file:
-            csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(row)
-
-    def of(self, name: str) -> list[dict[str, Any]]:
-        """Rows of a scenario."""
-        return [row for row in self.rows if row["scenario"] == name]
-
-
-def _numbers(row: dict[str, str]) -> dict[str, Any]:
-    words = ("scenario", "world", "robot", "reasons", "replay")
-    whole = ("seed", "success", "reached", "goals", "visible", "low", "own_speed")
-    found: dict[str, Any] = {}
-    for key, text in row.items():
-        number = math.nan if not text else None
-        found[key] = text if key in words else number or (int(float(text)) if key in whole else float(text))
-    return found
-
-
-HEAD = (
-    "| scenario | seeds | success | rate | Wilson 95 % | Clopper-Pearson 95 % | visible contacts "
-    "| low contacts | at own speed | worst error m | driven m | seen share | score | x real time |\n"
-    + "|---" * 14
-    + "|"
-)
-
-
-def summary(name: str, rows: Sequence[dict[str, Any]]) -> str:
+def summary(name: str, rows: Sequence[Row]) -> Row:
     """One line of the table."""
     n, ok = len(rows), sum(row["success"] for row in rows)
-    w, c = wilson(ok, n), clopper_pearson(ok, n)
-    return (
-        f"| {name} | {spans([row['seed'] for row in rows])} | {ok}/{n} | {ok / n:.3f} "
-        f"| {w[0]:.3f}..{w[1]:.3f} | {c[0]:.3f}..{c[1]:.3f} "
-        f"| {sum(r['visible'] for r in rows)} | {sum(r['low'] for r in rows)} "
-        f"| {sum(r['own_speed'] for r in rows)} | {_of(np.max, rows, 'worst_error_m', 3)} "
-        f"| {sum(r['distance_m'] for r in rows):.0f} | {_of(np.mean, rows, 'seen_share', 3)} "
-        f"| {_of(np.mean, rows, 'score', 3)} | {_of(np.median, rows, 'x_real_time', 0)} |"
-    )
+    wilson, exact = (interval(ok, n, method) for method in ("wilson", "exact"))
+
+    def of(key: str) -> list[float]:
+        return [row[key] for row in rows if row.get(key) is not None] or [math.nan]
+
+    return {
+        "scenario": name,
+        "seeds": spans([row["seed"] for row in rows]),
+        "success": f"{ok}/{n}",
+        "rate": f"{ok / n:.3f}",
+        "Wilson 95 %": f"{wilson[0]:.3f}..{wilson[1]:.3f}",
+        "Clopper-Pearson 95 %": f"{exact[0]:.3f}..{exact[1]:.3f}",
+        "visible contacts": sum(of("visible")),
+        "low contacts": sum(of("low")),
+        "at own speed": sum(of("own_speed")),
+        "worst error m": max(of("worst_error_m")),
+        "worst yaw error rad": max(of("worst_error_rad")),
+        "least clearance m": min(of("min_clearance_m")),
+        "driven m": f"{sum(of('distance_m')):.0f}",
+        "mean s": f"{np.mean(of('time_s')):.1f}",
+        "seen share": float(np.mean(of("seen_share"))),
+        "score": float(np.mean(of("score"))),
+        "x real time": f"{np.median(of('x_real_time')):.0f}",
+    }
 
 
 def spans(numbers: Sequence[int]) -> str:
@@ -195,7 +135,7 @@ def spans(numbers: Sequence[int]) -> str:
     return ", ".join(f"{a}..{b}" for a, b in found)
 
 
-def failures(rows: Sequence[dict[str, Any]]) -> list[str]:
+def failures(rows: Sequence[Row]) -> list[str]:
     """A line for each episode that failed, with the command that shows it again."""
     return [
         f"- {row['scenario']}, seed {row['seed']} ({row['world']}, {row['robot']}): "
@@ -204,8 +144,3 @@ def failures(rows: Sequence[dict[str, Any]]) -> list[str]:
         for row in rows
         if not row["success"]
     ]
-
-
-def _of(what: Any, rows: Sequence[dict[str, Any]], key: str, digits: int) -> str:
-    values = [row[key] for row in rows if math.isfinite(row[key])]
-    return f"{what(values):.{digits}f}" if values else ""

@@ -10,11 +10,13 @@ rest is odometry, IMU, contacts, the driver and Python between them.
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
+from unittest.mock import patch
 
+from benchmarks.rows import Row, write
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.sim.lidar import Lidar
 from turtlebag.sim.physics import Physics
@@ -24,46 +26,14 @@ from turtlebag.sim.teleop import commands, load_script
 from turtlebag.sim.worlds import load_world
 
 CASES = (
-    ("turtlebot3_world", "burger"),
-    ("turtlebot3_world", "waffle_pi"),
-    ("turtlebot3_house", "burger"),
-    ("turtlebot3_house", "waffle_pi"),
-    ("maze:1", "burger"),
-    ("office:1", "burger"),
-    ("forest:1", "burger"),
-    ("forest:1", "jackal"),
-    ("empty", "burger"),
-)
-COLUMNS = (
-    "sensors",
-    "world",
-    "robot",
-    "simulated_s",
-    "x_real_time",
-    "physics_%",
-    "rays_%",
-    "bag_%",
-    "rest_%",
-)
-
-
-class Clock:
-    """CPU seconds spent in wrapped methods."""
-
-    def __init__(self) -> None:
-        self.spent: dict[str, float] = {}
-
-    def wrap(self, owner: type, method: str, name: str) -> None:
-        inner = getattr(owner, method)
-
-        def timed(*args, **kwargs):
-            start = time.process_time()
-            try:
-                return inner(*args, **kwargs)
-            finally:
-                self.spent[name] = self.spent.get(name, 0.0) + time.process_time() - start
-
-        setattr(owner, method, timed)
+    ("turtlebot3_world", "burger"), ("turtlebot3_world", "waffle_pi"), ("turtlebot3_house", "burger"),
+    ("turtlebot3_house", "waffle_pi"), ("maze:1", "burger"), ("office:1", "burger"), ("forest:1", "burger"),
+    ("forest:1", "jackal"), ("empty", "burger"),
+)  # fmt: skip
+PARTS = (
+    (Physics, "step", "physics"), (Lidar, "measure", "rays"), (BagWriter, "observation", "bag"),
+    (BagWriter, "truth", "bag"), (BagWriter, "command", "bag"),
+)  # fmt: skip
 
 
 def drive(world_name: str, robot_name: str, sensors: Sensors, duration: float) -> tuple[float, float]:
@@ -92,24 +62,39 @@ def drive(world_name: str, robot_name: str, sensors: Sensors, duration: float) -
     return observation.stamp_ns * 1e-9, spent
 
 
-def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: int) -> list[object]:
-    """One row of the table: the fastest of some repeats, the shares from a last one with clocks."""
-    speed, simulated = 0.0, 0.0
-    for _ in range(repeats):
-        simulated, spent = drive(world, robot, sensors, duration)
-        speed = max(speed, simulated / spent)
-    clock = Clock()
-    kept = [(Physics, "step"), (Lidar, "measure")]
-    kept += [(BagWriter, name) for name in ("observation", "truth", "command")]
-    before = [getattr(owner, name) for owner, name in kept]
-    for (owner, name), part in zip(kept, ("physics", "rays", "bag", "bag", "bag"), strict=True):
-        clock.wrap(owner, name, part)
-    _, spent = drive(world, robot, sensors, duration)
-    for (owner, name), inner in zip(kept, before, strict=True):
-        setattr(owner, name, inner)
-    shares = [100.0 * clock.spent.get(part, 0.0) / spent for part in ("physics", "rays", "bag")]
-    numbers = [*shares, 100.0 - sum(shares)]
-    return [sensors, world, robot, round(simulated, 1), round(speed, 1), *(round(n) for n in numbers)]
+def shares(world: str, robot: str, sensors: Sensors, duration: float) -> Row:
+    """Per cent of the CPU time that each part takes, in a drive with clocks in it."""
+    spent: Counter[str] = Counter()
+
+    def clocked(owner: type, method: str, part: str):
+        inner = getattr(owner, method)
+
+        def timed(*args, **kwargs):
+            start = time.process_time()
+            try:
+                return inner(*args, **kwargs)
+            finally:
+                spent[part] += time.process_time() - start
+
+        return patch.object(owner, method, timed)
+
+    patches = [clocked(*part) for part in PARTS]
+    for one in patches:
+        one.start()
+    _, total = drive(world, robot, sensors, duration)
+    for one in patches:
+        one.stop()
+    found = {part: 100.0 * spent[part] / total for part in ("physics", "rays", "bag")}
+    found["rest"] = 100.0 - sum(found.values())
+    return {f"{part}_%": round(share) for part, share in found.items()}
+
+
+def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: int) -> Row:
+    """One row of the table: the fastest of some repeats, and the shares."""
+    drives = [drive(world, robot, sensors, duration) for _ in range(repeats)]
+    speed = max(simulated / spent for simulated, spent in drives)
+    about = {"sensors": sensors, "world": world, "robot": robot, "simulated_s": round(drives[0][0], 1)}
+    return about | {"x_real_time": round(speed, 1)} | shares(world, robot, sensors, duration)
 
 
 def main() -> None:
@@ -121,15 +106,8 @@ def main() -> None:
     duration, repeats = (20.0, 1) if args.quick else (60.0, 3)
     drive("turtlebot3_world", "burger", "realistic", 2.0)  # compile first
     args.out.mkdir(parents=True, exist_ok=True)
-    with (args.out / "sim.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        print("  ".join(COLUMNS))
-        for world, robot in CASES[:3] if args.quick else CASES:
-            for sensors in args.sensors:
-                row = measure(world, robot, sensors, duration, repeats)
-                writer.writerow(row)
-                print("  ".join(str(value) for value in row), flush=True)
+    cases = [(*case, sensors) for case in (CASES[:3] if args.quick else CASES) for sensors in args.sensors]
+    write(args.out, "sim", [measure(*case, duration, repeats) for case in cases])
 
 
 if __name__ == "__main__":

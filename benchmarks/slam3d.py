@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from benchmarks.rows import write
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
-from benchmarks.slam_rows import write
 from turtlebag.datasets import se3
 from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.maps import load_map, save_map

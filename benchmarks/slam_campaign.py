@@ -19,7 +19,7 @@ Suites:
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
 suite's cases is fixed, and any first part of it (--limit) is a fair sample; --quick takes a small one of
 the first six. Every map is a row, a JSON line in DIR/rows: the same command goes on where it was stopped.
-Rows of other code are measured again, unless --keep. The summary is of all rows there are. Errors [m, deg]
+Rows of other code are measured again, unless --keep. Errors [m, deg]
 are those of the relations where a log has any, else after a rigid fit (`anchored`: with the first pose as
 the only anchor). CPU seconds are those of mapping alone.
 """
@@ -35,37 +35,37 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks import slam_targets as targets
+from benchmarks.rows import Case, Row, Rows, code_of, shown, write
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
-from benchmarks.slam_detector import detection, detector_cases, judged
+from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
-from benchmarks.slam_rows import Case, Row, Rows, code_of, shown, write
 from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
 from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
 SIMULATED = (*MAPPER, "sim")
 DISTURBED = (*MAPPER, "benchmarks/disturb.py")
-SYNTHETIC = (*DISTURBED, *(f"benchmarks/slam_{name}.py" for name in ("logs", "drives", "plans")))
+SYNTHETIC = (*DISTURBED, "sim", *(f"benchmarks/slam_{name}.py" for name in ("logs", "drives", "plans")))
 LIMIT_MINUTES = 30.0
 BASICS = ("case", "scans", "m", "deg", "worst_m")
 ENDS = ("verdict", "reasons", "loops", "cpu_s", "error")
 EXACT = (*BASICS, "scaled_m", "anchored_m", "anchored_worst_m")
+WORLD = (*EXACT, "within", "iou", "walls", "stuck")
+RELATIONS = ("case", "scans", "m", "deg", "before_m", "before_deg", "ratio", "scored by")
+MADE = (*EXACT, "near_deg", "folded", "driven_m", "odometry_m")
 
 
 @dataclass(frozen=True)
 class Suite:
-    """Cases with one table.
+    """Cases with one table, of which `quick` are a sample.
 
-    `judge` says what was asked and what was found, `summary` makes a second table of all rows, and
-    `complete` adds to each row what only all of them tell.
+    `summary` makes a second table of all rows, and `complete` adds to each row what only all of them tell.
     """
 
     cases: Sequence[Case]
     columns: tuple[str, ...]
-    judge: Callable[[list[Row]], list[Row]] | None = None
     summary: Callable[[list[Row]], list[Row]] | None = None
     complete: Callable[[list[Row]], list[Row]] = list
     quick: int = 0
@@ -75,62 +75,23 @@ class Suite:
 def suites(out: Path, data: Path | None) -> dict[str, Suite]:
     """Every suite by name; without the public logs those that need them have no cases."""
     files = Files(out, code_of(MAPPER))
-    relations = ("case", "scans", "m", "deg", "before_m", "before_deg", "ratio", "scored by")
-    world = (*EXACT, "within", "iou", "walls", "stuck")
+    logs, disturbed = (log_cases(data, files), disturbed_cases(data, files)) if data else ([], [])
+    drives = by("world", "robot", "teleop")
+    grown = (*SYNTHETIC, "pipeline/stages/map.py", "benchmarks/slam_growth.py")
     return {
-        "logs": Suite(
-            log_cases(data, files) if data else [],
-            (*BASICS, *COLUMNS, *ENDS),
-            targets.logs,
-            quick=99,
-        ),
-        "disturbed": Suite(
-            disturbed_cases(data, files) if data else [],
-            (*relations, *ENDS),
-            targets.disturbed,
-            quick=15,
-            code=DISTURBED,
-        ),
-        "drives": Suite(
-            drive_cases(),
-            (*world, *ENDS),
-            targets.drives,
-            targets.by("world", "robot", "teleop"),
-            quick=12,
-            code=SIMULATED,
-        ),
-        "fast50": Suite(
-            fast_cases(), (*EXACT, *ENDS), targets.fast50, targets.by("sensors"), quick=6, code=SIMULATED
-        ),
-        "synthetic": Suite(
-            synthetic_cases(out),
-            (*EXACT, "near_deg", "folded", "driven_m", "odometry_m", *ENDS),
-            summary=targets.by("lidar"),
-            quick=20,
-            code=SYNTHETIC,
-        ),
+        "logs": Suite(logs, (*BASICS, *COLUMNS, *ENDS), quick=99),
+        "disturbed": Suite(disturbed, (*RELATIONS, *ENDS), quick=15, code=DISTURBED),
+        "drives": Suite(drive_cases(), (*WORLD, *ENDS), drives, quick=12, code=SIMULATED),
+        "fast50": Suite(fast_cases(), (*EXACT, *ENDS), by("sensors"), quick=6, code=SIMULATED),
+        "synthetic": Suite(synthetic_cases(out), (*MADE, *ENDS), by("lidar"), quick=20, code=SYNTHETIC),
         "detector": Suite(
-            detector_cases(),
-            ("half", *EXACT, "limit_m", "bad", *ENDS),
-            targets.detector,
-            detection,
-            judged,
-            quick=26,
-            code=(*SYNTHETIC, "sim"),
+            detector_cases(), ("half", *EXACT, "limit_m", "bad", *ENDS), detection, judged, 26, SYNTHETIC
         ),
-        "worlds": Suite(world_cases(out), (*world, "near_deg", *ENDS), code=SIMULATED),
-        "ablation": Suite(
-            ablation_cases(data), (*EXACT, *ENDS), targets.ablation, ablation_table, code=SYNTHETIC
-        ),
-        "parts": Suite(parts_cases(data), (*EXACT, *ENDS), None, ablation_table, code=(*SYNTHETIC, "sim")),
-        "numbers": Suite(
-            sensitivity_cases(data), (*EXACT, *ENDS), None, sensitivity_table, code=(*SYNTHETIC, "sim")
-        ),
-        "growth": Suite(
-            growth_cases(data),
-            ("case", *COSTS, "error"),
-            code=(*SYNTHETIC, "sim", "pipeline/stages/map.py", "benchmarks/slam_growth.py"),
-        ),
+        "worlds": Suite(world_cases(out), (*WORLD, "near_deg", *ENDS), code=SIMULATED),
+        "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
+        "parts": Suite(parts_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
+        "numbers": Suite(sensitivity_cases(data), (*EXACT, *ENDS), sensitivity_table, code=SYNTHETIC),
+        "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
     }
 
 
@@ -142,7 +103,7 @@ def chosen(suite: Suite, limit: int | None, pattern: str) -> Suite:
 
 def measure(name: str, suite: Suite, rows: Rows, workers: int, limit_s: float) -> None:
     """Measure what has no row yet."""
-    waiting = [case for case in suite.cases if not rows.has(case.name)]
+    waiting = [case for case in suite.cases if rows.get(case.name) is None]
     print(f"{name}: {len(suite.cases)} cases, {len(waiting)} to measure", flush=True)
     for case, row in in_processes(waiting, workers, limit_s):
         row = rows.add(case.name, row)
@@ -156,12 +117,6 @@ def tables(out: Path, name: str, suite: Suite, rows: list[Row]) -> None:
     write(out, name, suite.complete(rows), suite.columns)
     if suite.summary and rows:
         write(out, f"{name}-summary", suite.summary(rows))
-
-
-def summary(name: str, suite: Suite, rows: list[Row]) -> list[Row]:
-    """What was asked of a suite, and what its rows come to."""
-    judged = suite.judge(rows) if suite.judge and rows else []
-    return [{"suite": name, "maps": f"{len(rows)} of {len(suite.cases)}", **line} for line in judged]
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -194,26 +149,18 @@ def main(argv: Sequence[str] | None = None) -> None:
             "TURTLEBAG_DATA names no folder with a folder `radish`: the public logs are left out", flush=True
         )
     args.out.mkdir(parents=True, exist_ok=True)
-    rows = {
-        name: Rows(args.out / "rows" / f"{name}.jsonl", code_of(suite.code), keep=args.keep)
-        for name, suite in known.items()
-    }
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in names:
             limit = known[name].quick if args.quick and args.limit is None else args.limit
             suite = chosen(known[name], limit, args.only)
+            rows = Rows(args.out / "rows" / f"{name}.jsonl", code_of(suite.code), keep=args.keep)
             try:
-                measure(name, suite, rows[name], args.workers, 60.0 * args.minutes)
+                measure(name, suite, rows, args.workers, 60.0 * args.minutes)
             except KeyboardInterrupt:
                 print("stopped; the same command goes on from here", file=sys.stderr)
                 raise SystemExit(130) from None
-            tables(args.out, name, suite, rows[name].of(suite.cases))
-    write(
-        args.out,
-        "summary",
-        [line for name, suite in known.items() for line in summary(name, suite, rows[name].of(suite.cases))],
-    )
+            tables(args.out, name, suite, rows.of(suite.cases))
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ from benchmarks.disturb import (
     with_ranges,
     with_scans,
 )
+from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_rows import Case, Row
 from benchmarks.slam_scores import score
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map

@@ -31,11 +31,10 @@ from benchmarks.disturb import (
     with_steps,
 )
 from benchmarks.disturb import known as known_log
-from benchmarks.intervals import wilson
+from benchmarks.rows import Case, Row, share
 from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_of
 from benchmarks.slam_drives import Log
 from benchmarks.slam_logs import arena, office, rooms
-from benchmarks.slam_rows import Case, Row
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
 
@@ -230,10 +229,8 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
 
 def rate(rows: Sequence[Row], verdict: str) -> str:
-    """How many have a verdict, and Wilson's 95 % interval of the share."""
-    count = sum(row["verdict"] == verdict for row in rows)
-    low, high = wilson(count, len(rows))
-    return f"{count} of {len(rows)} ({100 * low:.1f}..{100 * high:.1f} %)"
+    """How many have a verdict, and the interval of the share."""
+    return share(sum(row["verdict"] == verdict for row in rows), len(rows))
 
 
 def detection(rows: Sequence[Row]) -> list[Row]:
@@ -256,3 +253,43 @@ def detection(rows: Sequence[Row]) -> list[Row]:
         for name, part in parts.items()
         if part
     ]
+
+
+def spread(rows: Sequence[Row]) -> Row:
+    """Figures of many maps with exact truth; m after a rigid fit."""
+    done = [row for row in rows if "error" not in row]
+    if not done:
+        return {"maps": 0, "errors": len(rows)}
+    far = [row for row in done if row["worst_m"] > BAD_M]
+
+    def under(limit: float, key: str) -> int:
+        return sum(row[key] <= limit for row in done)
+
+    return {
+        "maps": len(done),
+        "errors": len(rows) - len(done),
+        "median m": float(np.median([row["m"] for row in done])),
+        "under 2 cm": under(0.02, "m"),
+        "median worst": float(np.median([row["worst_m"] for row in done])),
+        "worst": max(row["worst_m"] for row in done),
+        "worst under 5 cm": under(0.05, "worst_m"),
+        "under 10 cm": under(0.1, "worst_m"),
+        "under 10 cm, anchored": under(0.1, "anchored_worst_m"),
+        f"beyond {BAD_M} m": len(far),
+        "of these good": sum(row["verdict"] == "good" for row in far),
+        "others doubtful": sum(row["verdict"] != "good" for row in done if row not in far),
+        "CPU s": float(np.sum([row["cpu_s"] for row in done])),
+    }
+
+
+def by(*keys: str) -> Callable[[list[Row]], list[Row]]:
+    """A table of `spread`: all rows, and those of each value of some columns."""
+
+    def table(rows: list[Row]) -> list[Row]:
+        parts = {"all": rows}
+        for key in keys:
+            for value in dict.fromkeys(row[key].partition(":")[0] for row in rows):
+                parts[value] = [row for row in rows if row[key].partition(":")[0] == value]
+        return [{"of": name, **spread(part)} for name, part in parts.items()]
+
+    return table

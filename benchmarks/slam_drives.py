@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.slam_plans import Caster, FloorPlan
+from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.sim.raycast import cast, cast_sweep
 
 DT = 0.02
 
@@ -98,9 +100,9 @@ def make_log(
 ) -> Log:
     """Drive the route (n, 2) and record it. `pace` > 0 stops for that many seconds at the route's start."""
     poses = follow(np.asarray(route, dtype=float), drive, pace)
-    worst = plan.clearance(poses[::10, :2]).min()
-    if worst < 0.15:
-        at = poses[::10][plan.clearance(poses[::10, :2]).argmin()]
+    room = plan.clearance(poses[::10, :2])
+    if room.min() < 0.15:
+        at = poses[::10][room.argmin()]
         raise ValueError(f"{name}: the route touches a wall near {at.round(2)}")
     rng = stream(seed, name)
     odometry = drifted(poses, wheels, lies, rng)
@@ -108,7 +110,7 @@ def make_log(
     times = np.arange(max(0.0, -sweep), (len(poses) - 2) * DT - max(0.0, sweep), sensor.period)
     jitter = 0.02 * sensor.period if sensor.spec.time_increment == 0.0 else 0.0
     times = np.abs(times + rng.normal(0.0, jitter, len(times)) if jitter else times)
-    ranges = measure(Caster(plan), poses, times, sensor, rng, person)
+    ranges = measure(plan, poses, times, sensor, rng, person)
     stamps = np.round((times + 100.0) * 1e9).astype(np.int64)
     T_odom_base, T_world_base = at_times(odometry, times), at_times(poses, times)
     stream_30hz = None
@@ -210,7 +212,7 @@ def integrate(start: Array, steps: Array) -> Array:
 
 
 def measure(
-    caster: Caster, poses: Array, times: Array, sensor: Sensor, rng: np.random.Generator, person: bool
+    plan: FloorPlan, poses: Array, times: Array, sensor: Sensor, rng: np.random.Generator, person: bool
 ) -> NDArray[np.float32]:
     """Ranges (n_scans, n_beams) as a driver would hand them on."""
     spec = sensor.spec
@@ -218,7 +220,7 @@ def measure(
     T_base_lidar = SE2(np.array(sensor.T_base_lidar))
     T_world_lidar = at_times(poses, when.ravel()) @ T_base_lidar
     angles = T_world_lidar.yaw + np.tile(spec.angles, len(times))
-    true = caster.cast(np.ascontiguousarray(T_world_lidar.xy), angles, spec.range_max + 3.0)
+    true = np.concatenate([*_rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)])
     if person:
         true = np.minimum(true, _person(T_world_lidar, angles, when.ravel()))
     out = true.reshape(when.shape)
@@ -233,6 +235,19 @@ def measure(
         out = np.round(out / sensor.quantum) * sensor.quantum
     out = np.where((out > spec.range_max) | (rng.random(out.shape) < sensor.lost), np.inf, out)
     return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
+
+
+def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, ...], limit: float) -> Iterator[Array]:
+    """Ranges along the beams of each scan (n_beams,), +inf beyond `limit`."""
+    segments, circles = plan.outlines()
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
+    for origins, ways, bearings in zip(
+        xy.reshape(*shape, 2), directions, np.unwrap(angles.reshape(shape)), strict=True
+    ):
+        if np.all(np.diff(bearings) > 0.0):
+            yield cast_sweep(origins, ways, bearings, segments, circles, limit)[0]
+        else:  # the robot spins against the lidar as fast as that turns
+            yield cast(origins, ways, segments, circles, limit)[0]
 
 
 def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:

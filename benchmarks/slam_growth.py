@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from benchmarks.rows import Case, Row
 from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import door
 from benchmarks.slam_plans import FloorPlan
-from benchmarks.slam_rows import Case, Row
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.disturb import Known, known
+from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, errors, mapped
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_public import RADISH, by_relations, read
-from benchmarks.slam_rows import Case, Row
 from turtlebag.datasets.relations import load_relations
 
 OFF = {"enabled": False}

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.disturb import MODES, chosen, disturbed, known
+from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import errors, mapped, picture
-from benchmarks.slam_rows import Case, Row
 from turtlebag.datasets.kept import read_kept, write_kept
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations

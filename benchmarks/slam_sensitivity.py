@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.slam_rows import Case, Row
+from benchmarks.rows import Case, Row
 
 NUMBERS = {
     "weight of the prior": "align.PRIOR_SHARE",

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from benchmarks.slam_rows import Case, Row
+from benchmarks.rows import Case, Row
 
 SPAWN = multiprocessing.get_context("spawn")
 

@@ -2,14 +2,13 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import report
+from benchmarks.mutants import Tree, report
 from benchmarks.mutants_draw import FOLDERS, draw, mutants_by_line
-from benchmarks.mutants_run import Tree
-from benchmarks.mutants_tests import SUBJECTS, chosen
 
 ROOT = Path(__file__).parents[2]
 SOURCE = '''
@@ -38,9 +37,9 @@ def test_mistakes_are_made_in_what_functions_do_and_not_in_words_types_or_settin
         "return a * b + area.least(b, a)",
         "return a * b - area.least(a, b)",
         "return a - area.least(b, a)",
-        'if len("x") <= 2 and not a > b:',
-        'if len("x") >= 2 and not a > b:',
-        'if len("x") < 2 or not a > b:',
+        "if len('x') <= 2 and not a > b:",
+        "if len('x') >= 2 and not a > b:",
+        "if len('x') < 2 or not a > b:",
         'if len("x") < 2 and a > b:',
         'if len("x") < 2 and not a <= b:',
         'if len("x") < 3 and not a > b:',
@@ -65,35 +64,6 @@ def test_the_same_seed_draws_the_same_mutants_and_kernels_get_their_share(tmp_pa
         assert sum(before != after for before, after in pairs) == 1
 
 
-def test_every_subject_has_its_test_files():
-    assert set(SUBJECTS) == set(FOLDERS)
-    for names in SUBJECTS.values():
-        for name in names:
-            assert list((ROOT / "tests").rglob(f"test_{name}.py")), name
-
-
-def test_the_quickest_tests_of_the_subject_that_run_the_function_are_asked_first():
-    def row(seconds, *functions, subjects=("planners",), passed=True, near=True):
-        more = {
-            "subjects": subjects,
-            "passed": passed,
-            "imports": {"turtlebag.planners.a"} if near else set(),
-        }
-        return {"seconds": seconds, "functions": functions, **more}
-
-    name = "planners/a.py:f"
-    table = {
-        "slow": row(5.0, name),
-        "quick": row(0.1, name, "planners/a.py:g"),
-        "beside": row(0.1, name, near=False),
-        "other": row(0.1, "planners/a.py:g"),
-        "broken": row(0.1, name, passed=False),
-        "elsewhere": row(0.1, name, subjects=("datasets",)),
-        "endless": row(60.0, name),
-    }
-    assert chosen(table, "planners/a.py", "f") == ["quick", "slow", "beside"]
-
-
 @pytest.fixture
 def tree(tmp_path):
     """A tree of one function and its test, below git."""
@@ -104,39 +74,42 @@ def tree(tmp_path):
     (root / "planners/a.py").write_text(
         "def double(x: int) -> int:\n    n = 0\n    while x > 0:\n        n, x = n + 2, x - 1\n    return n\n"
     )
-    (root / "tests/test_a.py").write_text(
+    (root / "tests/planners").mkdir()
+    (root / "tests/planners/test_a.py").write_text(
         "from turtlebag.planners.a import double\n\ndef test_double():\n    assert double(3) == 6\n"
     )
-    (root / "pyproject.toml").write_text("[tool.pytest.ini_options]\n")
+    (root / "tests/planners/test_b.py").write_text("def test_beside():\n    assert True\n")
+    (root / "pyproject.toml").write_text('[tool.pytest.ini_options]\nmarkers = ["slow"]\n')
     subprocess.run(["git", "init", "-q"], cwd=root, check=True)
     return Tree(root, tmp_path / "home")
 
 
+def test_the_tests_that_import_the_module_are_asked_first_and_then_the_quick_ones_beside(tree):
+    near, beside = tree.tests_of("planners/a.py")
+    assert near == (["tests/planners/test_a.py"], "")
+    assert beside == (["tests/planners/test_b.py"], "not slow")
+
+
 @pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
-    monkeypatch.setattr("benchmarks.mutants_run.GRACE_S", 5.0)
+    monkeypatch.setattr("benchmarks.mutants.GRACE_S", 5.0)
     source = (tree.path / "planners/a.py").read_text()
     lines = mutants_by_line(source, "planners/a.py")
     by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}
-    verdicts = {
-        edit: tree.judge(by_edit[edit], ["tests/test_a.py::test_double"], 0.0)
-        for edit in ("n, x = n + 3, x - 1", "n, x = n + 2, x + 1", "while x >= 0:", "while x > 0:")
-        if edit in by_edit
-    }
-    assert verdicts["n, x = n + 3, x - 1"].verdict == "failed"
-    assert verdicts["n, x = n + 3, x - 1"].by == "tests/test_a.py::test_double"
-    assert verdicts["n, x = n + 2, x + 1"].verdict == "timeout"
-    assert tree.run(["tests/test_a.py::test_double"], cpu_s=30.0).verdict == "survived"
+    wrong, endless = by_edit["n, x = n + 3, x - 1"], by_edit["n, x = n + 2, x + 1"]
+    assert tree.judge(wrong)["verdict"] == "failed"
+    assert tree.judge(wrong)["by"] == "tests/planners/test_a.py::test_double"
+    assert tree.judge(endless)["verdict"] == "timeout"
+    assert tree.judge(replace(wrong, text="2"))["verdict"] == "survived"
     assert (tree.path / "planners/a.py").read_text() == source
 
 
 def test_the_score_leaves_out_what_changes_nothing():
     def row(key, verdict):
         return {
-            "key": f"planners/a.py:f: {key}",
+            "case": f"planners/a.py:f: {key}",
             "kind": "name",
             "kernel": False,
-            "tests": 3,
             "verdict": verdict,
         }
 
@@ -144,4 +117,4 @@ def test_the_score_leaves_out_what_changes_nothing():
     text = report(rows, {"planners/a.py:f: d": "the same number"})
     assert text.startswith("2 of 3 caught: 67% (95 % interval 21% to 94%)")
     assert "1 of 4 drawn change nothing" in text
-    assert "survived   3 tests: planners/a.py:f: c" in text
+    assert "survived: planners/a.py:f: c" in text

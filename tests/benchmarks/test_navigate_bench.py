@@ -1,16 +1,17 @@
 """The navigation benchmark: intervals, rows that can be resumed, episodes that come from their seed alone."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
 
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
-from benchmarks.intervals import clopper_pearson, wilson
+from benchmarks.drives import Maps
 from benchmarks.navigate import scenarios, with_sensors
-from benchmarks.navigate_rows import Table, blank_row, failures, own_contacts, row_of, spans, summary
+from benchmarks.navigate_rows import failures, own_contacts, refused_row, row_of, spans, summary
+from benchmarks.rows import Rows, interval
+from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLogBuilder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
@@ -29,12 +30,12 @@ class OneMap:
 
 def test_intervals_are_those_of_the_books():
     # Brown, Cai, DasGupta (2001) and any table of the exact interval.
-    assert wilson(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
-    assert wilson(95, 100) == pytest.approx((0.8883, 0.9785), abs=1e-3)
-    assert clopper_pearson(0, 10) == pytest.approx((0.0, 0.3085), abs=1e-4)
-    assert clopper_pearson(95, 100) == pytest.approx((0.8872, 0.9836), abs=1e-4)
-    assert clopper_pearson(10, 10) == pytest.approx((0.6915, 1.0), abs=1e-4)
-    assert wilson(0, 0) == (0.0, 1.0)
+    assert interval(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
+    assert interval(95, 100) == pytest.approx((0.8883, 0.9785), abs=1e-3)
+    assert interval(0, 10, "exact") == pytest.approx((0.0, 0.3085), abs=1e-4)
+    assert interval(95, 100, "exact") == pytest.approx((0.8872, 0.9836), abs=1e-4)
+    assert interval(10, 10, "exact") == pytest.approx((0.6915, 1.0), abs=1e-4)
+    assert interval(0, 0) == (0.0, 1.0)
 
 
 def same(a, b):
@@ -151,17 +152,35 @@ def test_seeds_are_named_as_runs():
 
 def test_a_campaign_goes_on_where_it_was(tmp_path):
     case = cases.patrol(OneMap(), "patrol", 7)
-    table = Table(tmp_path / "navigate.csv")
-    table.add({**blank_row(case), "success": 1, "reached": 8, "goals": 8})
-    table.add(
-        {**blank_row(case), "seed": 8, "success": 0, "reached": 7, "goals": 8, "reasons": "timeout, late"}
-    )
-    again = Table(tmp_path / "navigate.csv")
-    assert again.has("patrol", 7)
-    assert not again.has("patrol", 9)
-    assert [row["success"] for row in again.of("patrol")] == [1, 0]
-    assert math.isnan(again.rows[0]["score"])
-    assert "| 1/2 | 0.500 | 0.095..0.905 | 0.013..0.987 |" in summary("patrol", again.rows)
-    (line,) = failures(again.rows)
-    assert "timeout, late" in line
-    assert '--replay "patrol" 7' in line
+    rows = Rows(tmp_path / "navigate.jsonl")
+    rows.add("patrol 7", row_of(case, episode(0.01, 0.0), 1.0) | {"success": 1})
+    late = dataclasses.replace(case, seed=8)
+    rows.add("patrol 8", refused_row(late, "no way"))
+    again = Rows(tmp_path / "navigate.jsonl")
+    assert again.get("patrol 7") is not None
+    assert again.get("patrol 9") is None
+    line = summary("patrol", again.all)
+    assert (line["seeds"], line["success"], line["rate"]) == ("7..8", "1/2", "0.500")
+    assert (line["Wilson 95 %"], line["Clopper-Pearson 95 %"]) == ("0.095..0.905", "0.013..0.987")
+    (line,) = failures(again.all)
+    assert "refused no way" in line
+    assert '--replay "patrol" 8' in line
+
+
+@pytest.mark.slow
+def test_every_controller_is_given_the_same_goals_on_the_true_map(tmp_path):
+    maps = Maps(tmp_path, "realistic")
+    a, b = (cases.controlled(maps, "arena", name, name, 3) for name in ("pursuit", "tutorial's dwa"))
+    assert same(a.request.start, b.request.start)
+    assert same(a.request.goal, b.request.goal)
+    assert (a.config.controller, b.config.dwa.preset) == ("pursuit", "tutorial")
+    assert load_map(a.request.map_path).shape == a.world.rasterize(a.robot.lidar_height).shape
+
+
+@pytest.mark.slow
+def test_people_of_an_episode_start_away_from_the_robot_and_yield_where_said():
+    for yields in (True, False):
+        case = cases.obstacles(OneMap(), yields, "boxes and movers", 2)
+        assert [mover.yields for mover in case.world.movers] == [yields] * 3
+        gaps = [np.linalg.norm(mover.path[0] - case.request.start.xy) for mover in case.world.movers]
+        assert min(gaps) >= cases.APART_M

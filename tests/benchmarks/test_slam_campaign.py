@@ -10,11 +10,12 @@ from functools import partial
 
 import pytest
 
-from benchmarks import slam_campaign, slam_rows, slam_targets
+from benchmarks import rows as frame
+from benchmarks import slam_campaign
 from benchmarks.numbers import counted
+from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
-from benchmarks.slam_detector import KINDS, detection, detector_cases, judged
-from benchmarks.slam_rows import Case, Rows
+from benchmarks.slam_detector import KINDS, detection, detector_cases, judged, spread
 from benchmarks.slam_sensitivity import NUMBERS
 from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam.slam import SlamConfig
@@ -66,7 +67,6 @@ def test_bad_is_far_off_or_five_times_the_median_of_its_own_world():
     assert lines["build"]['bad ones called "good"'].startswith("1 of 1")
     assert lines["score"]['bad ones called "good"'].startswith("0 of 1")
     assert lines["score: third"]["n"] == 1
-    assert [line["met"] for line in slam_targets.detector(rows)] == ["NO", "yes", "NO", "yes", "yes", "yes"]
 
 
 def test_rows_of_the_same_code_are_kept_and_a_cut_line_is_none(tmp_path):
@@ -81,7 +81,7 @@ def test_rows_of_the_same_code_are_kept_and_a_cut_line_is_none(tmp_path):
         {"case": "a", "m": 1.0, "code": "code 1"},
         {"case": "b", "m": 2.0, "code": "code 1"},
     ]
-    assert not again.has("c")
+    assert again.get("c") is None
     again.add("c", {"m": 3.0})
     assert len(Rows(file, "code 1").of(cases)) == 3
     other = Rows(file, "code 2")
@@ -113,7 +113,7 @@ def test_a_case_that_raises_dies_or_hangs_has_a_row_and_the_others_go_on():
 def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, capsys):
     def suites(out, data):
         cases = [Case(str(k), partial(dict, m=k / 10)) for k in range(3)]
-        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/intervals.py",))}
+        return {"few": slam_campaign.Suite(cases, ("case", "m"), code=("benchmarks/workers.py",))}
 
     monkeypatch.setattr(slam_campaign, "suites", suites)
     monkeypatch.delenv("TURTLEBAG_DATA", raising=False)
@@ -130,62 +130,23 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
     assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
 
 
-@pytest.mark.slow
-def test_the_summary_is_of_all_rows_there_are(tmp_path, monkeypatch):
-    def suites(out, data):
-        def judge(rows):
-            return [slam_targets.target("all", "some", str(len(rows)), True)]
-
-        return {
-            name: slam_campaign.Suite(
-                [Case(f"{name}{k}", partial(dict, m=1.0)) for k in range(2)], ("case",), judge, code=("none",)
-            )
-            for name in "ab"
-        }
-
-    monkeypatch.setattr(slam_campaign, "suites", suites)
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    for asked in (["a"], ["b", "--limit", "1"]):
-        slam_campaign.main([*asked, "--out", str(tmp_path), "--workers", "1"])
-    lines = (tmp_path / "summary.csv").read_text().splitlines()
-    assert lines[1:] == ["a,2 of 2,all,some,2,yes", "b,1 of 2,all,some,1,yes"]
-
-
 def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):
-    monkeypatch.setattr(slam_rows, "ROOT", tmp_path)
+    monkeypatch.setattr(frame, "ROOT", tmp_path)
     file, found = tmp_path / "a.py", []
     for text in ("x = 1\n", "# why\nx = 1\n", '"""What."""\n\nx = 1\n', "x = 2\n"):
         file.write_text(text)
-        slam_rows._bare.cache_clear()
-        found.append(slam_rows.code_of(("a.py",)))
-    slam_rows._bare.cache_clear()
+        frame._bare.cache_clear()
+        found.append(frame.code_of(("a.py",)))
+    frame._bare.cache_clear()
     assert found[0] == found[1] == found[2] != found[3]
 
 
-def test_targets_are_judged_by_the_figures_they_name():
-    rows = [{"case": "intel", "m": 0.01259, "deg": 0.2}, {"case": "aces", "m": 0.03, "deg": 0.4}]
-    assert [line["met"] for line in slam_targets.logs(rows)] == ["yes", "NO"]
-    assert [line["met"] for line in slam_targets.logs([{"case": "fhw", "error": "x"}])] == ["NO"]
-    rows = [
-        {"mode": "half", "log": "intel", "ratio": 1.4},
-        {"mode": "half", "log": "fr079", "ratio": 1.6},
-        {"mode": "third", "log": "intel", "ratio": 1.9},
-        {"mode": "gap3", "log": "intel", "error": "x"},
-    ]
-    assert [line["met"] for line in slam_targets.disturbed(rows)] == ["NO", "yes", "NO"]
-    drive = {
-        "m": 0.01,
-        "worst_m": 0.04,
-        "anchored_m": 0.01,
-        "anchored_worst_m": 0.04,
-        "cpu_s": 1.0,
-        "verdict": "good",
-    }
+def test_figures_of_many_maps_count_those_far_off_and_what_was_said_of_them():
+    drive = {"m": 0.01, "worst_m": 0.04, "anchored_worst_m": 0.04, "cpu_s": 1.0, "verdict": "good"}
     bad = {**drive, "worst_m": 0.3, "anchored_worst_m": 0.3}
-    assert [line["met"] for line in slam_targets.drives([drive] * 30)] == ["yes"] * 3
-    assert [line["met"] for line in slam_targets.drives([drive] * 29 + [bad])] == ["NO", "yes", "yes"]
-    assert [line["met"] for line in slam_targets.drives([drive] * 28 + [bad] * 2)] == ["NO", "NO", "NO"]
-    assert slam_targets.spread([drive, bad, {"error": "x"}])["errors"] == 1
+    found = spread([drive, bad, {"error": "x"}])
+    assert (found["maps"], found["errors"], found["under 10 cm"], found["of these good"]) == (2, 1, 1, 1)
+    assert spread([{"error": "x"}]) == {"maps": 0, "errors": 1}
 
 
 def test_numbers_that_somebody_chose_are_counted():

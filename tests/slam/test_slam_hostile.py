@@ -100,12 +100,10 @@ def test_person_walking_through_half_of_the_scans_is_not_in_the_map():
     log = office(person=True)
     result = mapped(log)
     assert_right(log, result)
-    true = log.plan.grid()
     origin = log.truth.poses[0] @ result.trajectory.poses[0].inverse()
     rows, cols = np.nonzero(result.grid.cells > 65)
     walls = origin @ result.grid.center_of(np.stack([rows, cols], axis=1))
-    inside = true.contains(true.cell_of(walls))
-    assert np.mean(log.plan.clearance(walls[inside]) <= 0.15) > 0.98
+    assert np.mean(log.plan.clearance(walls) <= 0.15) > 0.98
 
 
 @pytest.mark.slow

@@ -1,15 +1,18 @@
-"""Rows of the mapper's campaign: one JSON line a case, kept, and tables made of them."""
+"""The frame of the benchmarks: cases, their rows (one JSON line each, kept), shares, and tables of them."""
 
 from __future__ import annotations
 
 import ast
 import csv
 import json
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from scipy.stats import binomtest
 
 from turtlebag.datasets.fingerprints import fingerprint
 
@@ -19,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class Case:
-    """One map to make: `measure` gives the errors, `about` says what it is. Both go to another process."""
+    """What is measured: `measure` gives the figures, `about` says what it is. Both go to another process."""
 
     name: str
     measure: Callable[[], Row]
@@ -53,12 +56,12 @@ def _is_text(line: ast.AST) -> bool:
 
 
 class Rows:
-    """The rows of a suite in a file of JSON lines that only grows: a row is on disk when `add` returns.
+    """Rows by case in a file of JSON lines that only grows: a row is on disk when `add` returns.
 
     A row of other code counts with `keep` only. A line that was cut when the power went is none.
     """
 
-    def __init__(self, file: Path, code: str, *, keep: bool = False) -> None:
+    def __init__(self, file: Path, code: str = "", *, keep: bool = False) -> None:
         self._file, self._code = file, code
         self._found: dict[str, Row] = {}
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -69,17 +72,22 @@ class Rows:
                 row = json.loads(line)
             except json.JSONDecodeError:
                 continue
-            mine, had = row["code"] == code, self._found.get(row["case"])
+            mine, had = row.get("code", "") == code, self._found.get(row["case"])
             if mine or (keep and (had is None or had["code"] != code)):
                 self._found[row["case"]] = row
 
-    def has(self, case: str) -> bool:
-        """Whether that case was measured."""
-        return case in self._found
+    def get(self, case: str) -> Row | None:
+        """The row of a case, if it was measured."""
+        return self._found.get(case)
+
+    @property
+    def all(self) -> list[Row]:
+        """Every row, in the order in which cases were first measured."""
+        return list(self._found.values())
 
     def add(self, case: str, row: Row) -> Row:
         """Keep the row of a case."""
-        row = {"case": case, **row, "code": self._code}
+        row = {"case": case, **row} | ({"code": self._code} if self._code else {})
         with self._file.open("a") as file:
             file.write(("\n" if self._cut else "") + json.dumps(row) + "\n")
         self._cut = False
@@ -91,10 +99,24 @@ class Rows:
         return [self._found[case.name] for case in cases if case.name in self._found]
 
 
+def interval(successes: int, n: int, method: str = "wilson") -> tuple[float, float]:
+    """95 % interval of a share (`exact`: Clopper and Pearson's); all of 0..1 when there is nothing."""
+    if n == 0:
+        return 0.0, 1.0
+    found = binomtest(successes, n).proportion_ci(method=method)
+    return float(found.low), float(found.high)
+
+
+def share(successes: int, n: int) -> str:
+    """A share as counts, with its interval."""
+    low, high = interval(successes, n)
+    return f"{successes} of {n} ({100 * low:.1f}..{100 * high:.1f} %)"
+
+
 def shown(value: Any) -> str:
     """A value as a table shows it."""
     if isinstance(value, float):
-        return f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
+        return "" if math.isnan(value) else f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
     if isinstance(value, list):
         return "; ".join(map(str, value))
     return "" if value is None else str(value)
