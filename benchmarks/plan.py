@@ -7,28 +7,28 @@ Reeds-Shepp and Dubins spaces. Length is over that of the truly shortest collisi
 (plan_shortest). Time is CPU time of one query, costmap ready. Every path found is checked anew, pose by
 pose. The Intel map is made by `turtlebag map` from TURTLEBAG_DATA/radish/intel.clf.bz2, and left out
 without it. `solved` is what the planner itself found, `answered` counts the last resorts of the product
-(the way over the cells), too. Written: plan.md, every query (plan.csv), a picture (plan.png), and logs in
+(the way over the cells), too. Written: tables, every query (plan.csv), a picture (plan.png), and logs in
 OMPL's format with their database (plan.db) for Planner Arena.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
+from benchmarks.rows import Row, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
@@ -55,23 +55,6 @@ MAPS = (
 )
 POSE_MAPS = (("turtlebot3_world", "burger"), ("turtlebot3_house", "waffle_pi"))
 SPACES = ("se2", "reeds_shepp", "dubins")
-COLUMNS = (
-    "map",
-    "robot",
-    "space",
-    "query",
-    "planner",
-    "answered",
-    "solved",
-    "correct",
-    "time_ms",
-    "length_m",
-    "shortest_m",
-    "ratio",
-    "clearance_m",
-)
-ONE_RUN = ("RRT", "RRTConnect", "KPIECE1", "BKPIECE1", "LBKPIECE1")
-"""Planners that stop at their first solution: these are run anew until good enough."""
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
@@ -121,11 +104,11 @@ def intel_map(out: Path) -> OccupancyGrid:
 
 
 def config_of(planner: str, space: str) -> PlanConfig:
-    """The product's settings; planners that go on improving get one run and fewer iterations."""
-    restarts = OmplConfig().restarts if planner in ONE_RUN else 1
+    """The product's settings; planners that go on improving in headings, too, get fewer iterations."""
+    quick = planner in ("RRT", "RRTConnect", "KPIECE1", "BKPIECE1", "LBKPIECE1")
     # FMT asks at every sample it draws, and draws them all first.
-    iterations = 10000 if planner in ("FMT", "BFMT") else 2000 if space == "disc" else 1000
-    return PlanConfig(ompl=OmplConfig(planner=planner, space=space, restarts=restarts, iterations=iterations))
+    iterations = 10000 if planner in ("FMT", "BFMT") else 4000 if space == "disc" or quick else 1000
+    return PlanConfig(ompl=OmplConfig(planner=planner, space=space, iterations=iterations))
 
 
 def planners_of(space: str) -> list[str]:
@@ -153,15 +136,14 @@ def clearance(at: Place, found: Plan, space: str) -> float:
         poses = SE2.from_xyt(dense[:, 0], dense[:, 1], yaw)
     samples = sample_footprint(at.robot.model, at.costmap.resolution / 2.0)
     xyt = np.ascontiguousarray(poses.xyt)
-    shape = samples.points, samples.inscribed, samples.circumscribed
     field = at.costmap.clearance, at.costmap.resolution
     # Samples may straddle a thin wall; the polygon does not.
     if not all(footprint_free(*field, at.robot.model.footprint, *pose) for pose in xyt):
         return 0.0
-    return float(path_clearance(*field, *shape, xyt, float(xyt[0, 0]), float(xyt[0, 1]), math.inf))
+    return float(path_clearance(*field, samples, xyt, float(xyt[0, 0]), float(xyt[0, 1]), math.inf))
 
 
-def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[dict[str, Any]]:
+def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[Row]:
     """Every planner on every query of a place."""
     for query, (a, b, shortest) in enumerate(at.queries):
         for planner in planners:
@@ -209,60 +191,41 @@ def refusals(at: Place, count: int, gap: float = 0.0) -> list[float]:
     return times
 
 
-HEAD = (
-    "| {} | queries | answered | by itself | correct | median ms | 95 % ms | mean length / shortest | worst "
-    "| least clearance m | mean |\n" + "|---" * 11 + "|"
-)
-
-
-def line(label: str, rows: Sequence[dict[str, Any]]) -> str:
+def figures(label: Row, rows: Sequence[Row]) -> Row:
     """One line of a table."""
     ms = np.array([row["time_ms"] for row in rows])
-    ratio = np.array([row["ratio"] for row in rows if row["answered"]])
-    room = np.array([row["clearance_m"] for row in rows if row["answered"]])
-    tail = " | - | - | - | - |"
-    if len(ratio):
-        tail = f" | {ratio.mean():.3f} | {ratio.max():.3f} | {room.min():.3f} | {room.mean():.3f} |"
-    counts = " | ".join(str(sum(row[key] for row in rows)) for key in ("answered", "solved", "correct"))
-    return f"| {label} | {len(rows)} | {counts} | {np.median(ms):.1f} | {np.percentile(ms, 95):.1f}{tail}"
+    found = [row for row in rows if row["answered"]] or [{"ratio": math.nan, "clearance_m": math.nan}]
+    ratio, room = (np.array([row[key] for row in found]) for key in ("ratio", "clearance_m"))
+    counts = {key: sum(row[key] for row in rows) for key in ("answered", "solved", "correct")}
+    return label | {"queries": len(rows)} | counts | {
+        "median ms": f"{np.median(ms):.1f}", "95 % ms": f"{np.percentile(ms, 95):.1f}",
+        "mean length / shortest": f"{ratio.mean():.3f}", "worst": f"{ratio.max():.3f}",
+        "least clearance m": f"{room.min():.3f}", "mean": f"{room.mean():.3f}",
+    }  # fmt: skip
 
 
-def tables(rows: Sequence[dict[str, Any]], refused: Mapping[str, Sequence[float]]) -> str:
-    """Markdown: planners over all maps, the default planner by map, the other spaces, refusals."""
-    disc = [row for row in rows if row["space"] == "disc"]
-    default = OmplConfig().planner
-    lines = [HEAD.format("planner, disc")] if disc else []
-    for planner in dict.fromkeys(row["planner"] for row in disc):
-        lines.append(line(planner, [row for row in disc if row["planner"] == planner]))
-    lines += ["", HEAD.format(f"map, {default}")] if disc else []
-    for name in dict.fromkeys((row["map"], row["robot"]) for row in disc):
-        mine = [r for r in disc if r["planner"] == default and (r["map"], r["robot"]) == name]
-        lines.append(line(" ".join(name), mine))
-    for space in dict.fromkeys(row["space"] for row in rows if row["space"] != "disc"):
-        lines += ["", HEAD.format(f"planner, {space}")]
-        there = [row for row in rows if row["space"] == space]
-        for planner in dict.fromkeys(row["planner"] for row in there):
-            lines.append(line(planner, [row for row in there if row["planner"] == planner]))
-    for kind, times in refused.items():
-        lines += [
-            "",
-            f"{kind}: {len(times)} refused, median {np.median(times):.1f} ms, longest {max(times):.1f} ms.",
-        ]
-    return "\n".join(lines).strip() + "\n"
+def grouped(rows: Sequence[Row], *keys: str) -> list[Row]:
+    """A line for each value of some columns."""
+    groups: dict[tuple, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups.items()]
 
 
-def logs(rows: Sequence[dict[str, Any]], folder: Path) -> list[Path]:
+def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     """A log for each map, robot and space."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, robot, space in dict.fromkeys((r["map"], r["robot"], r["space"]) for r in rows):
-        mine = [r for r in rows if (r["map"], r["robot"], r["space"]) == (name, robot, space)]
-        runs = {p: [r for r in mine if r["planner"] == p] for p in dict.fromkeys(r["planner"] for r in mine)}
+        runs: dict[str, list[Row]] = {}
+        for r in rows:
+            if (r["map"], r["robot"], r["space"]) == (name, robot, space):
+                runs.setdefault(r["planner"], []).append(r)
         experiment = f"{name}-{robot}".replace(":", "_")
         paths.append(folder / f"{experiment}-{space}.log")
-        setup = f"map {name}, robot {robot}, space {space}, {len(mine) // len(runs)} queries"
-        parameters = {"space": space}
-        write_log(paths[-1], experiment, parameters, setup, runs, version=version("ompl"), seed=7)
+        count = max(map(len, runs.values()))
+        setup = f"map {name}, robot {robot}, space {space}, {count} queries"
+        write_log(paths[-1], experiment, {"space": space}, setup, runs, version=version("ompl"), seed=7)
     return paths
 
 
@@ -281,14 +244,14 @@ def main() -> None:
     if not intel_log().is_file():
         print("intel: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         maps = tuple(m for m in maps if m[0] != "intel")
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     refused: dict[str, list[float]] = {}
     warm = place(*MAPS[0], 1, args.out)
     for space in args.spaces:  # compiled before anything is timed
         list(measure(warm, space, ["RRTConnect"]))
     for name, robot in maps if "disc" in args.spaces else ():
         at = place(name, robot, queries, args.out)
-        rows += measure(at, "disc", ["RRTConnect", "BITstar", "PRM"] if args.quick else planners_of("disc"))
+        rows += measure(at, "disc", ["BITstar", "RRTConnect", "PRM"] if args.quick else planners_of("disc"))
         for kind, gap in REFUSED.items():
             refused.setdefault(kind, []).extend(refusals(at, queries, gap))
         print(f"{name} {robot}: {len(rows)} plans", flush=True)
@@ -297,17 +260,19 @@ def main() -> None:
         for space in [s for s in args.spaces if s != "disc"]:
             rows += measure(at, space, ["RRTConnect"] if args.quick else planners_of(space))
             print(f"{name} {robot} {space}: {len(rows)} plans", flush=True)
-    with (args.out / "plan.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
     write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
     with styled():
         shown = [row for row in rows if row["space"] == args.spaces[0]]
         save_png(planner_boxes(shown), args.out / "plan.png")
-    text = tables(rows, refused)
-    (args.out / "plan.md").write_text(text)
-    print(text)
+    write(args.out, "plan", rows, show=False)
+    write(args.out, "planners", grouped(rows, "space", "planner"))
+    default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
+    write(args.out, "maps", grouped(default, "space", "map", "robot"))
+    refusing = [
+        {"goals": kind, "refused": len(ms), "median ms": float(np.median(ms)), "longest ms": max(ms)}
+        for kind, ms in refused.items()
+    ]
+    write(args.out, "refused", refusing)
 
 
 if __name__ == "__main__":

@@ -9,14 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 STATUS = (
-    "Unknown status",
-    "Invalid start",
-    "Invalid goal",
-    "Unrecognized goal type",
-    "Timeout",
-    "Approximate solution",
-    "Exact solution",
-)
+    "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout",
+    "Approximate solution", "Exact solution",
+)  # fmt: skip
 TIMEOUT, EXACT = STATUS.index("Timeout"), STATUS.index("Exact solution")
 PROPERTIES = {
     "solved": "BOOLEAN",

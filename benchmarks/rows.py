@@ -130,8 +130,8 @@ def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = ()) -> None:
-    """A CSV file with all of the rows, and `columns` of it as a markdown table in a file and printed."""
+def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *, show: bool = True) -> None:
+    """A CSV file with all of the rows and, with `show`, `columns` of it as a markdown table, printed too."""
     if not rows:
         return
     everything = list(dict.fromkeys(key for row in rows for key in row))
@@ -139,6 +139,8 @@ def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = ()) ->
         writer = csv.DictWriter(file, everything, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+    if not show:
+        return
     text = markdown(rows, columns)
     (out / f"{name}.md").write_text(text)
     print(f"\n{name}\n\n{text}", flush=True)

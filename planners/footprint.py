@@ -6,7 +6,7 @@ Kernels take the grid frame's coordinates, the field (rows, cols) float32 [m] an
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ from turtlebag.datasets.types import RobotModel
 Field32 = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class FootprintSamples:
+class FootprintSamples(NamedTuple):
     """Points of the footprint's outline (n, 2) in the base frame [m], and its two radii [m]."""
 
     points: Array
@@ -70,21 +69,14 @@ def field_at(field: Field32, resolution: float, x: float, y: float) -> float:
 
 @njit(cache=True)
 def footprint_clearance(
-    field: Field32,
-    resolution: float,
-    points: Array,
-    inscribed: float,
-    circumscribed: float,
-    x: float,
-    y: float,
-    yaw: float,
+    field: Field32, resolution: float, footprint: FootprintSamples, x: float, y: float, yaw: float
 ) -> float:
     """Least clearance of the footprint at a pose [m]; a lower bound far from everything, <= 0 inside."""
     center = field_at(field, resolution, x, y)
-    if center > circumscribed + 0.5:
-        return center - circumscribed
+    if center > footprint.circumscribed + 0.5:
+        return center - footprint.circumscribed
     c, s = math.cos(yaw), math.sin(yaw)
-    least = center - inscribed
+    points, least = footprint.points, center - footprint.inscribed
     for k in range(points.shape[0]):
         px = x + c * points[k, 0] - s * points[k, 1]
         py = y + s * points[k, 0] + c * points[k, 1]
@@ -172,9 +164,7 @@ def disc_segment_free(
 def path_clearance(
     field: Field32,
     resolution: float,
-    points: Array,
-    inscribed: float,
-    circumscribed: float,
+    footprint: FootprintSamples,
     poses: Array,
     x: float,
     y: float,
@@ -191,8 +181,6 @@ def path_clearance(
         driven += math.hypot(poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1])
         if driven > ahead:
             break
-        d = footprint_clearance(
-            field, resolution, points, inscribed, circumscribed, poses[k, 0], poses[k, 1], poses[k, 2]
-        )
+        d = footprint_clearance(field, resolution, footprint, poses[k, 0], poses[k, 1], poses[k, 2])
         least = min(least, d)
     return least

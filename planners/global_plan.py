@@ -1,4 +1,5 @@
-"""A path over the map: connectivity says whether one exists, OMPL finds it, an elastic band rounds it.
+"""A path over the map: the cells say whether there is one and how long it need be, OMPL plans it, an elastic
+band rounds it.
 
 The floor is searched for the disc that holds the whole footprint, first with room to spare, then
 with less: a differential robot can turn on the spot anywhere along such a path. Where that disc has no
@@ -21,7 +22,7 @@ from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.lattice import Lattice, inner_disc_joins
-from turtlebag.planners.ompl_planner import OmplConfig, solve
+from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import free_from
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import densify, path_length, relax, shortcut, with_headings
@@ -31,6 +32,12 @@ BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
 """Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
 TIGHT_PULL, TIGHT_SWEEPS = 0.9, 300
 """The same for pulling a path tight."""
+GOOD_ENOUGH = 1.02
+"""Length over that of the tightened way over the cells with which OMPL is content."""
+INFORMED = 1.1
+"""OMPL searches only floor on some way at most this much longer than the shortest over the cells."""
+POSE_RUNS = 12
+"""New seeds for a path of poses that is not found."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
@@ -75,7 +82,6 @@ class Plan:
     length: float
     margin: float
     planner: str
-    attempts: int
 
 
 def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
@@ -100,7 +106,7 @@ def plan_path(
             raise NoPath(reason)
         return _oriented_plan(costmap, oriented)
     poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
-    plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner, way.attempts)
+    plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
     bad = _blocked_until(costmap, model.footprint, poses)
     if bad > 0.0:
         oriented = _oriented_way(costmap, model, start, goal, config)
@@ -132,12 +138,11 @@ def _disc_way(
         if not search.connected(entry, exit_):
             reason = "no path leads there"
             continue
-        found = search.run(entry, exit_, seed)
+        tight, by = search.run(entry, exit_, seed)
         if limit is None:
             limit = config.stretch * _shortest(costmap, model, start, goal, config)
-        tight, attempts, by = found
         points = search.rounded(tight, start.xy, goal.xy, limit)
-        way = _Way(points, path_length(points), margin, attempts, by)
+        way = _Way(points, path_length(points), margin, by)
         if best is None or way.length < best.length:
             best = way
         if best.length <= limit:
@@ -166,7 +171,7 @@ def _oriented_way(
 
 
 def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
-    return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, ORIENTED, 0)
+    return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, ORIENTED)
 
 
 def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
@@ -183,7 +188,6 @@ class _Way:
     points: Array
     length: float
     margin: float
-    attempts: int
     planner: str
 
 
@@ -207,19 +211,19 @@ def _plan_poses(
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
         raise NoPath("no path leads there in any heading")
-    name = f"{config.ompl.planner} in {config.ompl.space}"
+    name = f"{config.ompl.name} in {config.ompl.space}"
     if np.allclose((start.inverse() @ goal).xyt, 0.0, atol=1e-6):
         there = SE2(np.stack([start.xyt, goal.xyt]))
-        return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name, 0)
-    for attempt in range(config.ompl.restarts):
-        poses = solve_poses(costmap, footprint, start, goal, config.ompl, config.spacing, seed + attempt)
+        return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name)
+    for run in range(POSE_RUNS):
+        poses = solve_poses(costmap, footprint, start, goal, config.ompl, config.spacing, seed + run)
         if poses is not None:
-            return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name, attempt + 1)
+            return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
     if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
         oriented = _oriented_way(costmap, model, start, goal, config)
         if oriented is not None:
             return _oriented_plan(costmap, oriented)
-    raise NoPath(f"{config.ompl.planner} found no path within its iterations")
+    raise NoPath(f"{config.ompl.name} found no path within its iterations")
 
 
 def _grown(costmap: Costmap, footprint: Array, ends: tuple[SE2, SE2]) -> Array:
@@ -297,38 +301,25 @@ class _Search:
         points = np.asarray((cells[:, ::-1] + 0.5) * self.resolution, dtype=np.float64)
         return shortcut(self.field, self.resolution, self.radius, points)
 
-    def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, int, str]:
-        """Corners (n, 2) of a tight path between joined cells, how many OMPL runs, and what found it.
+    def run(self, start: tuple[int, int], goal: tuple[int, int], seed: int) -> tuple[Array, str]:
+        """Corners (n, 2) of a tight path between joined cells, and what found it.
 
         A way that OMPL does not find is the way over the cells, which joined cells always have.
         """
+        ompl, a, b = self.config.ompl, self.center(start), self.center(goal)
         if start == goal:  # OMPL's informed planners have no ellipse about a single point
-            return np.array([self.center(start), self.center(goal)]), 0, self.config.ompl.planner
+            return np.array([a, b]), ompl.name
         from_goal = self.to_goal(goal)
-        limit = float(from_goal[start]) * self.config.ompl.informed_factor + 2.0
-        from_start = wave(self.free, start[0], start[1], limit)
+        limit = float(from_goal[start]) * INFORMED + 2.0
         # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
-        inside = from_start + from_goal <= limit
-        a, b = self.center(start), self.center(goal)
+        inside = wave(self.free, start[0], start[1], limit) + from_goal <= limit
         over_cells = self.grid_path(start, goal)
-        bound = path_length(over_cells)
-        best: Array | None = None
-        attempts = 0
-        for attempt in range(self.config.ompl.restarts):
-            attempts += 1
-            raw = solve(
-                self.field, inside, self.resolution, self.radius, a, b, self.config.ompl, seed + attempt
-            )
-            if raw is None:
-                continue
-            tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 0.1))
-            if best is None or path_length(tight) < path_length(best):
-                best = tight
-            if path_length(best) <= self.config.ompl.good_enough * bound:
-                break
-        if best is None:
-            return self.tightened(over_cells), attempts, OVER_CELLS
-        return self.tightened(best), attempts, self.config.ompl.planner
+        floor = DiscFloor(self.field, self.resolution, self.radius, inside)
+        raw = solve(floor, a, b, GOOD_ENOUGH * path_length(over_cells), ompl, seed)
+        if raw is None:
+            return self.tightened(over_cells), OVER_CELLS
+        tight = shortcut(self.field, self.resolution, self.radius, densify(raw, 0.1))
+        return self.tightened(tight), ompl.name
 
     def tightened(self, path: Array) -> Array:
         """Corners (n, 2) of the path drawn tight like a string."""

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.footprint import Field32
-from turtlebag.planners.lattice_search import BLOCKED, Numbers, ends, flood, number_cells, shortest
+from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
 from turtlebag.planners.oriented import free_from, pull, turning
 from turtlebag.planners.smoothing import densify
 from turtlebag.planners.wavefront import wave
@@ -47,26 +46,23 @@ class Lattice:
         self._field, self._res = costmap.clearance, costmap.resolution
         self._corners = padded(footprint, room) if room > 0.0 else footprint
         outer = float(np.linalg.norm(self._corners, axis=1).max())
-        self._numbers, self._narrow = number_cells(self._field, _inscribed(self._corners), outer)
-        size = self._narrow * N
-        # 0: not looked at yet, 1: free, 2: not.
-        self._stands, self._turns = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
+        numbers, narrow = number_cells(self._field, _inscribed(self._corners), outer)
+        stands, turns = np.zeros((2, narrow * N), dtype=np.int8)
+        self._floor = Floor(self._field, self._res, self._corners, numbers, stands, turns, HEADINGS, YAWS)
 
     def joins(self, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
         """Whether some way leads from one pose to the other."""
-        ends = [self._ends(pose)[0] for pose in (T_grid_start, T_grid_goal)]
-        if len(ends[0]) == 0 or len(ends[1]) == 0:
-            return False
-        return bool(flood(*self._floor(), *ends))
+        states = [ends(self._floor, pose.xyt)[0] for pose in (T_grid_start, T_grid_goal)]
+        return all(map(len, states)) and bool(flood(self._floor, *states))
 
     def way(self, T_grid_start: SE2, T_grid_goal: SE2, spacing: float) -> SE2 | None:
         """Poses (n,) of a short way, `spacing` apart [m]; None when there is none."""
-        (starts, costs), (goals, _) = self._ends(T_grid_start), self._ends(T_grid_goal)
+        (starts, costs), (goals, _) = (ends(self._floor, T.xyt) for T in (T_grid_start, T_grid_goal))
         if len(starts) == 0 or len(goals) == 0:
             return None
         row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._res))
-        rest = wave(self._numbers != BLOCKED, row, col, np.inf)
-        states = shortest(*self._floor(), starts, costs, goals, rest)
+        rest = wave(self._floor.numbers != BLOCKED, row, col, np.inf)
+        states = shortest(self._floor, starts, costs, goals, rest)
         if len(states) == 0:
             return None
         points = np.concatenate(
@@ -90,23 +86,6 @@ class Lattice:
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
         return _poses(kept, headings, np.array(angles), spacing)
-
-    def _ends(self, pose: SE2) -> tuple[NDArray[np.int64], Array]:
-        return ends(self._field, self._res, self._corners, self._numbers, YAWS, pose.xyt)
-
-    def _floor(
-        self,
-    ) -> tuple[Field32, float, Array, Numbers, NDArray[np.int8], NDArray[np.int8], NDArray[np.int64], Array]:
-        return (
-            self._field,
-            self._res,
-            self._corners,
-            self._numbers,
-            self._stands,
-            self._turns,
-            HEADINGS,
-            YAWS,
-        )
 
 
 def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,25 @@ NEAR_CELLS, NEAR_HEADINGS = 2, 2
 Numbers = NDArray[np.int32]
 
 
+class Floor(NamedTuple):
+    """What the kernels search: a clearance field [m] and its resolution, the footprint, and its states.
+
+    `corners` (n, 2) is the footprint grown by the room it keeps; `numbers` (rows, cols) are those of
+    `number_cells`; `headings` (k, 2) are steps as columns and rows, `yaws` (k,) their directions. `stands`
+    and `turns` hold, for each narrow cell and heading, whether the footprint stands free there, and turns on
+    the spot to the next heading: 0 not looked at yet, 1 free, 2 not.
+    """
+
+    field: Field32
+    res: float
+    corners: Array
+    numbers: Numbers
+    stands: NDArray[np.int8]
+    turns: NDArray[np.int8]
+    headings: NDArray[np.int64]
+    yaws: Array
+
+
 @njit(cache=True)
 def number_cells(field: Field32, inner: float, outer: float) -> tuple[Numbers, int]:
     """Each cell: BLOCKED in any heading, WIDE enough for all, or its number among the narrow ones."""
@@ -49,39 +69,33 @@ def number_cells(field: Field32, inner: float, outer: float) -> tuple[Numbers, i
 
 
 @njit(cache=True)
-def ends(
-    field: Field32, res: float, corners: Array, numbers: Numbers, yaws: Array, pose: Array
-) -> tuple[NDArray[np.int64], Array]:
+def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
     """Lattice states (n, 3) as row, column, heading near a pose, straight to be reached, and the gaps.
 
     The gaps are in cells. A wide cell counts once, with heading 0.
     """
-    rows, cols = numbers.shape
-    n = len(yaws)
+    field, res, corners = floor.field, floor.res, floor.corners
+    rows, cols = floor.numbers.shape
+    n = len(floor.yaws)
     x, y, yaw = pose[0], pose[1], pose[2]
     row, col = math.floor(y / res), math.floor(x / res)
     out, gaps = np.empty((25 * n, 3), dtype=np.int64), np.empty(25 * n)
     count = 0
     for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
         for c in range(max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)):
-            if numbers[r, c] == BLOCKED:
+            wide = floor.numbers[r, c] == WIDE
+            if floor.numbers[r, c] == BLOCKED:
                 continue
             cx, cy = (c + 0.5) * res, (r + 0.5) * res
-            for k in range(n):
-                there = yaws[k]
-                if numbers[r, c] == WIDE:
-                    if k > 0:
-                        break
-                    there = yaw
+            for k in range(1 if wide else n):
+                there = yaw if wide else floor.yaws[k]
                 away = abs((there - yaw + math.pi) % (2.0 * math.pi) - math.pi)
                 if away > (NEAR_HEADINGS + 0.5) * 2.0 * math.pi / n:
                     continue
-                slips = moves(field, res, corners, x, y, yaw, cx, cy, there)
-                if slips or _reaches(field, res, corners, pose, cx, cy, there):
+                reached = _reaches(field, res, corners, pose, cx, cy, there)
+                if reached or moves(field, res, corners, x, y, yaw, cx, cy, there):
                     out[count, 0], out[count, 1], out[count, 2] = r, c, k
-                    gaps[count] = 1.5 * math.hypot(cx - x, cy - y) / res
-                    if not _reaches(field, res, corners, pose, cx, cy, there):
-                        gaps[count] += SLIP
+                    gaps[count] = 1.5 * math.hypot(cx - x, cy - y) / res + (0.0 if reached else SLIP)
                     count += 1
     return out[:count].copy(), gaps[:count].copy()
 
@@ -104,251 +118,197 @@ def _reaches(field: Field32, res: float, corners: Array, pose: Array, x: float, 
 
 
 @njit(cache=True)
-def _step_free(
-    field: Field32,
-    res: float,
-    corners: Array,
-    numbers: Numbers,
-    r0: int,
-    c0: int,
-    r1: int,
-    c1: int,
-    yaw: float,
-) -> bool:
-    """Whether a step between two cells in one heading is free."""
-    if numbers[r0, c0] == WIDE and numbers[r1, c1] == WIDE and abs(r1 - r0) <= 1 and abs(c1 - c0) <= 1:
-        return True
-    return moves(
-        field,
-        res,
-        corners,
-        (c0 + 0.5) * res,
-        (r0 + 0.5) * res,
-        yaw,
-        (c1 + 0.5) * res,
-        (r1 + 0.5) * res,
-        yaw,
-    )
+def _steps(floor: Floor, r: int, c: int, k: int, near: bool, out: NDArray[np.int64], costs: Array) -> int:
+    """Fill `out` (n, 3) with the states a step away, not yet checked, and `costs` (n,) with cells of way.
+
+    A wide cell is left in every heading; with `near` only to its eight neighbours.
+    """
+    rows, cols = floor.numbers.shape
+    n, count = len(floor.headings), 0
+    wide = floor.numbers[r, c] == WIDE
+    for h in range(n) if wide else range(k, k + 1):
+        dc, dr = floor.headings[h, 0], floor.headings[h, 1]
+        if near and max(abs(dc), abs(dr)) > 1:
+            continue
+        for way in (1, -1):
+            r1, c1 = r + way * dr, c + way * dc
+            if r1 < 0 or c1 < 0 or r1 >= rows or c1 >= cols or floor.numbers[r1, c1] == BLOCKED:
+                continue
+            # Between wide cells the opposite heading drives forwards.
+            if way == 1 or not (wide and floor.numbers[r1, c1] == WIDE):
+                out[count, 0], out[count, 1], out[count, 2] = r1, c1, h
+                costs[count] = math.hypot(dc, dr) * (1.0 if way == 1 else BACKWARDS)
+                count += 1
+    for turn in (1, -1):
+        if not wide:
+            out[count, 0], out[count, 1], out[count, 2] = r, c, (k + turn) % n
+            costs[count] = TURN
+            count += 1
+    return count
 
 
 @njit(cache=True)
-def _stands(
-    field: Field32,
-    res: float,
-    corners: Array,
-    numbers: Numbers,
-    known: NDArray[np.int8],
-    yaws: Array,
-    r: int,
-    c: int,
-    k: int,
-    to: int,
-) -> bool:
-    """Whether the footprint stands free on a cell, turning from heading k `to` another or keeping k.
+def _free(floor: Floor, r: int, c: int, k: int, to: NDArray[np.int64]) -> bool:
+    """Whether a step of `_steps` is: the footprint stands there, and moves or turns freely on the way."""
+    r1, c1, h = to[0], to[1], to[2]
+    if not _stands(floor, r1, c1, h, h):
+        return False
+    if r1 == r and c1 == c:
+        n = len(floor.yaws)
+        return _stands(floor, r, c, k, h) if h == (k + 1) % n else _stands(floor, r, c, h, k)
+    if floor.numbers[r, c] == WIDE and floor.numbers[r1, c1] == WIDE and max(abs(r1 - r), abs(c1 - c)) <= 1:
+        return True
+    a = np.array([(c + 0.5) * floor.res, (r + 0.5) * floor.res])
+    b = np.array([(c1 + 0.5) * floor.res, (r1 + 0.5) * floor.res])
+    return drives(floor.field, floor.res, floor.corners, a, b, floor.yaws[h])
 
-    Looked up once for each narrow cell and heading k: `known` is for turns to the next one, or for none.
-    """
-    number = numbers[r, c]
+
+@njit(cache=True)
+def _stands(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
+    """Whether the footprint stands free on a cell, turning from heading k to the next one or keeping k."""
+    number = floor.numbers[r, c]
     if number < 0:
         return bool(number == WIDE)
-    at = number * len(yaws) + k
+    known = floor.stands if to == k else floor.turns
+    at = number * len(floor.yaws) + k
     if known[at] == 0:
-        x, y = (c + 0.5) * res, (r + 0.5) * res
+        x, y = (c + 0.5) * floor.res, (r + 0.5) * floor.res
         if to == k:
-            free = footprint_free(field, res, corners, x, y, yaws[k])
+            free = footprint_free(floor.field, floor.res, floor.corners, x, y, floor.yaws[k])
         else:
-            free = moves(field, res, corners, x, y, yaws[k], x, y, yaws[to])
+            free = moves(floor.field, floor.res, floor.corners, x, y, floor.yaws[k], x, y, floor.yaws[to])
         known[at] = 1 if free else 2
     return bool(known[at] == 1)
 
 
 @njit(cache=True)
-def flood(
-    field: Field32,
-    res: float,
-    corners: Array,
-    numbers: Numbers,
-    stands: NDArray[np.int8],
-    turning: NDArray[np.int8],
-    headings: NDArray[np.int64],
-    yaws: Array,
-    starts: NDArray[np.int64],
-    goals: NDArray[np.int64],
-) -> bool:
+def flood(floor: Floor, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> bool:
     """Whether the lattice joins any of some states (n, 3) with any of others (m, 3).
 
     Spreads from both in turn: the smaller of two parts that are not joined says no.
     """
-    rows, cols = numbers.shape
-    n = len(headings)
-    reach = 0.0
-    for k in range(len(corners)):
-        reach = max(reach, math.hypot(corners[k, 0], corners[k, 1]))
-    everything = (np.int64(1) << n) - 1
-    reached = np.zeros((2, rows, cols), dtype=np.int64)
-    stacks = [[(0, 0, 0)], [(0, 0, 0)]]
+    n = len(floor.headings)
+    reach = math.sqrt((floor.corners**2).sum(axis=1).max())
+    # The headings reached of each cell as bits, by either side.
+    reached = np.zeros((2, *floor.numbers.shape), dtype=np.int64)
+    stacks = [[(np.int64(0), np.int64(0), np.int64(0))] for _ in range(2)]
+    out, costs = np.empty((2 * n + 2, 3), dtype=np.int64), np.empty(2 * n + 2)
     for side in range(2):
         stacks[side].clear()
-        for state in starts if side == 0 else goals:
-            r, c, k = int(state[0]), int(state[1]), int(state[2])
-            bits = everything if numbers[r, c] == WIDE else np.int64(1) << k
-            reached[side, r, c] |= bits
+        for r, c, k in starts if side == 0 else goals:
+            reached[side, r, c] |= _bits(floor, r, c, k)
             stacks[side].append((r, c, k))
             if reached[0, r, c] & reached[1, r, c]:
                 return True
+    side = 1
     while True:
-        for side in range(2):
-            for _ in range(64):
-                if len(stacks[side]) == 0:
-                    return False
-                r, c, k = stacks[side].pop()
-                wide = numbers[r, c] == WIDE
-                # Amid wide cells the eight neighbours lead everywhere.
-                amid = wide and field[r, c] > reach + 3.2 * res
-                for h in range(n) if wide else range(k, k + 1):
-                    if amid and max(abs(headings[h, 0]), abs(headings[h, 1])) > 1:
-                        continue
-                    for way in (1, -1):
-                        r1, c1 = r + way * int(headings[h, 1]), c + way * int(headings[h, 0])
-                        if r1 < 0 or c1 < 0 or r1 >= rows or c1 >= cols or numbers[r1, c1] == BLOCKED:
-                            continue
-                        bits = everything if numbers[r1, c1] == WIDE else np.int64(1) << h
-                        if reached[side, r1, c1] & bits == bits:
-                            continue
-                        if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h, h):
-                            continue
-                        if not _step_free(field, res, corners, numbers, r, c, r1, c1, yaws[h]):
-                            continue
-                        reached[side, r1, c1] |= bits
-                        if reached[0, r1, c1] & reached[1, r1, c1]:
-                            return True
-                        stacks[side].append((r1, c1, h))
-                if wide:
+        side = 1 - side
+        for _ in range(64):
+            if len(stacks[side]) == 0:
+                return False
+            r, c, k = stacks[side].pop()
+            # Amid wide cells the eight neighbours lead everywhere.
+            amid = floor.numbers[r, c] == WIDE and floor.field[r, c] > reach + 3.2 * floor.res
+            for to in out[: _steps(floor, r, c, k, amid, out, costs)]:
+                bits = _bits(floor, to[0], to[1], to[2])
+                if reached[side, to[0], to[1]] & bits == bits or not _free(floor, r, c, k, to):
                     continue
-                for turn in (1, -1):
-                    h = (k + turn) % n
-                    if reached[side, r, c] >> h & 1:
-                        continue
-                    if not _stands(field, res, corners, numbers, stands, yaws, r, c, h, h):
-                        continue
-                    low, high = (k, h) if turn == 1 else (h, k)
-                    if not _stands(field, res, corners, numbers, turning, yaws, r, c, low, high):
-                        continue
-                    reached[side, r, c] |= np.int64(1) << h
-                    if reached[0, r, c] & reached[1, r, c]:
-                        return True
-                    stacks[side].append((r, c, h))
+                reached[side, to[0], to[1]] |= bits
+                if reached[0, to[0], to[1]] & reached[1, to[0], to[1]]:
+                    return True
+                stacks[side].append((to[0], to[1], to[2]))
+
+
+@njit(cache=True)
+def _bits(floor: Floor, r: int, c: int, k: int) -> np.int64:
+    """The headings that a state stands for: all of them on a wide cell."""
+    if floor.numbers[r, c] == WIDE:
+        return (np.int64(1) << len(floor.headings)) - 1
+    return np.int64(1) << k
 
 
 @njit(cache=True)
 def shortest(
-    field: Field32,
-    res: float,
-    corners: Array,
-    numbers: Numbers,
-    stands: NDArray[np.int8],
-    turning: NDArray[np.int8],
-    headings: NDArray[np.int64],
-    yaws: Array,
-    starts: NDArray[np.int64],
-    costs: Array,
-    goals: NDArray[np.int64],
-    rest: Wave,
+    floor: Floor, starts: NDArray[np.int64], costs: Array, goals: NDArray[np.int64], rest: Wave
 ) -> NDArray[np.int64]:
     """States (n, 3) as column, row, heading (-1: any) of the cheapest way (A*, Hart 1968); empty: none.
 
     `rest` is the distance to the goal over eight neighbours, in cells.
     """
-    rows, cols = numbers.shape
-    n, size = len(headings), rows * cols
-    narrow = len(stands) // n
-    cost = np.full(size + narrow * n, np.inf, dtype=np.float32)
-    before = np.full(size + narrow * n, -1, dtype=np.int64)
-    is_goal = np.zeros(size + narrow * n, dtype=np.bool_)
-    # Cells of the narrow states, to find the way back.
-    cell_of = np.empty(narrow, dtype=np.int64)
-    for r in range(rows):
-        for c in range(cols):
-            if numbers[r, c] >= 0:
-                cell_of[numbers[r, c]] = r * cols + c
+    n, states = len(floor.headings), floor.numbers.size + len(floor.stands)
+    cost = np.full(states, np.inf, dtype=np.float32)
+    before = np.full(states, -1, dtype=np.int64)
+    is_goal = np.zeros(states, dtype=np.bool_)
+    cells = _cells(floor)
     for state in goals:
-        is_goal[_id(numbers, size, cols, n, state[0], state[1], state[2])] = True
+        is_goal[_id(floor, state[0], state[1], state[2])] = True
     queue = [(0.0, 0.0, 0)]
     queue.clear()
     for i in range(len(starts)):
-        r, c = int(starts[i, 0]), int(starts[i, 1])
-        at = _id(numbers, size, cols, n, r, c, starts[i, 2])
+        r, c = starts[i, 0], starts[i, 1]
+        at = _id(floor, r, c, starts[i, 2])
         if costs[i] < cost[at]:
             cost[at] = costs[i]
             heapq.heappush(queue, (float(costs[i] + OCTILE * rest[r, c]), float(costs[i]), at))
+    out, way = np.empty((2 * n + 2, 3), dtype=np.int64), np.empty(2 * n + 2)
     while len(queue) > 0:
         _, d, at = heapq.heappop(queue)
         if d > cost[at] + 1e-3:
             continue
         if is_goal[at]:
-            return _trace(at, before, cell_of, size, cols, n)
-        wide = at < size
-        cell = at if wide else int(cell_of[(at - size) // n])
-        k = 0 if wide else (at - size) % n
-        r, c = cell // cols, cell % cols
-        for h in range(n) if wide else range(k, k + 1):
-            length = math.hypot(headings[h, 0], headings[h, 1])
-            for way in (1, -1):
-                r1, c1 = r + way * int(headings[h, 1]), c + way * int(headings[h, 0])
-                if r1 < 0 or c1 < 0 or r1 >= rows or c1 >= cols or not math.isfinite(rest[r1, c1]):
-                    continue
-                if way == -1 and wide and numbers[r1, c1] == WIDE:
-                    continue
-                there = _id(numbers, size, cols, n, r1, c1, h)
-                nd = d + length * (1.0 if way == 1 else BACKWARDS)
-                if nd >= cost[there] - 1e-4:
-                    continue
-                if not _stands(field, res, corners, numbers, stands, yaws, r1, c1, h, h):
-                    continue
-                if not _step_free(field, res, corners, numbers, r, c, r1, c1, yaws[h]):
-                    continue
-                cost[there] = nd
-                before[there] = at
-                heapq.heappush(queue, (float(nd + OCTILE * rest[r1, c1]), nd, there))
-        if wide:
-            continue
-        for turn in (1, -1):
-            h = (k + turn) % n
-            there = at - k + h
-            if d + TURN >= cost[there] - 1e-4:
+            return _trace(floor, at, before, cells)
+        c, r, k = _state(floor, at, cells)
+        count = _steps(floor, r, c, max(k, 0), False, out, way)
+        for i in range(count):
+            to = out[i]
+            left, there = rest[to[0], to[1]], _id(floor, to[0], to[1], to[2])
+            if not math.isfinite(left) or d + way[i] >= cost[there] - 1e-4:
                 continue
-            if not _stands(field, res, corners, numbers, stands, yaws, r, c, h, h):
-                continue
-            low, high = (k, h) if turn == 1 else (h, k)
-            if not _stands(field, res, corners, numbers, turning, yaws, r, c, low, high):
-                continue
-            cost[there] = d + TURN
-            before[there] = at
-            heapq.heappush(queue, (float(d + TURN + OCTILE * rest[r, c]), d + TURN, there))
+            if _free(floor, r, c, max(k, 0), to):
+                cost[there], before[there] = d + way[i], at
+                heapq.heappush(queue, (float(d + way[i] + OCTILE * left), d + way[i], there))
     return np.empty((0, 3), dtype=np.int64)
 
 
 @njit(cache=True)
-def _id(numbers: Numbers, size: int, cols: int, n: int, r: int, c: int, k: int) -> int:
+def _id(floor: Floor, r: int, c: int, k: int) -> int:
     """The number of a state: one for a wide cell, one for each heading on a narrow one."""
-    if numbers[r, c] == WIDE:
+    rows, cols = floor.numbers.shape
+    if floor.numbers[r, c] == WIDE:
         return r * cols + c
-    return size + int(numbers[r, c]) * n + k
+    return rows * cols + int(floor.numbers[r, c]) * len(floor.headings) + k
 
 
 @njit(cache=True)
-def _trace(
-    at: int, before: NDArray[np.int64], cell_of: NDArray[np.int64], size: int, cols: int, n: int
-) -> NDArray[np.int64]:
+def _cells(floor: Floor) -> NDArray[np.int64]:
+    """The cells of the narrow states, to find the way back: the inverse of `numbers`."""
+    rows, cols = floor.numbers.shape
+    out = np.empty(len(floor.stands) // len(floor.headings), dtype=np.int64)
+    for r in range(rows):
+        for c in range(cols):
+            if floor.numbers[r, c] >= 0:
+                out[floor.numbers[r, c]] = r * cols + c
+    return out
+
+
+@njit(cache=True)
+def _state(floor: Floor, at: int, cells: NDArray[np.int64]) -> tuple[int, int, int]:
+    """Column, row, heading (-1: any) of a state by its number."""
+    rows, cols = floor.numbers.shape
+    n, narrow = len(floor.headings), at - rows * cols
+    cell = at if narrow < 0 else cells[narrow // n]
+    return cell % cols, cell // cols, -1 if narrow < 0 else narrow % n
+
+
+@njit(cache=True)
+def _trace(floor: Floor, at: int, before: NDArray[np.int64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """States (n, 3) as column, row, heading (-1: any) from the first one to this."""
     count, state = 0, at
     while state >= 0:
-        count, state = count + 1, int(before[state])
+        count, state = count + 1, before[state]
     out = np.empty((count, 3), dtype=np.int64)
     while at >= 0:
         count -= 1
-        cell = at if at < size else int(cell_of[(at - size) // n])
-        out[count, 0], out[count, 1] = cell % cols, cell // cols
-        out[count, 2] = -1 if at < size else (at - size) % n
-        at = int(before[at])
+        out[count, 0], out[count, 1], out[count, 2] = _state(floor, at, cells)
+        at = before[at]
     return out

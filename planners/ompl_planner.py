@@ -6,6 +6,7 @@ that a call's result depends on its arguments alone.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -25,51 +26,52 @@ IMPOSSIBLE = {
 }
 """Planners that do not work in a space (OMPL 2.0.1)."""
 STRAIGHT = 1e-3
-"""A path this share longer than the straight line need not be improved."""
+"""A path of poses this share longer than the straight line need not be improved."""
+RANGE_M = 1.5
+"""Longest motion of the tree planners."""
 
 
 class OmplConfig(BaseModel):
     """Which planner, and how long it may search."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    planner: PlannerName = "RRTConnect"
+    planner: PlannerName | None = None
+    """None: BITstar for a disc, RRTConnect elsewhere."""
     space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"
     """`disc` plans the way of a disc that holds the footprint; the others turn the footprint itself."""
     turning_radius: float = Field(default=0.3, gt=0.0, le=100.0)
     """Least radius of curves in reeds_shepp and dubins [m]."""
     iterations: int = Field(default=4000, gt=0, le=1_000_000)
     """Calls of the planner's termination condition: a budget that repeats, unlike seconds."""
-    restarts: int = Field(default=12, gt=0, le=1000)
-    """Runs from new seeds until a path is good enough; the shortest is kept."""
-    good_enough: float = Field(default=1.02, ge=1.0)
-    """Length over that of the tightened grid path at which no further run is made."""
-    informed_factor: float = Field(default=1.1, ge=1.0)
-    """Only floor on some way at most this much longer than the shortest is searched."""
-    range: float = Field(default=1.5, gt=0.0, le=1000.0)
-    """Longest motion of the tree planners [m]."""
 
     @model_validator(mode="after")
     def _check(self) -> OmplConfig:
-        if why := IMPOSSIBLE.get((self.planner, self.space)):
-            raise ValueError(
-                f"{self.planner} {why} in the {self.space} space: choose another planner or space"
-            )
+        if why := IMPOSSIBLE.get((self.name, self.space)):
+            raise ValueError(f"{self.name} {why} in the {self.space} space: choose another planner or space")
         return self
+
+    @property
+    def name(self) -> PlannerName:
+        """The planner that is used."""
+        return self.planner or ("BITstar" if self.space == "disc" else "RRTConnect")
+
+
+@dataclass(frozen=True, eq=False)
+class DiscFloor:
+    """Where a disc of `radius` [m] may go: a clearance field [m], and the cells (rows, cols) to search."""
+
+    field: Field32
+    resolution: float
+    radius: float
+    inside: NDArray[np.bool_]
 
 
 def solve(
-    field: Field32,
-    inside: NDArray[np.bool_],
-    resolution: float,
-    radius: float,
-    start: Array,
-    goal: Array,
-    config: OmplConfig,
-    seed: int,
+    floor: DiscFloor, start: Array, goal: Array, enough: float, config: OmplConfig, seed: int
 ) -> Array | None:
     """Corner points (n, 2) of an exact path for a disc in the grid frame, or None within the budget.
 
-    `field` is the clearance; `inside` (rows, cols) bounds the search.
+    A planner that improves its path goes on until it is no longer than `enough` [m].
     """
     from ompl import base as ob
     from ompl import util as ou
@@ -77,35 +79,36 @@ def solve(
     ou.noOutputHandler()
     ou.RNG.setSeed(seed % (2**32 - 1) + 1)
     space = ob.RealVectorStateSpace(2)
-    space.setBounds(_bounds(ob, inside, resolution))
+    space.setBounds(_bounds(ob, floor.inside, floor.resolution))
     info = ob.SpaceInformation(space)
-    rows, cols = inside.shape
+    rows, cols = floor.inside.shape
 
     def valid(state: Any) -> bool:
-        col, row = int(state[0] / resolution), int(state[1] / resolution)
-        return 0 <= row < rows and 0 <= col < cols and bool(inside[row, col])
+        col, row = int(state[0] / floor.resolution), int(state[1] / floor.resolution)
+        return 0 <= row < rows and 0 <= col < cols and bool(floor.inside[row, col])
 
     info.setStateValidityChecker(valid)
-    motions = _motion_validator(ob, info, field, resolution, radius)
+    motions = _motion_validator(ob, info, floor)
     info.setMotionValidator(motions)
     info.setup()
     problem = ob.ProblemDefinition(info)
     ends = _state(space, start), _state(space, goal)
     problem.setStartAndGoalStates(*ends)
-    set_goal_length(info, problem, float(np.hypot(*(goal - start))))
+    set_goal_length(info, problem, enough)
     path = exact_path(info, problem, ends[0], config)
     return None if path is None else np.array([[state[0], state[1]] for state in path.getStates()])
 
 
-def set_goal_length(info: Any, problem: Any, least: float) -> None:
-    """Ask for the shortest path, and be content when it is as short as no path can help being.
+def set_goal_length(info: Any, problem: Any, enough: float) -> None:
+    """Ask for the shortest path, and be content with this length.
 
-    SORRTstar draws for ever from an empty set of better states once it has found the straight line.
+    At least a little more than the straight line: SORRTstar draws for ever from an empty set of better states
+    once it has found that.
     """
     from ompl import base as ob
 
     objective = ob.PathLengthOptimizationObjective(info)
-    objective.setCostThreshold(ob.Cost((1.0 + STRAIGHT) * least))
+    objective.setCostThreshold(ob.Cost(enough))
     problem.setOptimizationObjective(objective)
 
 
@@ -114,7 +117,7 @@ def exact_path(info: Any, problem: Any, start: Any, config: OmplConfig) -> Any |
     planner = make_planner(info, config)
     planner.setProblemDefinition(problem)
     planner.setup()
-    if config.planner in ROADMAPS:
+    if config.name in ROADMAPS:
         return _path_on_roadmap(planner, problem, config.iterations)
     planner.solve(iteration_limit(config.iterations))
     # PlannerStatus is truthy for approximate solutions too.
@@ -152,12 +155,12 @@ def _path_on_roadmap(planner: Any, problem: Any, iterations: int) -> Any | None:
 
 
 def make_planner(info: Any, config: OmplConfig) -> Any:
-    """The planner named in `config` for a space information."""
+    """The planner of `config` for a space information."""
     from ompl import geometric as og
 
-    planner = getattr(og, config.planner)(info)
+    planner = getattr(og, config.name)(info)
     if hasattr(planner, "setRange"):
-        planner.setRange(config.range)
+        planner.setRange(RANGE_M)
     return planner
 
 
@@ -191,7 +194,9 @@ def _state(space: Any, xy: Array) -> Any:
     return state
 
 
-def _motion_validator(ob: Any, info: Any, field: Field32, resolution: float, radius: float) -> Any:
+def _motion_validator(ob: Any, info: Any, floor: DiscFloor) -> Any:
+    field, resolution, radius = floor.field, floor.resolution, floor.radius
+
     class DiscMotion(ob.MotionValidator):  # type: ignore[misc]
         """A whole motion is checked in one compiled call."""
 

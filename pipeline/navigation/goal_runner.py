@@ -162,17 +162,8 @@ class GoalRunner:
         costmap = live.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ self._path.poses).xyt)
         x, y, _ = (costmap.T_grid_map @ pose).xyt.tolist()
-        s = self._samples
         clearance = path_clearance(
-            costmap.clearance,
-            costmap.resolution,
-            s.points,
-            s.inscribed,
-            s.circumscribed,
-            poses,
-            x,
-            y,
-            LOOK_AHEAD_M,
+            costmap.clearance, costmap.resolution, self._samples, poses, x, y, LOOK_AHEAD_M
         )
         return bool(clearance < TIGHT_M)
 
@@ -202,14 +193,10 @@ class GoalRunner:
         """Room round the footprint [m] after a twist over an amount [m or rad]; -inf when it is held."""
         if self._passed(twist, pose) <= 0.5:
             return -np.inf
-        costmap, s = self.tools.live.costmap, self._samples
+        costmap = self.tools.live.costmap
         x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
         after = moved(x, y, yaw, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
-        return float(
-            footprint_clearance(
-                costmap.clearance, costmap.resolution, s.points, s.inscribed, s.circumscribed, *after
-            )
-        )
+        return float(footprint_clearance(costmap.clearance, costmap.resolution, self._samples, *after))
 
     def _held_up(self, now_ns: int, pose: SE2, wanted: Twist, command: Twist) -> Verdict | None:
         """Recovery when the monitor holds the robot, or when it does not get on."""

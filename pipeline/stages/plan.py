@@ -60,11 +60,11 @@ def plan(
     found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
     metrics = plan_metrics(costmap, spec, found, reason, config)
     others: dict[str, Plan | None] = {}
-    times: dict[str, float] = {config.plan.ompl.planner: planning_s}
+    times: dict[str, float] = {config.plan.ompl.name: planning_s}
     if compare:
         metrics["planners"] = []
         for other in rivals(config):
-            name: str = other.plan.ompl.planner
+            name: str = other.plan.ompl.name
             others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
             metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
             log.info("%s", _line(metrics["planners"][-1], times[name]))
@@ -132,22 +132,14 @@ def plan_metrics(
     costmap: Costmap, spec: RobotSpec, found: Plan | None, reason: str, config: PlanStageConfig
 ) -> dict[str, Any]:
     """Length, clearance of the footprint along the path, and what found it."""
-    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.ompl.planner}
+    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.ompl.name}
     metrics["space"] = config.plan.ompl.space
     if found is None:
         return {**metrics, "reason": reason}
     poses = np.ascontiguousarray((costmap.T_grid_map @ found.poses).xyt)
     samples = sample_footprint(spec.model, costmap.resolution / 2.0)
     clearance = path_clearance(
-        costmap.clearance,
-        costmap.resolution,
-        samples.points,
-        samples.inscribed,
-        samples.circumscribed,
-        poses,
-        float(poses[0, 0]),
-        float(poses[0, 1]),
-        np.inf,
+        costmap.clearance, costmap.resolution, samples, poses, float(poses[0, 0]), float(poses[0, 1]), np.inf
     )
     return {
         **metrics,
@@ -155,7 +147,6 @@ def plan_metrics(
         "min_clearance_m": float(clearance),
         "margin_m": found.margin,
         "poses": len(found.poses),
-        "attempts": found.attempts,
     }
 
 

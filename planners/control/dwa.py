@@ -7,10 +7,9 @@ footprint; the admissible one that gets nearest to the goal along the floor, and
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.kernels import njit
@@ -21,7 +20,13 @@ from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.distance import distance_field
-from turtlebag.planners.footprint import Field32, field_at, footprint_clearance, sample_footprint
+from turtlebag.planners.footprint import (
+    Field32,
+    FootprintSamples,
+    field_at,
+    footprint_clearance,
+    sample_footprint,
+)
 from turtlebag.planners.wavefront import wave
 
 
@@ -183,43 +188,58 @@ class Dwa(Ramped):
         vs, ws = np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
         # Nearer than that to the goal the forward point would hold the robot back.
         near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < c.forward_point_distance
-        ahead = 0.0 if near else c.forward_point_distance
-        x, y, yaw = (costmap.T_grid_map @ pose).xyt.tolist()
-        s = self.samples
-        v, w = best_arc(
-            costmap.clearance,
-            self._to_goal,
-            self._to_path,
-            costmap.resolution,
-            s.points,
-            self._outline,
-            s.inscribed,
-            s.circumscribed,
-            x,
-            y,
-            yaw,
-            vs,
-            ws,
-            np.array(
-                [
-                    c.sim_time,
-                    c.sim_step,
-                    0.8 * limits.max_dv,
-                    c.goal_distance_bias,
-                    c.path_distance_bias,
-                    ahead,
-                    c.clearance_bias,
-                    c.comfort,
-                    c.least_room,
-                    c.backward_bias,
-                    c.forward_path_bias,
-                    c.occdist_scale,
-                    c.min_vel_trans,
-                    c.min_vel_theta,
-                ]
-            ),
+        weights = ArcWeights(
+            time=c.sim_time,
+            step=c.sim_step,
+            braking=0.8 * limits.max_dv,
+            goal=c.goal_distance_bias,
+            path=c.path_distance_bias,
+            ahead=0.0 if near else c.forward_point_distance,
+            room=c.clearance_bias,
+            comfort=c.comfort,
+            least=c.least_room,
+            back=c.backward_bias,
+            nose=c.forward_path_bias,
+            occupied=c.occdist_scale,
+            least_v=c.min_vel_trans,
+            least_w=c.min_vel_theta,
         )
-        return Twist(v, w)
+        floor = ArcFloor(costmap.clearance, self._to_goal, self._to_path, costmap.resolution)
+        at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
+        return Twist(*best_arc(floor, self.samples, self._outline, at, vs, ws, weights))
+
+
+class ArcFloor(NamedTuple):
+    """Fields (rows, cols) [m] on the grid: clearance, and the distances to goal and path."""
+
+    clearance: Field32
+    to_goal: Field32
+    to_path: Field32
+    resolution: float
+
+
+class ArcWeights(NamedTuple):
+    """How arcs are driven in thought and what they cost; biases in metres of way for each metre."""
+
+    time: float
+    """What is looked ahead [s], in steps of `step` [s]."""
+    step: float
+    braking: float
+    goal: float
+    path: float
+    ahead: float
+    """How far before the robot its forward point lies [m]."""
+    room: float
+    """Worth of a metre of room up to `comfort` [m]; with less than `least` [m] no arc is admissible."""
+    comfort: float
+    least: float
+    back: float
+    nose: float
+    """The forward point's distance to the path."""
+    occupied: float
+    """costmap_2d's inflated cost (0..252)."""
+    least_v: float
+    least_w: float
 
 
 @njit(cache=True)
@@ -233,81 +253,70 @@ def _value(field: Field32, resolution: float, x: float, y: float, otherwise: flo
 
 @njit(cache=True)
 def best_arc(
-    clearance: Field32,
-    to_goal: Field32,
-    to_path: Field32,
-    resolution: float,
-    points: Array,
+    floor: ArcFloor,
+    footprint: FootprintSamples,
     outline: int,
-    inscribed: float,
-    circumscribed: float,
-    x: float,
-    y: float,
-    yaw: float,
+    pose: tuple[float, float, float],
     vs: Array,
     ws: Array,
-    settings: NDArray[np.float64],
+    c: ArcWeights,
 ) -> tuple[float, float]:
-    """The (v, w) of least cost among vs x ws, in the grid frame; (0, 0) when none is admissible.
+    """The (v, w) of least cost among vs x ws from a pose in the grid frame; (0, 0): none is admissible.
 
-    The first `outline` of the footprint's points are those on its outline.
-    `settings`: simulated time, step, braking, biases of goal and path, forward point, bias of room,
-    comfortable room, least room, bias of backward driving, of the forward point's distance to the path, of
-    the inflated cost, least speeds. An arc is admissible when the robot can stop
-    before the place
-    where it would come nearer than the least room; one that starts too near may only get freer.
+    The first `outline` of the footprint's points are those on its outline. An arc is admissible when the
+    robot can stop before the place where it would come nearer than the least room; one that starts too near
+    may only get freer.
     """
-    time, step, braking, k_goal, k_path, ahead, k_room, comfort, least, k_back = settings[:10]
-    k_nose_path, k_occupied, least_v, least_w = settings[10:]
-    edge = points[:outline]
+    clearance, resolution = floor.clearance, floor.resolution
+    x, y, yaw = pose
+    inscribed, circumscribed = footprint.inscribed, footprint.circumscribed
+    edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed)
     # More room than this makes no difference.
-    enough = comfort + resolution if k_occupied == 0.0 else np.inf
-    here = footprint_clearance(clearance, resolution, points, inscribed, circumscribed, x, y, yaw)
-    base = _value(to_goal, resolution, x, y, 1.0e3)
+    enough = c.comfort + resolution if c.occupied == 0.0 else np.inf
+    here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
+    base = _value(floor.to_goal, resolution, x, y, 1.0e3)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
     for v in vs:
         for w in ws:
-            if abs(v) < least_v and abs(w) < least_w:
+            if abs(v) < c.least_v and abs(w) < c.least_w:
                 continue
             # Long enough to see the stopping distance.
-            horizon = max(time, abs(v) / braking + step)
-            steps = math.ceil(horizon / step)
-            room, stop_needed = np.inf, 0.5 * v * v / braking + abs(v) * step
+            horizon = max(c.time, abs(v) / c.braking + c.step)
+            steps = math.ceil(horizon / c.step)
+            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * c.step
             px, py, pyaw, admissible = x, y, yaw, True
             ex, ey, eyaw = x, y, yaw
             for i in range(1, steps + 1):
-                px, py, pyaw = moved(x, y, yaw, v, w, i * step)
+                px, py, pyaw = moved(x, y, yaw, v, w, i * c.step)
                 center = field_at(clearance, resolution, px, py)
                 if center - circumscribed > enough:
                     d = center - circumscribed
                 else:
                     # With nothing within the circle nothing is within the polygon: its outline decides.
-                    checked = edge if center > circumscribed + resolution else points
-                    d = footprint_clearance(
-                        clearance, resolution, checked, inscribed, circumscribed, px, py, pyaw
-                    )
-                if d < least and d <= here:
+                    checked = edge if center > circumscribed + resolution else footprint
+                    d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
+                if d < c.least and d <= here:
                     # It stops here at the latest: what counts is where it got to.
-                    if abs(v) * (i - 1) * step < stop_needed or i <= 2:
+                    if abs(v) * (i - 1) * c.step < stop_needed or i <= 2:
                         admissible = False
                     break
                 room = min(room, d)
-                if i * step <= time + 1e-9:
+                if i * c.step <= c.time + 1e-9:
                     ex, ey, eyaw = px, py, pyaw
             if not admissible:
                 continue
             far = base + 1.0
-            end = _value(to_goal, resolution, ex, ey, far)
-            fx, fy = ex + ahead * math.cos(eyaw), ey + ahead * math.sin(eyaw)
-            nose = _value(to_goal, resolution, fx, fy, far)
-            off = _value(to_path, resolution, ex, ey, 1.0)
-            back = max(-v, 0.0) * time
-            cost = k_goal * (end + nose) + k_path * off + k_back * back - k_room * min(room, comfort)
-            if k_nose_path > 0.0:
-                cost += k_nose_path * _value(to_path, resolution, fx, fy, 1.0)
-            if k_occupied > 0.0:
+            end = _value(floor.to_goal, resolution, ex, ey, far)
+            fx, fy = ex + c.ahead * math.cos(eyaw), ey + c.ahead * math.sin(eyaw)
+            nose = _value(floor.to_goal, resolution, fx, fy, far)
+            off = _value(floor.to_path, resolution, ex, ey, 1.0)
+            back = max(-v, 0.0) * c.time
+            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, c.comfort)
+            if c.nose > 0.0:
+                cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
+            if c.occupied > 0.0:
                 # costmap_2d's inflation with turtlebot3's cost_scaling_factor 3.
-                cost += k_occupied * 252.0 * min(math.exp(-3.0 * (room - inscribed)), 1.0)
+                cost += c.occupied * 252.0 * min(math.exp(-3.0 * (room - inscribed)), 1.0)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w

@@ -79,14 +79,11 @@ class CollisionMonitor:
         if speed == 0.0:
             return 1.0
         horizon = self._stopping_distance(speed) / speed
-        s = self._samples
-        here = footprint_clearance(field, resolution, s.points, s.inscribed, s.circumscribed, x, y, yaw)
+        here = footprint_clearance(field, resolution, self._samples, x, y, yaw)
         for part in (0.5, 1.0):
             t = part * horizon
             nx, ny, nyaw = moved(x, y, yaw, v, w, t)
-            room = footprint_clearance(
-                field, resolution, s.points, s.inscribed, s.circumscribed, nx, ny, nyaw
-            )
+            room = footprint_clearance(field, resolution, self._samples, nx, ny, nyaw)
             if room <= 0.0 and room < here:
                 return 0.0
         return 1.0

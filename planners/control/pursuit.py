@@ -129,17 +129,7 @@ class Pursuit(Ramped):
 
     def _room(self, x: float, y: float, yaw: float, costmap: Costmap) -> float:
         gx, gy, gyaw = _in_grid(costmap, x, y, yaw)
-        s = self.samples
-        return footprint_clearance(
-            costmap.clearance,
-            costmap.resolution,
-            s.points,
-            s.inscribed,
-            s.circumscribed,
-            gx,
-            gy,
-            gyaw,
-        )
+        return footprint_clearance(costmap.clearance, costmap.resolution, self.samples, gx, gy, gyaw)
 
     def _regulated_speed(self, room: float, curvature: float, remaining: float) -> float:
         c, top = self.config, self.limits.max_v

@@ -157,8 +157,6 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
         "PRM",
         "--set",
         "plan.ompl.iterations=300",
-        "--set",
-        "plan.ompl.restarts=2",
     ]
     assert main(plan_words(true_map, tmp_path / "out", "-1.5,0.5,0", *words)) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
@@ -182,7 +180,6 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
         "plan.stretch=0.5",
         "plan.stretch=nan",
         "plan.ompl.iterations=0",
-        "plan.ompl.restarts=-1",
         "plan.ompl.space=torus",
         "plan.ompl.turning_radius=0",
         "plan.ompl.planner=Dijkstra",

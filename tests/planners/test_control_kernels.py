@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial import ConvexHull
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.control.dwa import _value, best_arc
+from turtlebag.planners.control.dwa import ArcFloor, ArcWeights, _value, best_arc
 from turtlebag.planners.control.monitor import depth_inside, free_time, moved, padded
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
@@ -188,9 +188,7 @@ def plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting):
     c = dict(zip(NAMES, setting, strict=True))
 
     def room_at(x, y, yaw):
-        return footprint_clearance(
-            clearance, RES, samples.points, samples.inscribed, samples.circumscribed, x, y, yaw
-        )
+        return footprint_clearance(clearance, RES, samples, x, y, yaw)
 
     here = room_at(*pose)
     base = _value(to_goal, RES, pose[0], pose[1], 1.0e3)
@@ -252,8 +250,7 @@ def test_the_best_arc_is_the_cheapest_of_all_that_can_be_stopped_in_time(changed
         pose = (*rng.uniform(1.05, 1.45, 2), rng.uniform(-3.0, 3.0))
         vs, ws = np.linspace(-0.3, 0.6, 7), np.linspace(-1.5, 1.5, 7)
         found = best_arc(
-            clearance, to_goal, to_path, RES, samples.points, outline, samples.inscribed,
-            samples.circumscribed, *pose, vs, ws, setting,
+            ArcFloor(clearance, to_goal, to_path, RES), samples, outline, pose, vs, ws, ArcWeights(*setting)
         )  # fmt: skip
         assert found == plain_arc(clearance, to_goal, to_path, samples, pose, vs, ws, setting)
         chosen.add(found)
@@ -267,7 +264,7 @@ def test_where_nothing_can_be_driven_the_robot_stands():
     flat = np.ones((50, 50), dtype=np.float32)
     assert field_at(clearance, RES, 1.275, 1.275) == pytest.approx(0.1)
     found = best_arc(
-        clearance, flat, flat, RES, samples.points, len(samples.points), samples.inscribed,
-        samples.circumscribed, 1.275, 1.275, 0.0, np.array([0.3]), np.array([0.5]), np.array(USUAL),
+        ArcFloor(clearance, flat, flat, RES), samples, len(samples.points), (1.275, 1.275, 0.0),
+        np.array([0.3]), np.array([0.5]), ArcWeights(*USUAL),
     )  # fmt: skip
     assert found == (0.0, 0.0)

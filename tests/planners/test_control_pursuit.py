@@ -198,10 +198,7 @@ def test_room_is_that_of_the_footprint_in_a_turned_map():
     pursuit = following()
     for pose in (SE2.from_xyt(1.9, 1.4, 0.3), SE2.from_xyt(1.7, 1.53, 1.3)):
         x, y, yaw = (T @ pose).xyt
-        s = pursuit.samples
-        expected = footprint_clearance(
-            turned.clearance, 0.05, s.points, s.inscribed, s.circumscribed, *pose.xyt.tolist()
-        )
+        expected = footprint_clearance(turned.clearance, 0.05, pursuit.samples, *pose.xyt.tolist())
         assert pursuit._room(x, y, yaw, turned) == pytest.approx(expected, abs=1e-6)
         back = _in_grid(turned, x, y, yaw)
         assert back[:2] == pytest.approx(tuple(pose.xy))
@@ -281,7 +278,7 @@ def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
         lethal[:, 24] = True
         field = Costmap(lethal, 0.05, SE2.identity()).clearance
         s = monitor._samples
-        clear = lambda p: footprint_clearance(field, 0.05, s.points, s.inscribed, s.circumscribed, *p)  # noqa: B023, E731
+        clear = lambda p: footprint_clearance(field, 0.05, s, *p)  # noqa: B023, E731
         at = (x, 1.0, 0.2)
         rooms = [clear(moved(*at, v, w, part * horizon)) for part in (0.5, 1.0)]
         stops = any(r <= 0.0 and r < clear(at) for r in rooms)

@@ -127,7 +127,7 @@ def test_footprint_clearance_is_that_of_the_polygon():
     lethal[:, 150:] = True
     costmap = Costmap(lethal, 0.01, SE2.identity())
     samples = sample_footprint(BURGER, 0.01)
-    args = (costmap.clearance, 0.01, samples.points, samples.inscribed, samples.circumscribed)
+    args = (costmap.clearance, 0.01, samples)
     # The wall's first cell centre is at x = 1.505; the nose is 0.041 ahead, the tail 0.105 behind.
     assert footprint_clearance(*args, 1.4, 1.0, 0.0) == pytest.approx(1.505 - 1.441, abs=0.011)
     assert footprint_clearance(*args, 1.3, 1.0, math.pi) == pytest.approx(1.505 - 1.405, abs=0.011)
@@ -139,9 +139,7 @@ def test_a_thin_post_inside_the_footprint_is_seen():
     lethal[100, 95] = True
     costmap = Costmap(lethal, 0.01, SE2.identity())
     samples = sample_footprint(BURGER, 0.01)
-    clearance = footprint_clearance(
-        costmap.clearance, 0.01, samples.points, samples.inscribed, samples.circumscribed, 1.0, 1.0, 0.0
-    )
+    clearance = footprint_clearance(costmap.clearance, 0.01, samples, 1.0, 1.0, 0.0)
     assert clearance < 0.02
 
 

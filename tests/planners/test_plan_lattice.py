@@ -15,6 +15,7 @@ from turtlebag.planners.lattice_search import (
     SLIP,
     TURN,
     WIDE,
+    Floor,
     _reaches,
     _stands,
     ends,
@@ -34,7 +35,7 @@ YAWS = np.arctan2(HEADINGS[:, 1], HEADINGS[:, 0])
 N = len(HEADINGS)
 
 
-class Floor:
+class Room:
     """A field, its numbered cells, and fresh memories of what stands and turns."""
 
     def __init__(self, seed: int, share: float = 0.03, rows: int = 17, cols: int = 21):
@@ -49,7 +50,7 @@ class Floor:
     def args(self):
         size = self.narrow * N
         memory = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
-        return self.field, RES, SHAPE, self.numbers, *memory, HEADINGS, YAWS
+        return Floor(self.field, RES, SHAPE, self.numbers, *memory, HEADINGS, YAWS)
 
     def state(self, r, c, k):
         return (r, c, -1) if self.numbers[r, c] == WIDE else (r, c, k)
@@ -113,24 +114,24 @@ def test_cells_are_blocked_wide_or_numbered_row_by_row():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_states_are_joined_when_dijkstra_gets_from_one_to_the_other(seed):
-    floor, rng = Floor(seed), np.random.default_rng(seed)
+    floor, rng = Room(seed), np.random.default_rng(seed)
     starts = [standing(floor, rng, (2, 7))]
     reached = floor.costs({floor.state(*state): 0.0 for state in starts})
     told = []
     for columns in ((2, 6), (6, 12), (13, 19), (13, 19), (13, 19)):
         goal = standing(floor, rng, columns)
-        joined = flood(*floor.args(), np.array(starts), np.array([goal]))
+        joined = flood(floor.args(), np.array(starts), np.array([goal]))
         assert joined == (floor.state(*goal) in reached)
-        assert flood(*floor.args(), np.array([goal]), np.array(starts)) == joined
+        assert flood(floor.args(), np.array([goal]), np.array(starts)) == joined
         told.append(joined)
     both = [standing(floor, rng, (13, 19)), starts[0]]
-    assert flood(*floor.args(), np.array(starts), np.array(both))
+    assert flood(floor.args(), np.array(starts), np.array(both))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_the_way_through_the_lattice_is_the_cheapest(seed):
-    floor, rng = Floor(seed), np.random.default_rng(seed + 100)
+    floor, rng = Room(seed), np.random.default_rng(seed + 100)
     starts = list({floor.state(*s): s for s in (standing(floor, rng, (2, 7)) for _ in range(3))}.values())
     costs = rng.uniform(0.0, 4.0, len(starts))
     reached = floor.costs({floor.state(*s): cost for s, cost in zip(starts, costs, strict=True)})
@@ -138,7 +139,7 @@ def test_the_way_through_the_lattice_is_the_cheapest(seed):
     for _ in range(4):
         goal = standing(floor, rng, (10, 19))
         rest = wave(floor.numbers != BLOCKED, goal[0], goal[1], np.inf)
-        way = shortest(*floor.args(), np.array(starts), costs, np.array([goal]), rest)
+        way = shortest(floor.args(), np.array(starts), costs, np.array([goal]), rest)
         if floor.state(*goal) not in reached:
             assert len(way) == 0
             continue
@@ -154,32 +155,32 @@ def test_the_way_through_the_lattice_is_the_cheapest(seed):
 
 
 def test_of_several_goals_the_nearest_is_taken_and_a_start_that_is_a_goal_is_there_at_once():
-    floor = Floor(0, share=0.0)
+    floor = Room(0, share=0.0)
     start, near, far = (8, 6, 0), (8, 9, 0), (8, 15, 0)
     assert all(floor.numbers[s[:2]] == WIDE for s in (start, near, far))
     rest = np.minimum(*(wave(floor.numbers != BLOCKED, *s[:2], np.inf) for s in (near, far)))
-    way = shortest(*floor.args(), np.array([start]), np.zeros(1), np.array([far, near]), rest)
+    way = shortest(floor.args(), np.array([start]), np.zeros(1), np.array([far, near]), rest)
     assert way.tolist() == [[c, 8, -1] for c in (6, 7, 8, 9)]
     at_once = shortest(
-        *floor.args(), np.array([start]), np.zeros(1), np.array([far, start]), np.zeros_like(rest)
+        floor.args(), np.array([start]), np.zeros(1), np.array([far, start]), np.zeros_like(rest)
     )
     assert at_once.tolist() == [[6, 8, -1]]
     # cheaper to begin at the one that costs less
     two = np.array([[8, 12, 0], [8, 8, 0]])
-    way = shortest(*floor.args(), two, np.array([5.0, 0.5]), np.array([near]), rest)
+    way = shortest(floor.args(), two, np.array([5.0, 0.5]), np.array([near]), rest)
     assert way[:, 0].tolist() == [8, 9]
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_states_near_a_pose_are_those_straight_to_be_reached(seed):
-    floor, rng = Floor(seed, share=0.05), np.random.default_rng(seed)
+    floor, rng = Room(seed, share=0.05), np.random.default_rng(seed)
     cells = np.argwhere(floor.numbers != BLOCKED)
     counted = 0
     for _ in range(12):
         row, col = cells[rng.integers(len(cells))]
         (x, y), yaw = (np.array([col, row]) + rng.random(2)) * RES, rng.uniform(-7.0, 7.0)
         pose = np.array([x, y, yaw])
-        states, gaps = ends(floor.field, RES, SHAPE, floor.numbers, YAWS, pose)
+        states, gaps = ends(floor.args(), pose)
         expected = {}
         for r, c, k in itertools.product(range(row - 2, row + 3), range(col - 2, col + 3), range(N)):
             if not (0 <= r < 17 and 0 <= c < 21) or floor.numbers[r, c] == BLOCKED:
@@ -201,7 +202,7 @@ def test_the_states_near_a_pose_are_those_straight_to_be_reached(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_pose_is_reached_by_a_turn_a_drive_and_a_turn_either_way_round(seed):
-    floor, rng = Floor(seed, share=0.05), np.random.default_rng(seed)
+    floor, rng = Room(seed, share=0.05), np.random.default_rng(seed)
     told = {True: 0, False: 0}
     for _ in range(150):
         pose = np.array([*rng.uniform(0.15, [0.9, 0.7]), rng.uniform(-3.0, 3.0)])
@@ -222,17 +223,17 @@ def test_a_pose_is_reached_by_a_turn_a_drive_and_a_turn_either_way_round(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_stands_or_turns_is_looked_up_once_and_remembered(seed):
-    floor = Floor(seed, share=0.05)
-    stands, turning = floor.args()[4:6]
-    f = floor.field, RES, SHAPE, floor.numbers
+    floor = Room(seed, share=0.05)
+    known = floor.args()
+    f = floor.field, RES, SHAPE
     for r, c, k in itertools.product(range(17), range(21), range(N)):
         h = (k + 1) % N
         x, y = (c + 0.5) * RES, (r + 0.5) * RES
         here, number = floor.numbers[r, c] != BLOCKED and floor.stands(r, c, k), floor.numbers[r, c]
-        turned = here if number < 0 else moves(*f[:3], x, y, YAWS[k], x, y, YAWS[h])
+        turned = here if number < 0 else moves(*f, x, y, YAWS[k], x, y, YAWS[h])
         for _ in range(2):
-            assert _stands(*f, stands, YAWS, r, c, k, k) == here
-            assert _stands(*f, turning, YAWS, r, c, k, h) == turned
+            assert _stands(known, r, c, k, k) == here
+            assert _stands(known, r, c, k, h) == turned
         if number >= 0:
-            assert stands[number * N + k] == (1 if here else 2)
-            assert turning[number * N + k] == (1 if turned else 2)
+            assert known.stands[number * N + k] == (1 if here else 2)
+            assert known.turns[number * N + k] == (1 if turned else 2)

@@ -15,7 +15,7 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from turtlebag.planners.lattice import HEADINGS, YAWS
-from turtlebag.planners.lattice_search import WIDE, ends
+from turtlebag.planners.lattice_search import WIDE, Floor, ends
 from turtlebag.planners.ompl_planner import OmplConfig
 from turtlebag.planners.oriented import free_from
 from turtlebag.planners.wavefront import wave
@@ -142,7 +142,7 @@ def test_no_robot_fits_across_a_wall_one_cell_thick(yaw):
 def test_what_the_cells_join_is_planned_though_the_planner_finds_nothing():
     """RRTConnect did not get through a maze with no room to spare, and that was called unreachable."""
     costmap = partitions(np.random.default_rng(1), (7, 8))
-    ompl = OmplConfig(iterations=1, restarts=1)
+    ompl = OmplConfig(iterations=1)
     plan = plan_path(
         costmap, BURGER, SE2.from_xyt(0.4, 0.7, 0.0), SE2.from_xyt(2.6, 0.7, 0.0), PlanConfig(ompl=ompl), 1
     )
@@ -165,7 +165,7 @@ def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight(sp
     costmap = partitions(np.random.default_rng(2), (8, 9))
     start, goal = SE2.from_xyt(0.6, 0.75, 1.0), SE2.from_xyt(2.5, 0.75, -1.0)
     assert not disc_joined(costmap, WAFFLE.circumscribed_radius, (15, 12), (15, 50))
-    config = PlanConfig(ompl=OmplConfig(space=space, iterations=1, restarts=1))
+    config = PlanConfig(ompl=OmplConfig(space=space, iterations=1))
     plan = plan_path(costmap, WAFFLE, start, goal, config, seed=1)
     assert plan.planner == "footprint lattice"
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-9)
@@ -208,7 +208,9 @@ def test_the_way_to_a_lattice_state_costs_one_and_a_half_times_its_length_in_cel
     numbers = np.full((40, 40), WIDE, dtype=np.int32)
     yaws = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
     pose = np.array([2.03, 2.05, 0.0])
-    states, gaps = ends(field, 0.1, BURGER.footprint, numbers, yaws, pose)
+    none = np.zeros(0, dtype=np.int8)
+    headings = np.zeros((16, 2), dtype=np.int64)
+    states, gaps = ends(Floor(field, 0.1, BURGER.footprint, numbers, none, none, headings, yaws), pose)
     assert len(states) == 25
     length = np.hypot(states[:, 1] * 0.1 + 0.05 - pose[0], states[:, 0] * 0.1 + 0.05 - pose[1]) / 0.1
     np.testing.assert_allclose(gaps, 1.5 * length)

@@ -152,13 +152,13 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         assert found == ramped(Twist(0.1, 0.2), last, limits)
         args = asked[-1]
         at = costmap.T_grid_map @ pose
-        assert args[8:11] == pytest.approx(tuple(at.xyt))
+        assert args[3] == pytest.approx(tuple(at.xyt))
         vs = np.linspace(
             max(last.v - 0.5 * limits.max_dv, lowest), min(last.v + 0.5 * limits.max_dv, 0.22), 5
         )
         ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
-        np.testing.assert_allclose(args[11], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
-        np.testing.assert_allclose(args[12], np.union1d(ws, [0.0]))
+        np.testing.assert_allclose(args[4], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
+        np.testing.assert_allclose(args[5], np.union1d(ws, [0.0]))
         c = controller.config
         wanted = [
             c.sim_time,
@@ -169,11 +169,11 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
             ahead,
         ]
         wanted += [c.clearance_bias, c.comfort, c.least_room, c.backward_bias, c.forward_path_bias]
-        np.testing.assert_array_equal(args[13], [*wanted, c.occdist_scale, c.min_vel_trans, c.min_vel_theta])
+        np.testing.assert_array_equal(args[6], [*wanted, c.occdist_scale, c.min_vel_trans, c.min_vel_theta])
     near = dwa(settle_distance=0.1)
     near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))
     near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)
-    assert asked[-1][13][5] == 0.0
+    assert asked[-1][6].ahead == 0.0
     assert near.state == "follow"
     near.command(SE2.from_xyt(1.65, 1.2, 0.0), Twist(), costmap)
     assert near.state == "settle"

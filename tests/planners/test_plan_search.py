@@ -19,7 +19,7 @@ from turtlebag.planners.global_plan import (
     _without_repeats,
     plan_path,
 )
-from turtlebag.planners.ompl_planner import OmplConfig, _bounds, iteration_limit
+from turtlebag.planners.ompl_planner import _bounds, iteration_limit
 from turtlebag.planners.oriented import free_from
 from turtlebag.planners.smoothing import densify, path_length, shortcut
 from turtlebag.planners.wavefront import descend, wave
@@ -86,47 +86,36 @@ def test_the_way_over_cells_is_the_waves_drawn_tight(seed):
         np.testing.assert_allclose(tight[[0, -1]], path[[0, -1]])
 
 
-def test_runs_of_the_planner_go_on_until_one_is_good_enough_and_the_shortest_is_kept(monkeypatch):
-    found = search(
-        Costmap(np.zeros((50, 60), dtype=bool), RES, SE2.identity()), radius=0.1,
-        ompl=OmplConfig(restarts=5, good_enough=1.02, informed_factor=1.1),
-    )  # fmt: skip
+def test_the_planner_is_told_when_to_stop_and_the_way_over_the_cells_stands_in_for_it(monkeypatch):
+    found = search(Costmap(np.zeros((50, 60), dtype=bool), RES, SE2.identity()), radius=0.1)
     start, goal = (10, 10), (30, 40)
     a, b = found.center(start), found.center(goal)
-    ways = {
-        "none": None,
-        "long": np.array([a, [0.6, 2.2], b]),
-        "short": np.array([a, b]),
-    }
     asked = []
     monkeypatch.setattr(global_plan, "shortcut", lambda field, res, radius, path: path)
 
-    def solve(field, inside, resolution, radius, one, two, config, seed):
+    def solve(floor, one, two, enough, config, seed):
         np.testing.assert_array_equal(one, a)
         np.testing.assert_array_equal(two, b)
-        asked.append((seed, inside))
-        return ways[told[len(asked) - 1]]
+        assert seed == 70
+        over_cells = path_length(found.grid_path(start, goal))
+        assert enough == pytest.approx(1.02 * over_cells)
+        asked.append(floor.inside)
+        return told[-1]
 
     monkeypatch.setattr(global_plan, "solve", solve)
-    for told, attempts, by in (
-        (["none"] * 5, 5, "grid"),
-        (["none", "short", "long", "long", "long"], 2, "RRTConnect"),
-        (["long", "none", "short"], 3, "RRTConnect"),
-        (["long"] * 5, 5, "RRTConnect"),
-    ):
-        asked.clear()
-        path, count, planner = found.run(start, goal, 70)
-        assert (count, planner) == (attempts, by)
-        assert [seed for seed, _ in asked] == list(range(70, 70 + attempts))
-        if "short" in told:
-            assert path_length(path) == pytest.approx(math.dist(a, b), rel=1e-3)
+    told = []
+    for way, by in ((None, "grid"), (np.array([a, [0.6, 2.2], b]), "BITstar"), (np.array([a, b]), "BITstar")):
+        told.append(way)
+        path, planner = found.run(start, goal, 70)
+        assert planner == by
+    assert path_length(path) == pytest.approx(math.dist(a, b), rel=1e-3)
     # only floor on some way at most a tenth longer than the shortest, and two cells, is searched
     limit = 1.1 * float(wave(found.free, *goal, np.inf)[start]) + 2.0
     through = wave(found.free, *start, np.inf) + wave(found.free, *goal, np.inf)
-    np.testing.assert_array_equal(asked[-1][1], through <= limit)
-    path, count, planner = found.run(goal, goal, 1)
+    np.testing.assert_array_equal(asked[-1], through <= limit)
+    path, planner = found.run(goal, goal, 1)
     np.testing.assert_array_equal(path, [b, b])
-    assert (count, planner) == (0, "RRTConnect")
+    assert planner == "BITstar"
 
 
 def test_repeated_points_are_dropped_and_two_are_kept():

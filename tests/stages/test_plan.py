@@ -9,7 +9,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
-from turtlebag.planners.ompl_planner import OmplConfig, _with_start, solve
+from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, _with_start, solve
 from turtlebag.planners.smoothing import densify, path_length, relax, shortcut
 from turtlebag.planners.wavefront import descend, wave
 
@@ -52,7 +52,7 @@ def test_the_same_seed_gives_the_same_plan_whatever_was_planned_before():
 )
 def test_planners_can_be_chosen_by_name(planner):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=3000, restarts=1))
+    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=3000))
     plan = plan_path(costmap, BURGER, START, GOAL, config, seed=1)
     assert costmap.clearance_at(densify(plan.poses.xy, 0.01)).min() > BURGER.circumscribed_radius
 
@@ -159,7 +159,7 @@ def test_densify_keeps_corners_and_spacing():
 @pytest.mark.parametrize("space", ["se2", "reeds_shepp", "dubins"])
 def test_spaces_with_headings_keep_the_whole_footprint_free(space):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = PlanConfig(ompl=OmplConfig(space=space, iterations=20000, restarts=3))
+    config = PlanConfig(ompl=OmplConfig(space=space, iterations=20000))
     plan = plan_path(costmap, BURGER, START, GOAL, config, seed=2)
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [START.xyt, GOAL.xyt], atol=1e-6)
     assert all(fits(costmap, BURGER, pose) for pose in (plan.poses[k] for k in range(len(plan.poses))))
@@ -172,17 +172,18 @@ def test_spaces_with_headings_keep_the_whole_footprint_free(space):
 @pytest.mark.parametrize("planner", ["PRM", "PRMstar"])
 def test_a_roadmap_that_does_not_join_start_and_goal_is_not_taken_for_a_path(planner):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = OmplConfig(planner=planner, iterations=2, restarts=1)
+    config = OmplConfig(planner=planner, iterations=2)
     ends = START.xy, GOAL.xy
     everywhere = costmap.clearance > 0.15
-    assert solve(costmap.clearance, everywhere, 0.05, 0.15, *ends, config, seed=1) is None
+    floor = DiscFloor(costmap.clearance, 0.05, 0.15, everywhere)
+    assert solve(floor, *ends, 1.0, config, seed=1) is None
     plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(ompl=config), seed=1)
     assert plan.planner == "grid"
 
 
 def test_a_roadmap_is_the_same_again():
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = PlanConfig(ompl=OmplConfig(planner="PRMstar", iterations=1000, restarts=1))
+    config = PlanConfig(ompl=OmplConfig(planner="PRMstar", iterations=1000))
     first, again = (plan_path(costmap, BURGER, START, GOAL, config, seed=5) for _ in range(2))
     assert np.array_equal(first.poses.xyt, again.poses.xyt)
 
@@ -200,7 +201,7 @@ def test_clearance_costs_no_more_length_than_allowed():
 def test_no_dubins_path_leads_through_a_wall(planner):
     """Planners that grow from the goal, too, check curves there backwards; such a path is none."""
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    ompl = OmplConfig(planner=planner, space="dubins", turning_radius=0.2, restarts=1, iterations=600)
+    ompl = OmplConfig(planner=planner, space="dubins", turning_radius=0.2, iterations=600)
     for seed in range(3):
         try:
             plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(ompl=ompl), seed)
@@ -221,7 +222,7 @@ def test_planners_that_crash_or_never_return_in_a_space_are_refused_there(planne
 def test_planners_that_improve_are_content_with_the_straight_line(planner):
     """SORRTstar looked for ever for something shorter."""
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
-    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=300, restarts=1))
+    config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=300))
     start, goal = SE2.from_xyt(1.025, 1.025, 0.0), SE2.from_xyt(1.025, 2.225, 0.0)
     plan = plan_path(costmap, BURGER, start, goal, config, seed=1)
     assert plan.length == pytest.approx(1.2, rel=0.01)
@@ -250,7 +251,7 @@ def test_a_path_begins_where_the_robot_stands_though_the_goal_is_in_sight(space)
     """AORRTC's path was the goal alone then."""
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
     start, goal = SE2.from_xyt(1.025, 1.025, 0.0), SE2.from_xyt(1.625, 1.025, 0.0)
-    config = PlanConfig(ompl=OmplConfig(planner="AORRTC", space=space, iterations=300, restarts=1))
+    config = PlanConfig(ompl=OmplConfig(planner="AORRTC", space=space, iterations=300))
     plan = plan_path(costmap, BURGER, start, goal, config, seed=1)
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
     assert plan.length == pytest.approx(0.6, rel=0.02)
