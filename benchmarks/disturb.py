@@ -6,14 +6,15 @@ to its time is done to its truth as well, so that the new log is scored as the o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from benchmarks.slam_drives import integrate
+from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.seeds import stream
@@ -34,8 +35,13 @@ class Known:
 
     recording: Recording
     reference: SE2
-    relations: Relations
-    which: NDArray[np.int64]
+    relations: Relations = NO_RELATIONS
+    which: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def truth(self) -> Trajectory:
+        """The reference as a trajectory."""
+        return Trajectory(self.recording.stamps_ns, self.reference)
 
     @property
     def odometry(self) -> SE2:
@@ -43,6 +49,9 @@ class Known:
         if self.recording.T_odom_base is None:
             raise ValueError(f"{self.recording.source}: no odometry to disturb")
         return self.recording.T_odom_base
+
+
+Kind = TypeVar("Kind", bound=Known)
 
 
 def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
@@ -58,7 +67,7 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
 # Scans lost.
 
 
-def with_scans(log: Known, keep: Mask | slice) -> Known:
+def with_scans(log: Kind, keep: Mask | slice) -> Kind:
     """The log with these scans only, and the relations whose two scans are left."""
     r = log.recording
     recording = replace(
@@ -71,7 +80,8 @@ def with_scans(log: Known, keep: Mask | slice) -> Known:
     left = np.ones(len(pairs), dtype=bool)
     for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
         left &= nearest(recording.stamps_ns, wanted)[1]
-    return Known(recording, log.reference[keep], chosen(pairs, left), log.which[left])
+    kept = {"relations": chosen(pairs, left), "which": log.which[left]}
+    return replace(log, recording=recording, reference=log.reference[keep], **kept)
 
 
 def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
@@ -134,6 +144,19 @@ def with_odometry(log: Known, T_odom_base: SE2) -> Known:
     return replace(log, recording=replace(r, T_odom_base=T_odom_base, odometry=odometry))
 
 
+@njit(cache=True)
+def integrate(start: Array, steps: Array) -> Array:
+    """Poses (n + 1, 3) from a first one (3,) and the steps (n, 3) from each to the next."""
+    out = np.empty((len(steps) + 1, 3))
+    out[0] = start
+    for k in range(len(steps)):
+        c, s = math.cos(out[k, 2]), math.sin(out[k, 2])
+        out[k + 1, 0] = out[k, 0] + c * steps[k, 0] - s * steps[k, 1]
+        out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
+        out[k + 1, 2] = out[k, 2] + steps[k, 2]
+    return out
+
+
 def with_steps(log: Known, moved: ArrayLike) -> Known:
     """The log whose odometry makes these steps (n - 1, 3) from where it started."""
     poses = integrate(log.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
@@ -187,7 +210,7 @@ def jump(log: Known, rng: np.random.Generator) -> Known:
 # Ranges.
 
 
-def with_ranges(log: Known, ranges: ArrayLike) -> Known:
+def with_ranges(log: Kind, ranges: ArrayLike) -> Kind:
     """The log with other ranges (n_scans, n_beams)."""
     return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
 
@@ -252,7 +275,7 @@ def mirror(log: Known, rng: np.random.Generator) -> Known:
         ),
     )
     relations = replace(pairs, T_a_b=mirrored(pairs.T_a_b))
-    return Known(recording, mirrored(log.reference), relations, log.which)
+    return replace(log, recording=recording, reference=mirrored(log.reference), relations=relations)
 
 
 def reverse(log: Known, rng: np.random.Generator) -> Known:
@@ -275,7 +298,7 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
         else ImuLog(ends - imu.stamps_ns[::-1], -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]),
     )
     relations = Relations(ends - pairs.stamps_a_ns, ends - pairs.stamps_b_ns, pairs.T_a_b)
-    return Known(recording, log.reference[::-1], relations, log.which)
+    return replace(log, recording=recording, reference=log.reference[::-1], relations=relations)
 
 
 Mode = Callable[[Known, np.random.Generator], Known]

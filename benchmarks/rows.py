@@ -12,8 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from scipy.stats import binomtest
-
 from turtlebag.datasets.fingerprints import fingerprint
 
 Row = dict[str, Any]
@@ -101,6 +99,8 @@ class Rows:
 
 def interval(successes: int, n: int, method: str = "wilson") -> tuple[float, float]:
     """95 % interval of a share (`exact`: Clopper and Pearson's); all of 0..1 when there is nothing."""
+    from scipy.stats import binomtest  # a second to load, which workers need not pay for
+
     if n == 0:
         return 0.0, 1.0
     found = binomtest(successes, n).proportion_ci(method=method)

@@ -30,7 +30,6 @@ from benchmarks.disturb import (
     with_scans,
     with_steps,
 )
-from benchmarks.disturb import known as known_log
 from benchmarks.rows import Case, Row, share
 from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_of
 from benchmarks.slam_drives import Log
@@ -180,8 +179,7 @@ KINDS: dict[str, tuple[str, Mode]] = {
 def source(place: str, robot: str, seed: int) -> Known:
     """A log nobody has seen, short enough for many of them."""
     if place in SYNTHETIC:
-        log = SYNTHETIC[place](seed)
-        return known_log(log.recording, log.truth.poses)
+        return SYNTHETIC[place](seed)
     return driven(world_of(place, seed), robot, SCRIPTS[seed % len(SCRIPTS)], seed, "realistic")[0]
 
 

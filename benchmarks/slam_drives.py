@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.disturb import Known, integrate, times, with_ranges, with_scans
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -63,13 +64,10 @@ class Sensor:
     mixed: float = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Log:
-    """A recording with its truth (base pose at each scan's stamp, in the frame of the floor plan)."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Log(Known):
+    """A made log; its reference is the base pose at each scan's stamp, in the frame of the floor plan."""
 
-    name: str
-    recording: Recording
-    truth: Trajectory
     plan: FloorPlan
 
 
@@ -121,7 +119,7 @@ def make_log(
         source=name, stamps_ns=stamps, ranges=ranges, lidar=sensor.spec,
         T_base_lidar=SE2(np.array(sensor.T_base_lidar)), T_odom_base=T_odom_base, odometry=stream_30hz,
     )  # fmt: skip
-    return Log(name, recording, Trajectory(stamps, T_world_base), plan)
+    return Log(recording=recording, reference=T_world_base, plan=plan)
 
 
 def at_times(poses: Array, times: Array) -> SE2:
@@ -199,18 +197,6 @@ def drifted(poses: Array, wheels: Wheels, lies: tuple[Lie, ...], rng: np.random.
     return out[np.maximum.accumulate(index)]
 
 
-@njit(cache=True)
-def integrate(start: Array, steps: Array) -> Array:
-    out = np.empty((len(steps) + 1, 3))
-    out[0] = start
-    for k in range(len(steps)):
-        c, s = math.cos(out[k, 2]), math.sin(out[k, 2])
-        out[k + 1, 0] = out[k, 0] + c * steps[k, 0] - s * steps[k, 1]
-        out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
-        out[k + 1, 2] = out[k, 2] + steps[k, 2]
-    return out
-
-
 def measure(
     plan: FloorPlan, poses: Array, times: Array, sensor: Sensor, rng: np.random.Generator, person: bool
 ) -> NDArray[np.float32]:
@@ -270,42 +256,17 @@ def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
 
 def without(log: Log, start: float, length: float) -> Log:
     """The log with the scans of an interval missing [s since its first scan]."""
-    return _kept(log, ~_interval(log, start, length))
-
-
-def displaced(log: Log, start: float, offset: tuple[float, float, float]) -> Log:
-    """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
-    r = log.recording
-    assert r.T_odom_base is not None
-    first = int(np.argmax((r.stamps_ns - r.stamps_ns[0]) * 1e-9 >= start))
-    T_here = r.T_odom_base[first]
-    moved = (T_here @ SE2(np.array(offset)) @ T_here.inverse()) @ r.T_odom_base[first:]
-    xyt = np.concatenate([r.T_odom_base.xyt[:first], moved.xyt])
-    return replace(log, recording=replace(r, T_odom_base=SE2(xyt)))
-
-
-def carried(log: Log, start: float, length: float) -> Log:
-    """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
-    r = log.recording
-    assert r.T_odom_base is not None
-    away = np.flatnonzero(_interval(log, start, length))
-    before, after = r.T_odom_base[away[0]], r.T_odom_base[away[-1] + 1]
-    late = (before @ after.inverse() @ r.T_odom_base[away[-1] + 1 :]).xyt
-    xyt = np.concatenate([r.T_odom_base.xyt[: away[-1] + 1], late])
-    still = replace(log, recording=replace(r, T_odom_base=SE2(xyt)))
-    return without(still, start, length)
+    return with_scans(log, ~interval(log, start, length))
 
 
 def blinded(log: Log, start: float, length: float) -> Log:
     """The log with NaN-only scans in an interval."""
-    ranges = log.recording.ranges.copy()
-    ranges[_interval(log, start, length)] = np.nan
-    return replace(log, recording=replace(log.recording, ranges=ranges))
+    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
 
 
 def clock_back(log: Log, start: float, seconds: float) -> Log:
     """The log whose clock was set back once."""
-    late = (log.recording.stamps_ns - log.recording.stamps_ns[0]) * 1e-9 >= start
+    late = times(log.recording) >= start
     return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
 
 
@@ -317,25 +278,11 @@ def shaken_stamps(log: Log, share: float, spread: float, seed: int = 1) -> Log:
     return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
 
 
-def _interval(log: Log, start: float, length: float) -> NDArray[np.bool_]:
-    t = (log.recording.stamps_ns - log.recording.stamps_ns[0]) * 1e-9
+def interval(log: Log, start: float, length: float) -> NDArray[np.bool_]:
+    """Scans of an interval [s since the first], (n,)."""
+    t = times(log.recording)
     return (t >= start) & (t < start + length)
 
 
 def _stamped(log: Log, stamps: NDArray[np.int64]) -> Log:
-    return replace(
-        log,
-        recording=replace(log.recording, stamps_ns=stamps),
-        truth=Trajectory(stamps, log.truth.poses),
-    )
-
-
-def _kept(log: Log, keep: NDArray[np.bool_]) -> Log:
-    r = log.recording
-    odometry = None if r.T_odom_base is None else r.T_odom_base[keep]
-    stamps = r.stamps_ns[keep]
-    return replace(
-        log,
-        recording=replace(r, stamps_ns=stamps, ranges=r.ranges[keep], T_odom_base=odometry),
-        truth=Trajectory(stamps, log.truth.poses[keep]),
-    )
+    return replace(log, recording=replace(log.recording, stamps_ns=stamps))

@@ -187,26 +187,6 @@ def office_route(rooms: int = 8) -> Array:
     return np.array([(9.0, 7.0), *lap, *plain])
 
 
-def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Log:
-    """A corridor with rooms like one another to the centimetre, furniture and all, each visited once."""
-    plan = FloorPlan(10.0 + 4.0 * rooms, 14.0)
-    plan.carve(1.0, 6.0, 5.0 + 4.0 * rooms, 8.0)
-    route = [(2.0, 7.0)]
-    for x in 3.0 + 4.0 * np.arange(rooms):
-        for y, door in ((1.0, 5.8), (8.2, 8.0)):
-            plan.carve(x, y, x + 3.6, y + 4.8)
-            plan.carve(x + 1.3, door, x + 2.3, door + 0.2)
-        plan.turned_box(x + 0.6, 2.0, 0.8, 0.4, 0.4)
-        plan.turned_box(x + 2.8, 11.6, 0.8, 0.4, 0.4)
-        route += [(x + 1.8, 7.0), (x + 1.8, 4.0), (x + 2.2, 4.0), (x + 1.8, 7.0)]
-    if there_and_back:
-        route.append((2.0, 7.0))
-    return make_log(
-        f"twins-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.3), drive=Drive(v=0.7),
-        wheels=WHEELS[seed], seed=seed,
-    )  # fmt: skip
-
-
 OFFICE_SENSOR = Sensor(sick(360, 40.0), 0.2, T_base_lidar=(0.08, 0.0, 0.0))
 
 

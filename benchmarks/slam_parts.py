@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.disturb import Known, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, errors, mapped
 from benchmarks.slam_logs import LOGS
@@ -49,12 +48,6 @@ PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", 
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
 
-def made_log(name: str) -> Known:
-    """A synthetic log with its truth."""
-    log = LOGS[name]()
-    return known(log.recording, log.truth.poses)
-
-
 def ablated_row(data: Path | None, log: str, variant: str) -> Row:
     """A log with one of ABLATIONS."""
     return mapped_row(data, log, ABLATIONS[variant])
@@ -63,7 +56,7 @@ def ablated_row(data: Path | None, log: str, variant: str) -> Row:
 def mapped_row(data: Path | None, log: str, settings: dict[str, Any]) -> Row:
     """A log by its name: relations of a public one, or the exact truth of a made one or a drive."""
     if log in LOGS or log in PLACES:
-        made = made_log(log) if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
+        made = LOGS[log]() if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
         result, row = mapped(made.recording, settings)
         return row | errors(result.trajectory.poses, made.reference)
     assert data is not None

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, carried, displaced, make_log, sick, without
-from benchmarks.slam_logs import office_plan, twins
+from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, interval, make_log, sick, without
+from benchmarks.slam_logs import WHEELS, office_plan
+from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import score
 from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between
@@ -35,6 +36,43 @@ def office() -> Log:
         "recall", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
         wheels=Wheels(0.02, -0.03, 0.003),
     )  # fmt: skip
+
+
+def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Log:
+    """A corridor with rooms like one another to the centimetre, furniture and all, each visited once."""
+    plan = FloorPlan(10.0 + 4.0 * rooms, 14.0)
+    plan.carve(1.0, 6.0, 5.0 + 4.0 * rooms, 8.0)
+    route = [(2.0, 7.0)]
+    for x in 3.0 + 4.0 * np.arange(rooms):
+        for y, door in ((1.0, 5.8), (8.2, 8.0)):
+            plan.carve(x, y, x + 3.6, y + 4.8)
+            plan.carve(x + 1.3, door, x + 2.3, door + 0.2)
+        plan.turned_box(x + 0.6, 2.0, 0.8, 0.4, 0.4)
+        plan.turned_box(x + 2.8, 11.6, 0.8, 0.4, 0.4)
+        route += [(x + 1.8, 7.0), (x + 1.8, 4.0), (x + 2.2, 4.0), (x + 1.8, 7.0)]
+    if there_and_back:
+        route.append((2.0, 7.0))
+    return make_log(
+        f"twins-{seed}", plan, np.array(route), Sensor(sick(180, 8.0), 0.3), drive=Drive(v=0.7),
+        wheels=WHEELS[seed], seed=seed,
+    )  # fmt: skip
+
+
+def displaced(log: Log, start: float, offset: tuple[float, float, float]) -> Log:
+    """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
+    T = log.odometry
+    first = int(np.argmax(interval(log, start, np.inf)))
+    moved = (T[first] @ SE2(np.array(offset)) @ T[first].inverse()) @ T[first:]
+    xyt = np.concatenate([T.xyt[:first], moved.xyt])
+    return replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt)))
+
+
+def carried(log: Log, start: float, length: float) -> Log:
+    """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
+    away, T = np.flatnonzero(interval(log, start, length)), log.odometry
+    late = (T[away[0]] @ T[away[-1] + 1].inverse() @ T[away[-1] + 1 :]).xyt
+    xyt = np.concatenate([T.xyt[: away[-1] + 1], late])
+    return without(replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt))), start, length)
 
 
 BREAKS = {
