@@ -15,7 +15,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
-from turtlebag.sim.raycast import cast, cast_sweep
+from turtlebag.sim.raycast import cast
 
 DT = 0.02
 
@@ -225,15 +225,12 @@ def measure(
 
 def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, ...], limit: float) -> Iterator[Array]:
     """Ranges along the beams of each scan (n_beams,), +inf beyond `limit`."""
-    segments, circles = plan.outlines()
+    outlines = plan.outlines()
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
     for origins, ways, bearings in zip(
         xy.reshape(*shape, 2), directions, np.unwrap(angles.reshape(shape)), strict=True
     ):
-        if np.all(np.diff(bearings) > 0.0):
-            yield cast_sweep(origins, ways, bearings, segments, circles, limit)[0]
-        else:  # the robot spins against the lidar as fast as that turns
-            yield cast(origins, ways, segments, circles, limit)[0]
+        yield cast(origins, ways, bearings, outlines, limit)[0]
 
 
 def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
-from turtlebag.sim.raycast import beam_rays, cast, cast_sweep
+from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import LidarErrors, RobotSpec
 from turtlebag.sim.shapes import Solid, sections
 
@@ -94,30 +94,20 @@ class Lidar:
         when: Array = begin + self._sweep * ((last if end is None else end) - begin)
         origins, directions, bearings = beam_rays(poses, when, self._T_base_lidar, angles)
         outlines, limit = self._outlines, self.spec.range_max
-        if np.all(bearings[1:] > bearings[:-1]):
-            found = cast_sweep(origins, directions, bearings, outlines.segments, outlines.circles, limit)
-        else:  # the robot spins against the lidar as fast as that turns
-            found = cast(origins, directions, outlines.segments, outlines.circles, limit)
-        ranges, hits = found
-        if self._movers:
-            self._see_movers(origins, directions, when, ranges, hits)
+        ranges, hits = cast(origins, directions, bearings, (outlines.segments, outlines.circles), limit)
+        # Shorter where a mover stands in the way, each beam by where it stood in that step.
+        step = np.minimum(when.astype(np.int64), len(self._movers) - 1)
+        for number, moving in enumerate(self._movers):
+            beams = np.nonzero(step == number)[0]
+            near, _ = cast(origins[beams], directions[beams], bearings[beams], moving, limit)
+            closer = near < ranges[beams]
+            ranges[beams[closer]] = near[closer]
+            hits[beams[closer]] = -1
         return ranges, hits, origins, directions
 
     def note_movers(self, outline: tuple[Array, Array], earlier: int) -> None:
         """Where the movers stand in the control step just taken; `earlier`: steps before it in this turn."""
         self._movers = [*self._movers[len(self._movers) - earlier :], outline]
-
-    def _see_movers(
-        self, origins: Array, directions: Array, when: Array, ranges: Array, hits: NDArray[np.int64]
-    ) -> None:
-        """Shorten ranges where a mover stands in the way, each beam by where it stood in that step."""
-        step = np.minimum(when.astype(np.int64), len(self._movers) - 1)
-        for number, (segments, circles) in enumerate(self._movers):
-            beams = np.nonzero(step == number)[0]
-            near, _ = cast(origins[beams], directions[beams], segments, circles, self.spec.range_max)
-            closer = near < ranges[beams]
-            ranges[beams[closer]] = near[closer]
-            hits[beams[closer]] = -1
 
     def measure(self, poses: Array, begin: float = 0.0, end: float | None = None) -> NDArray[np.float32]:
         """Ranges (n_beams,) as the driver would publish them (REP-117); arguments of `true_ranges`."""

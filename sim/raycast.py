@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
@@ -45,41 +46,35 @@ def _to_circle(ox: float, oy: float, dx: float, dy: float, circle: Array) -> flo
     return along + root if along + root >= 0.0 else math.inf
 
 
-@njit(cache=True)
-def cast(origins: Array, directions: Array, segments: Array, circles: Array, limit: float) -> tuple:
+def cast(
+    origins: Array, directions: Array, bearings: Array, outlines: tuple[Array, Array], limit: float
+) -> tuple[Array, NDArray[np.int64]]:
     """Distance to the first outline along each ray, and which outline that is.
 
-    origins (n, 2), unit directions (n, 2), segments (s, 4), circles (c, 3), limit [m]. Returns
-    ranges (n,), +inf beyond the limit, and indices (n,): 0..s-1 a segment, s..s+c-1 a circle, -1 none.
+    The rays fan out from nearly one place. origins (n, 2), unit directions (n, 2) and their angles (n,), not
+    wrapped; outlines are segments (s, 4) and circles (c, 3); limit [m]. Returns ranges (n,), +inf beyond the
+    limit, and indices (n,): 0..s-1 a segment, s..s+c-1 a circle, -1 none.
     """
-    n, n_segments = origins.shape[0], segments.shape[0]
-    ranges = np.full(n, math.inf)
-    hits = np.full(n, -1, dtype=np.int64)
-    for i in range(n):
-        ox, oy, dx, dy = origins[i, 0], origins[i, 1], directions[i, 0], directions[i, 1]
-        for k in range(n_segments + circles.shape[0]):
-            if k < n_segments:
-                t = _to_segment(ox, oy, dx, dy, segments[k])
-            else:
-                t = _to_circle(ox, oy, dx, dy, circles[k - n_segments])
-            if t < ranges[i] and t <= limit:
-                ranges[i], hits[i] = t, k
-    return ranges, hits
+    if np.all(bearings[1:] >= bearings[:-1]):
+        return _cast(origins, directions, bearings, *outlines, limit)  # type: ignore[no-any-return]
+    # The robot spins against the lidar as fast as that turns.
+    order = np.argsort(bearings, kind="stable")
+    ranges, hits = _cast(origins[order], directions[order], bearings[order], *outlines, limit)
+    back = np.argsort(order)
+    return ranges[back], hits[back]
 
 
 @njit(cache=True)
-def cast_sweep(
+def _cast(
     origins: Array, directions: Array, bearings: Array, segments: Array, circles: Array, limit: float
 ) -> tuple:
-    """What `cast` returns, for rays that fan out from nearly one place: far fewer tests.
-
-    `bearings` (n,) are the rays' angles, not wrapped and not falling. Each outline is tried only on
-    the rays whose bearing it can meet: as seen from the middle of the origins, widened by how far
-    the origins stray from there.
-    """
+    """Rays by rising bearings. Each outline is tried only on those whose bearing it can meet: as seen from
+    the middle of the origins, widened by how far the origins stray from there."""
     n, n_segments = origins.shape[0], segments.shape[0]
     ranges = np.full(n, math.inf)
     hits = np.full(n, -1, dtype=np.int64)
+    if n == 0:
+        return ranges, hits
     mx, my = 0.5 * (origins[0, 0] + origins[n - 1, 0]), 0.5 * (origins[0, 1] + origins[n - 1, 1])
     stray = 0.0
     for i in range(n):

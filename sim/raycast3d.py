@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,17 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.sim.shapes import Ball, Mesh, Solid
+
+
+class Prisms(NamedTuple):
+    """Upright solids: number k has sides edges[first_edge[k]:first_edge[k + 1]], or circles[k]."""
+
+    edges: Array
+    first_edge: NDArray[np.int64]
+    circles: Array
+    is_circle: NDArray[np.bool_]
+    z_min: Array
+    z_max: Array
 
 
 @njit(cache=True)
@@ -44,23 +56,11 @@ def pass_through(
 
 
 @njit(cache=True)
-def cast_rings(
-    origins: Array,
-    directions: Array,
-    height: float,
-    tangents: Array,
-    edges: Array,
-    first_edge: NDArray[np.int64],
-    circles: Array,
-    is_circle: NDArray[np.bool_],
-    z_min: Array,
-    z_max: Array,
-) -> Array:
+def cast_rings(origins: Array, directions: Array, height: float, tangents: Array, prisms: Prisms) -> Array:
     """Level distance to the first surface along each beam, (n_azimuths, n_rings) [m], +inf for none.
 
     origins, directions (n, 2) of each azimuth; beams rise by `tangents` (n_rings,) a metre from
-    `height`. Solid k has sides edges[first_edge[k]:first_edge[k + 1]] or circles[k], and z_min, z_max.
-    A beam meets its side, its top or its underside; else the floor at z = 0.
+    `height`. A beam meets a solid's side, its top or its underside; else the floor at z = 0.
     """
     n, n_rings = origins.shape[0], tangents.shape[0]
     out = np.full((n, n_rings), math.inf)
@@ -68,15 +68,15 @@ def cast_rings(
         if tangents[j] < 0.0:
             out[:, j] = -height / tangents[j]
     for i in range(n):
-        for k in range(z_min.shape[0]):
+        for k in range(prisms.z_min.shape[0]):
             enter, leave = pass_through(
                 origins[i, 0],
                 origins[i, 1],
                 directions[i, 0],
                 directions[i, 1],
-                edges[first_edge[k] : first_edge[k + 1]],
-                circles[k],
-                is_circle[k],
+                prisms.edges[prisms.first_edge[k] : prisms.first_edge[k + 1]],
+                prisms.circles[k],
+                prisms.is_circle[k],
             )
             if enter > leave or leave < 0.0:
                 continue
@@ -86,10 +86,10 @@ def cast_rings(
                     continue
                 z = height + enter * tangents[j]
                 t = enter
-                if z > z_max[k]:
-                    t = (z_max[k] - height) / tangents[j] if tangents[j] < 0.0 else math.inf
-                elif z < z_min[k]:
-                    t = (z_min[k] - height) / tangents[j] if tangents[j] > 0.0 else math.inf
+                if z > prisms.z_max[k]:
+                    t = (prisms.z_max[k] - height) / tangents[j] if tangents[j] < 0.0 else math.inf
+                elif z < prisms.z_min[k]:
+                    t = (prisms.z_min[k] - height) / tangents[j] if tangents[j] > 0.0 else math.inf
                 if t <= leave and t < out[i, j]:
                     out[i, j] = t
     return out
@@ -167,12 +167,14 @@ class Scene:
         upright = [solid for solid in solids if not isinstance(solid, (Ball, Mesh))]
         balls = [solid for solid in solids if isinstance(solid, Ball)]
         sides = [_sides(solid) for solid in upright]
-        self._edges = np.ascontiguousarray(np.vstack([np.zeros((0, 3)), *sides]))
-        self._first_edge = np.cumsum([0, *(len(side) for side in sides)]).astype(np.int64)
-        self._circles = np.array([[*solid.center, solid.radius] for solid in upright]).reshape(-1, 3)
-        self._is_circle = np.array([solid.is_cylinder for solid in upright], dtype=np.bool_)
-        self._z_min = np.array([solid.z_min for solid in upright], dtype=np.float64)
-        self._z_max = np.array([solid.z_max for solid in upright], dtype=np.float64)
+        self._prisms = Prisms(
+            edges=np.ascontiguousarray(np.vstack([np.zeros((0, 3)), *sides])),
+            first_edge=np.cumsum([0, *(len(side) for side in sides)]).astype(np.int64),
+            circles=np.array([[*solid.center, solid.radius] for solid in upright]).reshape(-1, 3),
+            is_circle=np.array([solid.is_cylinder for solid in upright], dtype=np.bool_),
+            z_min=np.array([solid.z_min for solid in upright], dtype=np.float64),
+            z_max=np.array([solid.z_max for solid in upright], dtype=np.float64),
+        )
         centres = [[*ball.center, 0.5 * (ball.z_min + ball.z_max), ball.radius] for ball in balls]
         self._balls = np.array(centres, dtype=np.float64).reshape(-1, 4)
         meshes = [solid.triangles for solid in solids if isinstance(solid, Mesh)]
@@ -180,10 +182,7 @@ class Scene:
 
     def cast(self, origins: Array, directions: Array, height: float, tangents: Array) -> Array:
         """Level distances (n, n_rings) [m] as of cast_rings, to whatever is nearest."""
-        out: Array = cast_rings(
-            origins, directions, height, tangents, self._edges, self._first_edge, self._circles,
-            self._is_circle, self._z_min, self._z_max,
-        )  # fmt: skip
+        out: Array = cast_rings(origins, directions, height, tangents, self._prisms)
         if len(self._balls):
             cast_balls(origins, directions, height, tangents, self._balls, out)
         if len(self._triangles):

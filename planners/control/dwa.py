@@ -43,79 +43,92 @@ class DwaConfig(BaseModel):
     acceleration_share: float = Field(default=0.8, gt=0.0, le=1.0)
     window: float = Field(default=0.25, gt=0.0)
     """Time ahead over which the limits let the speed change [s]."""
-    sim_time: float = Field(default=1.2, gt=0.0)
-    sim_step: float = Field(default=0.1, gt=0.0)
     vx_samples: int = Field(default=9, ge=2)
     vth_samples: int = Field(default=21, ge=3)
-    path_distance_bias: float = Field(default=0.3, ge=0.0)
-    goal_distance_bias: float = Field(default=1.0, ge=0.0)
-    forward_point_distance: float = Field(default=0.325, ge=0.0)
     backward_bias: float = Field(default=1.5, ge=0.0)
     """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
-    forward_path_bias: float = Field(default=0.0, ge=0.0)
-    """The same as path_distance_bias for the forward point."""
-    occdist_scale: float = Field(default=0.0, ge=0.0)
-    """Weight of costmap_2d's inflated cost (0..252) at the worst footprint point of the arc."""
-    min_vel_trans: float = Field(default=0.0, ge=0.0)
-    min_vel_theta: float = Field(default=0.0, ge=0.0)
-    """An arc slower than both is not driven."""
-    clearance_bias: float = Field(default=1.5, ge=0.0)
-    """Worth of each metre of room up to `comfort`, in metres of way."""
-    comfort: float = Field(default=0.3, gt=0.0)
-    least_room: float = Field(default=0.06, ge=0.0)
-    """An arc that comes nearer than this to something is not admissible."""
-    turning_room: float = Field(default=0.04, ge=0.0)
-    """Ways as wide as the circumscribed circle and this are preferred, however long."""
-    passage_room: float = Field(default=0.08, ge=0.0)
-    """Ways narrower than the inscribed circle and this are not counted on."""
     settle_distance: float = Field(default=0.45, gt=0.0)
     """From here on the goal's pose is settled on as pure pursuit does."""
 
 
+class ArcFloor(NamedTuple):
+    """Fields (rows, cols) [m] on the grid: clearance, and the distances to goal and path."""
+
+    clearance: Field32
+    to_goal: Field32
+    to_path: Field32
+    resolution: float
+
+
+class ArcWeights(NamedTuple):
+    """How arcs are driven in thought and what they cost; biases in metres of way for each metre."""
+
+    time: float
+    """What is looked ahead [s], in steps of `step` [s]."""
+    step: float
+    braking: float
+    goal: float
+    path: float
+    ahead: float
+    """How far before the robot its forward point lies [m]."""
+    room: float
+    """Worth of a metre of room up to `comfort` [m]; with less than `least` [m] no arc is admissible."""
+    comfort: float
+    least: float
+    back: float
+    nose: float
+    """The forward point's distance to the path."""
+    occupied: float
+    """costmap_2d's inflated cost (0..252)."""
+    least_v: float
+    least_w: float
+
+
 TUTORIAL = {
-    "preset": "tutorial",
     "max_v": 0.26,
     "min_v": -0.26,
     "max_w": 2.75,
     "vx_samples": 20,
     "vth_samples": 40,
-    "path_distance_bias": 32.0,
-    "forward_path_bias": 32.0,
-    "goal_distance_bias": 20.0,
-    "forward_point_distance": 0.325,
-    "occdist_scale": 0.02,
     "backward_bias": 0.0,
-    "clearance_bias": 0.0,
-    "least_room": 0.0,
-    # From here on every arc of min_vel_trans over sim_time would end beyond the goal.
+    # From here on every arc of the least speed over the time looked ahead would end beyond the goal.
     "settle_distance": 0.2,
 }
 """turtlebot3_navigation's dwa_local_planner_params (noetic); speeds are cut to the robot's own.
 
 Its acc_lim_x of 2.5 m/s^2 is not taken: a burger tips above 1.3.
 """
+FORWARD_M = 0.325
+"""How far before the robot its forward point lies: dwa_local_planner's own."""
+TURNING_M, PASSAGE_M = 0.04, 0.08
+"""Ways as wide as the circumscribed circle and the one are preferred, however long; narrower than the
+inscribed circle and the other they are not counted on."""
 
 
-def resolved(config: DwaConfig, model: RobotModel) -> DwaConfig:
-    """The configuration with the preset's numbers, if one is asked for."""
+def resolved(config: DwaConfig, model: RobotModel) -> tuple[DwaConfig, ArcWeights]:
+    """The configuration with the preset's numbers, if one is asked for, and what arcs cost."""
+    own = ArcWeights(
+        time=1.2, step=0.1, braking=0.0, goal=1.0, path=0.3, ahead=FORWARD_M, room=1.5, comfort=0.3,
+        least=0.06, back=config.backward_bias, nose=0.0, occupied=0.0, least_v=0.0, least_w=0.0,
+    )  # fmt: skip
     if config.preset == "own":
-        return config
+        return config, own
     slow = model.max_v > 0.24  # waffle and waffle_pi: looked ahead for longer, turned more slowly
-    own = {
-        "sim_time": 2.0 if slow else 1.5,
-        "min_vel_trans": 0.5 * min(model.max_v, 0.26),
-        "min_vel_theta": 0.9 if slow else 1.37,
-        # The speeds that 2.5 m/s^2 opens in 0.1 s: else min_vel_trans is out of reach from a standstill.
-        "window": 0.1 * 2.5 / (config.acceleration_share * model.max_dv),
-    }
-    return config.model_copy(update={**TUTORIAL, **own})
+    # The speeds that 2.5 m/s^2 opens in 0.1 s: else the least speed is out of reach from a standstill.
+    window = 0.1 * 2.5 / (config.acceleration_share * model.max_dv)
+    weights = own._replace(
+        time=2.0 if slow else 1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0,
+        occupied=0.02, least_v=0.5 * min(model.max_v, 0.26), least_w=0.9 if slow else 1.37,
+    )  # fmt: skip
+    return config.model_copy(update={**TUTORIAL, "window": window}), weights
 
 
 class Dwa(Ramped):
     """A controller (see turtlebag.planners.control.interface)."""
 
     def __init__(self, model: RobotModel, config: DwaConfig, pursuit: PursuitConfig, period: float) -> None:
-        self.config = config = resolved(config, model)
+        self.config, self._weights = resolved(config, model)
+        config = self.config
         super().__init__(
             model,
             period,
@@ -167,8 +180,8 @@ class Dwa(Ramped):
         here = np.clip(here, 0, np.array(costmap.lethal.shape) - 1)
         s = self.samples
         for radius in (
-            s.circumscribed + self.config.turning_room,
-            s.inscribed + self.config.passage_room,
+            s.circumscribed + TURNING_M,
+            s.inscribed + PASSAGE_M,
         ):
             free = costmap.clearance > radius
             self._to_goal = wave(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
@@ -187,59 +200,12 @@ class Dwa(Ramped):
         # dwa_local_planner: an exact zero joins when the window straddles it.
         vs, ws = np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []), np.union1d(ws, [0.0])
         # Nearer than that to the goal the forward point would hold the robot back.
-        near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < c.forward_point_distance
-        weights = ArcWeights(
-            time=c.sim_time,
-            step=c.sim_step,
-            braking=0.8 * limits.max_dv,
-            goal=c.goal_distance_bias,
-            path=c.path_distance_bias,
-            ahead=0.0 if near else c.forward_point_distance,
-            room=c.clearance_bias,
-            comfort=c.comfort,
-            least=c.least_room,
-            back=c.backward_bias,
-            nose=c.forward_path_bias,
-            occupied=c.occdist_scale,
-            least_v=c.min_vel_trans,
-            least_w=c.min_vel_theta,
-        )
+        near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
+        ahead = 0.0 if near else FORWARD_M
+        weights = self._weights._replace(braking=0.8 * limits.max_dv, ahead=ahead)
         floor = ArcFloor(costmap.clearance, self._to_goal, self._to_path, costmap.resolution)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
         return Twist(*best_arc(floor, self.samples, self._outline, at, vs, ws, weights))
-
-
-class ArcFloor(NamedTuple):
-    """Fields (rows, cols) [m] on the grid: clearance, and the distances to goal and path."""
-
-    clearance: Field32
-    to_goal: Field32
-    to_path: Field32
-    resolution: float
-
-
-class ArcWeights(NamedTuple):
-    """How arcs are driven in thought and what they cost; biases in metres of way for each metre."""
-
-    time: float
-    """What is looked ahead [s], in steps of `step` [s]."""
-    step: float
-    braking: float
-    goal: float
-    path: float
-    ahead: float
-    """How far before the robot its forward point lies [m]."""
-    room: float
-    """Worth of a metre of room up to `comfort` [m]; with less than `least` [m] no arc is admissible."""
-    comfort: float
-    least: float
-    back: float
-    nose: float
-    """The forward point's distance to the path."""
-    occupied: float
-    """costmap_2d's inflated cost (0..252)."""
-    least_v: float
-    least_w: float
 
 
 @njit(cache=True)

@@ -15,6 +15,12 @@ Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}
 
 
+HYSTERESIS = 1.2
+"""Once inside, the tolerances are this much wider until the goal counts as reached."""
+STOPPED_V, STOPPED_W = 0.01, 0.06
+"""Slower than this the robot stands still [m/s, rad/s]."""
+
+
 class GoalCheckerConfig(BaseModel):
     """Tolerances by preset: `default` 0.03 m and 0.05 rad, `tutorial` 0.05 m and 0.17 rad."""
 
@@ -22,14 +28,10 @@ class GoalCheckerConfig(BaseModel):
     preset: Preset = "default"
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)
-    hysteresis: float = Field(default=1.2, ge=1.0)
-    """Once inside, the tolerances are this much wider until the goal counts as reached."""
     hold: Seconds = 0.3
     """Seconds it must stay so."""
     stop: bool = True
     """Whether the robot must stand still there; otherwise passing by is enough."""
-    stopped_v: float = Field(default=0.01, gt=0.0)
-    stopped_w: float = Field(default=0.06, gt=0.0)
 
     def tolerances(self) -> tuple[float, float]:
         """Position [m] and heading [rad]."""
@@ -48,10 +50,10 @@ class GoalChecker:
     def reached(self, now_ns: int, T_map_base: SE2, twist: Twist) -> bool:
         """Whether the goal has been held long enough, by the estimated pose and measured speed."""
         xy, yaw = self.config.tolerances()
-        slack = 1.0 if self._since_ns is None else self.config.hysteresis
+        slack = 1.0 if self._since_ns is None else HYSTERESIS
         near = float(np.linalg.norm(T_map_base.xy - self.goal.xy)) <= xy * slack
         turned = float(yaw_difference(T_map_base.yaw, self.goal.yaw)) <= yaw * slack
-        still = abs(twist.v) <= self.config.stopped_v and abs(twist.w) <= self.config.stopped_w
+        still = abs(twist.v) <= STOPPED_V and abs(twist.w) <= STOPPED_W
         if not (near and turned and (still or not self.config.stop)):
             self._since_ns = None
             return False

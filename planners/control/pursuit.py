@@ -15,6 +15,17 @@ from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 
+LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
+"""The point steered for is so far ahead by speed, within these bounds."""
+TURN_FIRST_RAD = 0.75
+"""A bearing to the path beyond this is turned away on the spot."""
+REGULATED_M = 0.45
+"""Curves of a smaller radius are taken more slowly, in proportion."""
+SLOWEST = 0.35
+"""Least part of the top speed beside obstacles."""
+RELEASE_M = 0.028
+"""Drifting this far off while turning makes the robot settle again."""
+
 
 class PursuitConfig(BaseModel):
     """SI units; angles in radians."""
@@ -27,24 +38,13 @@ class PursuitConfig(BaseModel):
     """Part of the robot's own acceleration and braking that is asked for."""
     max_lateral: float = Field(default=1.2, gt=0.0)
     """Lateral acceleration in curves [m/s^2]."""
-    lookahead_time: float = Field(default=1.3, gt=0.0)
-    min_lookahead: float = Field(default=0.2, gt=0.0)
-    max_lookahead: float = Field(default=0.6, gt=0.0)
-    turn_first: float = Field(default=0.75, gt=0.0)
-    """A bearing to the path beyond this is turned away on the spot."""
     turned: float = Field(default=0.1, gt=0.0)
-    regulated_radius: float = Field(default=0.45, gt=0.0)
-    """Curves tighter than this are taken more slowly, in proportion."""
     near: float = Field(default=0.2, gt=0.0)
     """With less room than this the robot slows down, in proportion."""
-    slowest: float = Field(default=0.35, gt=0.0, le=1.0)
-    """But never below this part of the top speed."""
     settle_distance: float = Field(default=0.12, gt=0.0)
     """From here on the goal itself is steered for."""
     position: float = Field(default=0.012, gt=0.0)
     """How near the goal the robot settles before it turns to the goal's yaw."""
-    release: float = Field(default=0.028, gt=0.0)
-    """Drifting this far off while turning makes it settle again."""
     heading: float = Field(default=0.012, gt=0.0)
 
 
@@ -111,12 +111,12 @@ class Pursuit(Ramped):
             self.state = "settle"
             return self._onto_goal(x, y, yaw, last)
         room = self._room(x, y, yaw, costmap)
-        reach = min(max(abs(last.v) * c.lookahead_time, c.min_lookahead), c.max_lookahead)
+        reach = min(max(abs(last.v) * LOOKAHEAD_S, LOOKAHEAD_M[0]), LOOKAHEAD_M[1])
         # Near obstacles it must not cut corners.
-        reach = max(min(reach, c.min_lookahead + 2.0 * max(room, 0.0)), c.min_lookahead)
+        reach = max(min(reach, LOOKAHEAD_M[0] + 2.0 * max(room, 0.0)), LOOKAHEAD_M[0])
         px, py = point_at(self._points, self._lengths, self._s + reach)
         bearing = _wrap(math.atan2(py - y, px - x) - yaw)
-        if self.state == "follow" and abs(bearing) > c.turn_first:
+        if self.state == "follow" and abs(bearing) > TURN_FIRST_RAD:
             self.state = "turn"
         if self.state == "turn":
             if abs(bearing) > c.turned:
@@ -137,11 +137,11 @@ class Pursuit(Ramped):
             float(np.interp(self._s, self._lengths, self._speeds)),
             math.sqrt(c.max_lateral / max(abs(curvature), 1e-6)),
         )
-        if abs(curvature) * c.regulated_radius > 1.0:
-            v = min(v, top / (abs(curvature) * c.regulated_radius))
+        if abs(curvature) * REGULATED_M > 1.0:
+            v = min(v, top / (abs(curvature) * REGULATED_M))
         if room < c.near:
-            v = min(v, top * max(c.slowest, room / c.near))
-        v = max(v, min(c.slowest * top * 0.5, 0.1))
+            v = min(v, top * max(SLOWEST, room / c.near))
+        v = max(v, min(SLOWEST * top * 0.5, 0.1))
         return min(
             v,
             math.sqrt(2.0 * 0.6 * self.limits.max_dv * remaining),
@@ -158,7 +158,7 @@ class Pursuit(Ramped):
             steer = _wrap(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
             # Done when near enough, or when the closest point of this straight run is reached.
-            if distance < c.position or (distance < c.release * 0.8 and ahead < 0.003):
+            if distance < c.position or (distance < RELEASE_M * 0.8 and ahead < 0.003):
                 self.state = "align"
             elif abs(steer) > 0.35 and distance > c.position:
                 return Twist(0.0, self._turning_speed(steer))
@@ -171,7 +171,7 @@ class Pursuit(Ramped):
                 v = max(v, 0.015) * (-1.0 if backwards else 1.0)
                 return Twist(v, 1.5 * steer)
         error = _wrap(goal_yaw - yaw)
-        if distance > c.release and abs(last.v) < 0.02:
+        if distance > RELEASE_M and abs(last.v) < 0.02:
             self.state = "settle"
             return Twist()
         self.state = "arrived" if abs(error) < c.heading else "align"

@@ -15,15 +15,16 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap
 from turtlebag.planners.wavefront import wave
 
+LEAST_M = 0.4
+"""Shorter frontiers are gaps between beams, not openings."""
+VIEW_M = 0.8
+"""From how near a frontier is looked at."""
+
 
 class FrontierConfig(BaseModel):
     """Metres."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    least_length: float = Field(default=0.4, gt=0.0)
-    """Shorter frontiers are gaps between beams, not openings."""
-    view_distance: float = Field(default=0.8, gt=0.0)
-    """From how near a frontier is looked at."""
     gain: float = Field(default=1.0, ge=0.0)
     """How many metres of way a metre of frontier is worth."""
     most_gain: float = Field(default=3.0, ge=0.0)
@@ -53,13 +54,13 @@ def next_view(
     `costmap` is that of the grid, with unknown cells blocked; `radius` the clearance the robot needs [m];
     `spent` are places (2,) looked from before.
     """
-    labels = frontiers(grid, config.least_length)
+    labels = frontiers(grid, LEAST_M)
     start = _standing(costmap, T_map_base, radius)
     if start is None or not labels.any():
         return None
     ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
     away, (rows, cols) = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
-    candidates = np.isfinite(ways) & (away * grid.resolution <= config.view_distance)
+    candidates = np.isfinite(ways) & (away * grid.resolution <= VIEW_M)
     cells = np.argwhere(candidates)
     places = grid.center_of(cells)
     for place in spent:

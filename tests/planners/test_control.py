@@ -241,12 +241,12 @@ def test_dwa_turns_round_rather_than_driving_a_long_way_backwards():
 
 @pytest.mark.slow
 def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_acceleration():
-    burger = resolved(DwaConfig(preset="tutorial"), BURGER)
-    assert (burger.sim_time, burger.vx_samples, burger.vth_samples) == (1.5, 20, 40)
-    assert (burger.path_distance_bias, burger.goal_distance_bias, burger.occdist_scale) == (32.0, 20.0, 0.02)
-    assert (burger.min_vel_trans, burger.min_vel_theta) == (pytest.approx(0.11), 1.37)
-    waffle = resolved(DwaConfig(preset="tutorial"), replace(BURGER, max_v=0.26, max_w=1.82))
-    assert (waffle.sim_time, waffle.min_vel_trans, waffle.min_vel_theta) == (2.0, pytest.approx(0.13), 0.9)
+    burger, costs = resolved(DwaConfig(preset="tutorial"), BURGER)
+    assert (costs.time, burger.vx_samples, burger.vth_samples) == (1.5, 20, 40)
+    assert (costs.path, costs.goal, costs.occupied) == (32.0, 20.0, 0.02)
+    assert (costs.least_v, costs.least_w) == (pytest.approx(0.11), 1.37)
+    _, slow = resolved(DwaConfig(preset="tutorial"), replace(BURGER, max_v=0.26, max_w=1.82))
+    assert (slow.time, slow.least_v, slow.least_w) == (2.0, pytest.approx(0.13), 0.9)
     controller = Dwa(BURGER, DwaConfig(preset="tutorial"), PursuitConfig(), DT)
     assert controller.limits.max_v == 0.22
     assert controller.limits.max_dv <= BURGER.max_dv

@@ -14,7 +14,17 @@ from turtlebag.planners.control.interface import Ramped, SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig, free_time, moved, padded
 from turtlebag.planners.control.path_position import arc_lengths
 from turtlebag.planners.control.profile import braked, curvature_along
-from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig, _in_grid, _wrap
+from turtlebag.planners.control.pursuit import (
+    LOOKAHEAD_M,
+    LOOKAHEAD_S,
+    REGULATED_M,
+    SLOWEST,
+    TURN_FIRST_RAD,
+    Pursuit,
+    PursuitConfig,
+    _in_grid,
+    _wrap,
+)
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_clearance
 
@@ -39,7 +49,7 @@ def following(poses=None, **settings):
 @pytest.mark.parametrize("off", [-0.06, 0.02])
 def test_it_steers_the_arc_to_the_point_its_speed_looks_ahead_to(last_v, off):
     pursuit = following()
-    reach = min(max(last_v * C.lookahead_time, C.min_lookahead), C.max_lookahead)
+    reach = min(max(last_v * LOOKAHEAD_S, LOOKAHEAD_M[0]), LOOKAHEAD_M[1])
     found = pursuit.command(SE2.from_xyt(1.8, 4.0 + off, 0.1), Twist(last_v, 0.0), ROOM)
     bearing = math.atan2(-off, reach) - 0.1
     curvature = 2.0 * math.sin(bearing) / math.hypot(reach, off)
@@ -62,8 +72,8 @@ def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
     pursuit = following()
     ahead = math.atan2(0.0, 1.0)
     for yaw, last, state in (
-        (ahead - C.turn_first + 0.01, Twist(), "follow"),
-        (ahead - C.turn_first - 0.01, Twist(), "turn"),
+        (ahead - TURN_FIRST_RAD + 0.01, Twist(), "follow"),
+        (ahead - TURN_FIRST_RAD - 0.01, Twist(), "turn"),
         (ahead + C.turned + 0.01, Twist(), "turn"),
         (ahead - C.turned + 0.01, Twist(), "follow"),
     ):
@@ -83,16 +93,16 @@ def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
 def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
     pursuit, top = following(), 0.5
     pursuit._s = 2.0
-    slow = min(C.slowest * top * 0.5, 0.1)
+    slow = min(SLOWEST * top * 0.5, 0.1)
     for room_m, curvature, remaining in (
         (9.0, 0.0, 3.0), (9.0, 1.0, 3.0), (9.0, -4.0, 3.0), (0.15, 0.0, 3.0), (0.01, 0.5, 3.0),
         (-1.0, 0.0, 3.0), (9.0, 0.0, 1e-4), (9.0, 60.0, 3.0), (9.0, -2.3, 3.0),
     ):  # fmt: skip
         bend = abs(curvature)
         v = min(top, math.sqrt(C.max_lateral / max(bend, 1e-6)))
-        v = min(v, top / max(1.0, bend * C.regulated_radius))
+        v = min(v, top / max(1.0, bend * REGULATED_M))
         if room_m < C.near:
-            v = min(v, top * max(C.slowest, room_m / C.near))
+            v = min(v, top * max(SLOWEST, room_m / C.near))
         v = min(max(v, slow), math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.6 / max(bend, 1e-6))
         assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
     pursuit._speeds = np.linspace(0.4, 0.0, 101)

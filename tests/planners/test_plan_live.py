@@ -20,7 +20,7 @@ from turtlebag.planners.rolling import (
     _rim,
     _shifted,
 )
-from turtlebag.planners.tasks.frontier import FrontierConfig, _standing, frontiers, next_view
+from turtlebag.planners.tasks.frontier import VIEW_M, FrontierConfig, _standing, frontiers, next_view
 from turtlebag.planners.wavefront import wave
 
 RES = 0.1
@@ -244,7 +244,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     for r, c in np.argwhere(np.isfinite(ways)):
         place = grid.center_of(np.array([r, c]))
         gaps = np.hypot(*(spots - [r, c]).T) * RES
-        if gaps.min() > config.view_distance or math.dist(place, spent[0]) <= config.spent_radius:
+        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= config.spent_radius:
             continue
         label = {labels[tuple(s)] for s in spots[gaps <= gaps.min() + 1e-9]}
         worth = {min(config.gain * np.sum(labels == k) * RES, config.most_gain) for k in label}

@@ -10,7 +10,7 @@ from planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
-from turtlebag.planners.control.dwa import Dwa, DwaConfig
+from turtlebag.planners.control.dwa import Dwa, DwaConfig, resolved
 from turtlebag.planners.control.interface import ramped
 from turtlebag.planners.control.pursuit import PursuitConfig
 from turtlebag.planners.costmap import Costmap
@@ -159,17 +159,8 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
         np.testing.assert_allclose(args[4], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
         np.testing.assert_allclose(args[5], np.union1d(ws, [0.0]))
-        c = controller.config
-        wanted = [
-            c.sim_time,
-            c.sim_step,
-            0.8 * limits.max_dv,
-            c.goal_distance_bias,
-            c.path_distance_bias,
-            ahead,
-        ]
-        wanted += [c.clearance_bias, c.comfort, c.least_room, c.backward_bias, c.forward_path_bias]
-        np.testing.assert_array_equal(args[6], [*wanted, c.occdist_scale, c.min_vel_trans, c.min_vel_theta])
+        expected = resolved(controller.config, BURGER)[1]
+        assert args[6] == expected._replace(braking=0.8 * limits.max_dv, ahead=ahead)
     near = dwa(settle_distance=0.1)
     near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))
     near.command(SE2.from_xyt(1.5, 1.2, 0.3), Twist(), costmap)

@@ -10,7 +10,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.sim.bullet import bullet
 from turtlebag.sim.lidar import Lidar, LidarConfig
 from turtlebag.sim.physics import Physics, PhysicsConfig
-from turtlebag.sim.raycast import beam_rays, cast, cast_sweep, distance_to_outlines, distance_to_point
+from turtlebag.sim.raycast import beam_rays, cast, distance_to_outlines, distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.shapes import box, contains, cylinder, prism, sections
 from turtlebag.sim.simulator import SimConfig, Simulator
@@ -98,7 +98,7 @@ def test_cast_matches_a_plain_reference():
     origins = rng.uniform(-3.0, 3.0, (200, 2))
     angles = rng.uniform(-np.pi, np.pi, 200)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    ranges, hits = cast(origins, directions, segments, circles, 2.5)
+    ranges, hits = cast(origins, directions, angles, (segments, circles), 2.5)
     expected = [
         reference_cast(o, d, segments, circles, 2.5) for o, d in zip(origins, directions, strict=True)
     ]
@@ -126,10 +126,12 @@ def test_a_sweep_sees_exactly_what_single_rays_see(seed, turn, step, first, fan)
     rays = beam_rays(poses, np.linspace(0.0, 3.0, 180), np.array([-0.03, 0.0, 0.0]), angles)
     origins, directions, bearings = rays
     assume(np.all(np.diff(bearings) > 0.0))
-    expected = cast(origins, directions, segments, circles, 2.5)
-    got = cast_sweep(origins, directions, bearings, segments, circles, 2.5)
-    np.testing.assert_array_equal(got[0], expected[0])
-    np.testing.assert_array_equal(got[1], expected[1])
+    for order in (np.arange(180), rng.permutation(180)):
+        rays = origins[order], directions[order], bearings[order]
+        got = cast(*rays, (segments, circles), 2.5)
+        alone = [cast(*(part[k : k + 1] for part in rays), (segments, circles), 2.5) for k in range(180)]
+        np.testing.assert_array_equal(got[0], np.concatenate([ranges for ranges, _ in alone]))
+        np.testing.assert_array_equal(got[1], np.concatenate([hits for _, hits in alone]))
 
 
 def along(polygon, n):
