@@ -1,24 +1,19 @@
 """The numbers that matter most, halved and doubled: how much the error of each log grows.
 
 Each case is mapped in a process of its own, for kernels take a constant's value when they are compiled.
-
-python -m benchmarks.slam_sensitivity NAME FACTOR LOG    (one case, as JSON)
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import json
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.rows import Case, Row
+from benchmarks.workers import SPAWN
 
 NUMBERS = {
     "weight of the prior": "align.PRIOR_SHARE",
@@ -62,12 +57,8 @@ def measured(name: str, factor: float, data: Path | None, log: str) -> Row:
 
 def sensitivity_row(name: str, factor: float, data: Path | None, log: str) -> Row:
     """`measured` in a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.slam_sensitivity", name, str(factor), log]
-    environment = os.environ | {"TURTLEBAG_DATA": str(data or "")}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    if done.returncode != 0:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1])
-    return dict(json.loads(done.stdout))
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        return pool.submit(measured, name, factor, data, log).result()
 
 
 def sensitivity_cases(data: Path | None) -> list[Case]:
@@ -96,18 +87,3 @@ def sensitivity_table(rows: Sequence[Row]) -> list[Row]:
             line[log] = " / ".join(f"{ratio:.2f}" for ratio in ratios)
         table.append(line)
     return table
-
-
-def main() -> None:
-    """One case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("name", choices=NUMBERS)
-    parser.add_argument("factor", type=float)
-    parser.add_argument("log", choices=LOGS)
-    args = parser.parse_args()
-    data = os.environ.get("TURTLEBAG_DATA")
-    print(json.dumps(measured(args.name, args.factor, Path(data) if data else None, args.log)))
-
-
-if __name__ == "__main__":
-    main()

@@ -18,7 +18,7 @@ class Worker:
 
     def __init__(self) -> None:
         self.pipe, theirs = SPAWN.Pipe()
-        self._process: Any = SPAWN.Process(target=serve, args=(theirs,), daemon=True)
+        self._process: Any = SPAWN.Process(target=serve, args=(theirs,))
         self._process.start()
         theirs.close()
         self.case: Case | None = None

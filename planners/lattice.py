@@ -35,6 +35,8 @@ HEADINGS = np.array(
 """Steps (32, 2) as columns and rows, counter-clockwise; the widest gap is 18.4 degrees."""
 YAWS = np.arctan2(HEADINGS[:, 1], HEADINGS[:, 0])
 N = len(HEADINGS)
+BACKWARDS, TURN = 2.0, 0.2
+"""What driving backwards costs a cell, and turning by one heading, beside a cell forwards."""
 SIDEWAYS = 0.98
 """A step whose direction has a smaller cosine with the heading is no drive."""
 
@@ -48,7 +50,9 @@ class Lattice:
         outer = float(np.linalg.norm(self._corners, axis=1).max())
         numbers, narrow = number_cells(self._field, _inscribed(self._corners), outer)
         stands, turns = np.zeros((2, narrow * N), dtype=np.int8)
-        self._floor = Floor(self._field, self._res, self._corners, numbers, stands, turns, HEADINGS, YAWS)
+        self._floor = Floor(
+            self._field, self._res, self._corners, numbers, stands, turns, HEADINGS, YAWS, BACKWARDS, TURN
+        )
 
     def joins(self, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
         """Whether some way leads from one pose to the other."""

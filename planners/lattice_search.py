@@ -19,8 +19,6 @@ from turtlebag.planners.oriented import drives, moves, turns
 from turtlebag.planners.wavefront import Wave
 
 BLOCKED, WIDE = -1, -2
-BACKWARDS, TURN = 2.0, 0.2
-"""What driving backwards costs a cell, and turning by one heading, beside a cell forwards."""
 SLIP = 4.0
 """What it costs to leave or reach a pose with a slip of a cell to the side; only where no drive does."""
 OCTILE = 0.92
@@ -48,6 +46,10 @@ class Floor(NamedTuple):
     turns: NDArray[np.int8]
     headings: NDArray[np.int64]
     yaws: Array
+    backwards: float
+    """What driving backwards costs a cell, beside a cell forwards."""
+    turn: float
+    """What turning by one heading costs."""
 
 
 @njit(cache=True)
@@ -137,12 +139,12 @@ def _steps(floor: Floor, r: int, c: int, k: int, near: bool, out: NDArray[np.int
             # Between wide cells the opposite heading drives forwards.
             if way == 1 or not (wide and floor.numbers[r1, c1] == WIDE):
                 out[count, 0], out[count, 1], out[count, 2] = r1, c1, h
-                costs[count] = math.hypot(dc, dr) * (1.0 if way == 1 else BACKWARDS)
+                costs[count] = math.hypot(dc, dr) * (1.0 if way == 1 else floor.backwards)
                 count += 1
     for turn in (1, -1):
         if not wide:
             out[count, 0], out[count, 1], out[count, 2] = r, c, (k + turn) % n
-            costs[count] = TURN
+            costs[count] = floor.turn
             count += 1
     return count
 

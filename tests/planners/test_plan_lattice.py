@@ -9,11 +9,10 @@ import pytest
 
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.lattice import BACKWARDS, TURN
 from turtlebag.planners.lattice_search import (
-    BACKWARDS,
     BLOCKED,
     SLIP,
-    TURN,
     WIDE,
     Floor,
     _reaches,
@@ -50,7 +49,7 @@ class Room:
     def args(self):
         size = self.narrow * N
         memory = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
-        return Floor(self.field, RES, SHAPE, self.numbers, *memory, HEADINGS, YAWS)
+        return Floor(self.field, RES, SHAPE, self.numbers, *memory, HEADINGS, YAWS, BACKWARDS, TURN)
 
     def state(self, r, c, k):
         return (r, c, -1) if self.numbers[r, c] == WIDE else (r, c, k)

@@ -210,7 +210,9 @@ def test_the_way_to_a_lattice_state_costs_one_and_a_half_times_its_length_in_cel
     pose = np.array([2.03, 2.05, 0.0])
     none = np.zeros(0, dtype=np.int8)
     headings = np.zeros((16, 2), dtype=np.int64)
-    states, gaps = ends(Floor(field, 0.1, BURGER.footprint, numbers, none, none, headings, yaws), pose)
+    states, gaps = ends(
+        Floor(field, 0.1, BURGER.footprint, numbers, none, none, headings, yaws, 2.0, 0.2), pose
+    )
     assert len(states) == 25
     length = np.hypot(states[:, 1] * 0.1 + 0.05 - pose[0], states[:, 0] * 0.1 + 0.05 - pose[1]) / 0.1
     np.testing.assert_allclose(gaps, 1.5 * length)
