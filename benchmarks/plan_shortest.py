@@ -1,9 +1,9 @@
 """The shortest collision-free way of a footprint that drives forwards and backwards and turns on the spot.
 
 The product's lattice of every cell and 32 headings is searched with turns and driving backwards at no extra
-cost, and the way found is pulled tight with the footprint itself. The lattice alone is at most 1.3 % too long:
-the widest gap between headings is 18.4 degrees. Lethal cells are discs of half a cell, as wide as the thing
-in them: a gap between their mere centres is none.
+cost, and the way found is pulled tight with the footprint itself. The lattice alone is at most 1.3 % too
+long: the widest gap between headings is 18.4 degrees. Lethal cells are discs of half a cell, as wide as the
+thing in them: a gap between their mere centres is none.
 """
 
 from __future__ import annotations

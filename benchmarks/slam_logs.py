@@ -81,27 +81,16 @@ def killian(seed: int) -> Log:
     for _ in range(25):
         x = rng.choice([x0, x1]) + rng.uniform(4.0, 46.0)
         y, side = rng.choice([y0, y1]), rng.choice([-1.0, 1.0])
-        plan.box(
-            x,
-            y + min(side * (w - 0.3), side * w),
-            x + rng.uniform(0.4, 1.5),
-            y + max(side * (w - 0.3), side * w),
-        )
+        low, high = sorted((side * (w - 0.3), side * w))
+        plan.box(x, y + low, x + rng.uniform(0.4, 1.5), y + high)
     big = [(x0, y0), (x2, y0), (x2, y1), (x0, y1)]
     left = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     route = np.array(
         [(x0 + 3.0, y0), *big[1:], *left, *big[:1], *big[::-1], *left[:1], *left, (x0, y0), (x0 + 9, y0)]
     )
     wheels = {1: Wheels(0.02, 0.04, 0.004), 2: Wheels(-0.02, -0.03, 0.006, 0.01, 0.01)}[seed]
-    return make_log(
-        f"killian-{seed}",
-        plan,
-        route,
-        Sensor(sick(180, 50.0), 0.16),
-        drive=Drive(v=0.75),
-        wheels=wheels,
-        seed=seed,
-    )
+    sensor = Sensor(sick(180, 50.0), 0.16)
+    return make_log(f"killian-{seed}", plan, route, sensor, drive=Drive(v=0.75), wheels=wheels, seed=seed)
 
 
 def aces(seed: int) -> Log:
@@ -200,6 +189,9 @@ def office(seed: int, what: str = "plain") -> Log:
     return change(log)
 
 
+Change = Callable[[Log], Log]
+
+
 def _same(log: Log) -> Log:
     return log
 
@@ -208,19 +200,6 @@ def _gaps(log: Log) -> Log:
     return without(without(log, 35.0, 3.0), 120.0, 3.0)
 
 
-def _blind(log: Log) -> Log:
-    return blinded(blinded(log, 30.0, 2.0), 130.0, 4.0)
-
-
-def _backwards(log: Log) -> Log:
-    return clock_back(log, 100.0, 40.0)
-
-
-def _shaken(log: Log) -> Log:
-    return shaken_stamps(log, 0.1, 0.5)
-
-
-Change = Callable[[Log], Log]
 MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
     "plain": ((), _same, False),
     "reverse": ((Lie("reverse", 20.0, 6.0), Lie("reverse", 95.0, 8.0)), _same, False),
@@ -228,21 +207,24 @@ MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
     "slip": ((Lie("slip", 25.0, 5.0), Lie("spin", 110.0, 5.0)), _same, False),
     "jump": ((Lie("jump", 40.0, 0.1), Lie("jump", 150.0, 0.1)), _same, False),
     "gaps": ((), _gaps, False),
-    "blind": ((), _blind, False),
-    "backwards": ((), _backwards, False),
-    "shaken": ((), _shaken, False),
+    "blind": ((), lambda log: blinded(blinded(log, 30.0, 2.0), 130.0, 4.0), False),
+    "backwards": ((), lambda log: clock_back(log, 100.0, 40.0), False),
+    "shaken": ((), lambda log: shaken_stamps(log, 0.1, 0.5), False),
     "person": ((), _same, True),
     "all": (
         (
-            Lie("reverse", 20.0, 6.0),
-            Lie("freeze", 60.0, 1.5),
-            Lie("slip", 110.0, 5.0),
+            Lie("reverse", 20.0, 6.0), Lie("freeze", 60.0, 1.5), Lie("slip", 110.0, 5.0),
             Lie("jump", 150.0, 0.1),
         ),
-        _gaps,
-        True,
+        _gaps, True,
     ),
-}
+}  # fmt: skip
+"""How the odometry lies, what is done to the log, and whether a person walks about."""
+
+
+def burger_lidar(x: float = -0.032) -> Sensor:
+    """TurtleBot3's lidar, with white noise alone."""
+    return Sensor(lds(), 0.2, T_base_lidar=(x, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
 
 
 def arena(seed: int, style: str) -> Log:
@@ -268,7 +250,7 @@ def arena(seed: int, style: str) -> Log:
         "fast": Drive(v=0.22, w=2.6, dv=2.0, dw=10.0, ahead=0.25),
         "spiral": Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.12),
     }[style]
-    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+    sensor = burger_lidar()
     return make_log(
         f"arena-{style}-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
     )
@@ -286,15 +268,9 @@ def rooms(seed: int) -> Log:
         plan.turned_box(x, y, 0.8, 0.4, a)
     route = [(2.0, 2.0)]
     for x, up in ((1.0, True), (4.7, False), (4.7, True), (8.4, False), (8.4, True), (1.0, False)):
-        d = x + 1.65
-        route += [
-            (d, 4.2),
-            (d, 6.0 if up else 2.5),
-            (d + 0.8, 6.6 if up else 2.5),
-            (d, 6.0 if up else 2.5),
-            (d, 4.2),
-        ]
-    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.064, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+        d, y, inside = x + 1.65, 6.0 if up else 2.5, 6.6 if up else 2.5
+        route += [(d, 4.2), (d, y), (d + 0.8, inside), (d, y), (d, 4.2)]
+    sensor = burger_lidar(-0.064)
     drive = Drive(v=0.22, w=1.2, ahead=0.3)
     return make_log(
         f"rooms-{seed}", plan, np.array(route), sensor, drive=drive, wheels=wheels_of(seed), seed=seed
@@ -320,7 +296,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
             plan.pillar(float(xy[0]), float(xy[1]), radius)
         if len(placed) >= density * size * size:
             break
-    sensor = Sensor(lds(), 0.2, T_base_lidar=(-0.032, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
+    sensor = burger_lidar()
     drive = Drive(v=0.22, w=1.0, ahead=0.3)
     return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
 

@@ -19,6 +19,8 @@ from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.shapes import Solid
 from turtlebag.sim.urdf import composite, urdf
 
+JOINTS = [0, 1]
+"""Numbers of the wheels' joints, left and right."""
 CONTACT_GAP_M = 5e-4
 """Bullet keeps points of bodies that are merely near; nearer than this they touch."""
 
@@ -51,8 +53,7 @@ class Physics:
         self._robot, self._config, self._dt = robot, config, control_dt
         self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
-        self._n_wheels = 2 * len(robot.wheels.pairs_x)
-        self._forces = [robot.wheels.torque] * self._n_wheels
+        self._forces = [robot.wheels.torque] * 2
 
     def __enter__(self) -> Physics:
         return self
@@ -119,9 +120,8 @@ class Physics:
                 flags=bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_USE_IMPLICIT_CYLINDER,
                 physicsClientId=client,
             )
-        self._joints = list(range(self._n_wheels))
         wheel_friction = config.friction or self._robot.wheels.friction
-        for link, friction in [(-1, config.body_friction)] + [(j, wheel_friction) for j in self._joints]:
+        for link, friction in [(-1, config.body_friction)] + [(j, wheel_friction) for j in JOINTS]:
             bullet.changeDynamics(
                 self.body,
                 link,
@@ -139,9 +139,9 @@ class Physics:
         """
         bullet.setJointMotorControlArray(
             self.body,
-            self._joints,
+            JOINTS,
             bullet.VELOCITY_CONTROL,
-            targetVelocities=[left, right] * (self._n_wheels // 2),
+            targetVelocities=[left, right],
             forces=self._forces,
             physicsClientId=self._client,
         )
@@ -205,8 +205,8 @@ class Physics:
         return vx * math.cos(yaw) + vy * math.sin(yaw) + w * self._com[1], w
 
     def wheels(self) -> tuple[float, float, float, float]:
-        """Angles (left, right) [rad] and speeds (left, right) [rad/s] of the front pair of wheels."""
-        left, right = bullet.getJointStates(self.body, [0, 1], physicsClientId=self._client)
+        """Angles (left, right) [rad] and speeds (left, right) [rad/s] of the wheels."""
+        left, right = bullet.getJointStates(self.body, JOINTS, physicsClientId=self._client)
         return left[0], right[0], left[1], right[1]
 
     def touched(self) -> set[int]:

@@ -53,14 +53,6 @@ class BoxPart(_Part):
     size: tuple[Positive, Positive, Positive]
 
 
-class CylinderPart(_Part):
-    """An upright cylinder."""
-
-    kind: Literal["cylinder"]
-    radius: Positive
-    length: Positive
-
-
 class SpherePart(_Part):
     """A ball: casters."""
 
@@ -68,7 +60,7 @@ class SpherePart(_Part):
     radius: Positive
 
 
-Part = Annotated[BoxPart | CylinderPart | SpherePart, Field(discriminator="kind")]
+Part = Annotated[BoxPart | SpherePart, Field(discriminator="kind")]
 
 
 class Wheels(_Spec):
@@ -84,8 +76,6 @@ class Wheels(_Spec):
     encoder_ticks: int = Field(gt=0)
     friction: Positive = 0.5
     """On the floor; what a run's own `physics.friction` replaces."""
-    pairs_x: tuple[Finite, ...] = (0.0,)
-    """x of each axle: one for a differential drive, two for a skid-steered four-wheeler."""
 
 
 class LidarErrors(_Spec):

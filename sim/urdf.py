@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.sim.robots import BoxPart, CylinderPart, Part, RobotSpec
+from turtlebag.sim.robots import BoxPart, Part, RobotSpec
 
 TREAD = 0.2
 """A wheel stands on a narrow tread (this share of its width), as a crowned tyre does: a rigid cylinder of
@@ -33,8 +33,6 @@ def _xyz(vector: tuple[float, ...] | Array) -> str:
 def _geometry(part: Part) -> str:
     if isinstance(part, BoxPart):
         return f'<box size="{_xyz(part.size)}"/>'
-    if isinstance(part, CylinderPart):
-        return f'<cylinder radius="{part.radius!r}" length="{part.length!r}"/>'
     return f'<sphere radius="{part.radius!r}"/>'
 
 
@@ -53,29 +51,22 @@ def urdf(robot: RobotSpec) -> str:
         f'<collision><origin xyz="{_xyz(part.center)}"/><geometry>{_geometry(part)}</geometry></collision>'
         for part in robot.parts
     )
-    collisions += "".join(_guard(robot, x) for x in wheels.pairs_x)
+    # What walls touch of the axle: a box as wide as the wheels, clear of the floor; it has no mass.
+    guard = (1.6 * wheels.radius, 2.0 * wheels.joint_y + wheels.width, 1.2 * wheels.radius)
+    collisions += (
+        f'<collision><origin xyz="{_xyz((0.0, 0.0, wheels.radius))}"/>'
+        f'<geometry><box size="{_xyz(guard)}"/></geometry></collision>'
+    )
     text = [f'<robot name="{robot.name}"><link name="base_footprint">']
     text += [_inertial(*composite(robot.parts)), collisions, "</link>"]
-    for x in wheels.pairs_x:
-        for side, sign in (("left", 1.0), ("right", -1.0)):
-            name = f"wheel_{side}_{x:g}"
-            text.append(
-                f'<link name="{name}">{_inertial(wheels.mass, (0.0, 0.0, 0.0), wheels.inertia)}'
-                f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/><geometry>'
-                f'<cylinder radius="{wheels.radius!r}" length="{TREAD * wheels.width!r}"/>'
-                f"</geometry></collision>"
-                f'</link><joint name="{name}_joint" type="continuous"><parent link="base_footprint"/>'
-                f'<child link="{name}"/><origin xyz="{_xyz((x, sign * wheels.joint_y, wheels.radius))}"/>'
-                f'<axis xyz="0 1 0"/></joint>'
-            )
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        text.append(
+            f'<link name="wheel_{side}">{_inertial(wheels.mass, (0.0, 0.0, 0.0), wheels.inertia)}'
+            f'<collision><origin xyz="0 0 0" rpy="{np.pi / 2.0!r} 0 0"/><geometry>'
+            f'<cylinder radius="{wheels.radius!r}" length="{TREAD * wheels.width!r}"/>'
+            f"</geometry></collision>"
+            f'</link><joint name="wheel_{side}_joint" type="continuous"><parent link="base_footprint"/>'
+            f'<child link="wheel_{side}"/><origin xyz="{_xyz((0.0, sign * wheels.joint_y, wheels.radius))}"/>'
+            f'<axis xyz="0 1 0"/></joint>'
+        )
     return "".join([*text, "</robot>"])
-
-
-def _guard(robot: RobotSpec, x: float) -> str:
-    """What walls touch of an axle: a box as wide as the wheels, clear of the floor; it has no mass."""
-    wheels = robot.wheels
-    size = (1.6 * wheels.radius, 2.0 * wheels.joint_y + wheels.width, 1.2 * wheels.radius)
-    return (
-        f'<collision><origin xyz="{_xyz((x, 0.0, wheels.radius))}"/>'
-        f'<geometry><box size="{_xyz(size)}"/></geometry></collision>'
-    )
