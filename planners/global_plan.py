@@ -25,7 +25,7 @@ from turtlebag.planners.lattice import Lattice, inner_disc_joins
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import free_from
 from turtlebag.planners.pose_planner import solve_poses
-from turtlebag.planners.smoothing import densify, path_length, relax, shortcut, with_headings
+from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
 from turtlebag.planners.wavefront import descend, wave
 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
@@ -340,14 +340,6 @@ class _Search:
         return points
 
     def _band(self, dense: Array, push: float, pull: float, sweeps: int) -> Array:
-        return relax(
-            self.field,
-            self.resolution,
-            self.radius,
-            dense,
-            max(self.config.inflation_radius, self.radius),
-            self.config.cost_scaling_factor,
-            pull,
-            push,
-            sweeps,
-        )
+        reach = max(self.config.inflation_radius, self.radius)
+        band = Band(reach, self.config.cost_scaling_factor, pull, push, sweeps)
+        return relax(self.field, self.resolution, self.radius, dense, band)

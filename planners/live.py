@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,23 +58,9 @@ class LiveLayer:
         """
         static, c = self.static, self.config
         x, y = (static.T_grid_map @ origin.xy).tolist()
-        ends = static.T_grid_map @ np.concatenate([hits, passes])
-        is_hit = np.zeros(len(ends), dtype=np.bool_)
-        is_hit[: len(hits)] = True
-        _mark_and_clear(
-            self._seen,
-            self._hits,
-            static.clearance,
-            static.resolution,
-            x,
-            y,
-            ends,
-            is_hit,
-            now_s,
-            c.obstacle_range,
-            c.raytrace_range,
-            c.known,
-        )
+        beams = Beams(x, y, static.T_grid_map @ np.concatenate([hits, passes]), len(hits))
+        ranges = c.obstacle_range, c.raytrace_range, c.known
+        _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s, ranges)
         live = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
         self.marked = int(live.sum())
@@ -114,30 +101,39 @@ class LiveLayer:
         return combined
 
 
+class Beams(NamedTuple):
+    """A sweep in the grid frame: where it was taken, and the ends (n, 2) of beams, those that hit first."""
+
+    x: float
+    y: float
+    ends: Array
+    n_hits: int
+
+
 @njit(cache=True)
 def _mark_and_clear(
     seen: Array,
     hits: NDArray[np.int16],
     clearance: NDArray[np.float32],
     resolution: float,
-    x: float,
-    y: float,
-    ends: Array,
-    is_hit: NDArray[np.bool_],
+    beams: Beams,
     now_s: float,
-    obstacle_range: float,
-    raytrace_range: float,
-    known: float,
+    ranges: tuple[float, float, float],
 ) -> None:
-    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it."""
+    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it.
+
+    `ranges` are obstacle_range, raytrace_range and known of LiveConfig.
+    """
     rows, cols = seen.shape
+    x, y, ends, n_hits = beams
+    obstacle_range, raytrace_range, known = ranges
     for k in range(ends.shape[0]):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
         if length < 1e-6:
             continue
         ux, uy = dx / length, dy / length
-        stop = min(length - (1.5 * resolution if is_hit[k] else 0.0), raytrace_range)
+        stop = min(length - (1.5 * resolution if k < n_hits else 0.0), raytrace_range)
         t = 0.0
         while t < stop:
             col, row = int((x + t * ux) / resolution), int((y + t * uy) / resolution)
@@ -145,9 +141,8 @@ def _mark_and_clear(
                 seen[row, col] = NEVER
                 hits[row, col] = 0
             t += 0.5 * resolution
-    for k in range(ends.shape[0]):
-        length = math.hypot(ends[k, 0] - x, ends[k, 1] - y)
-        if not is_hit[k] or length > obstacle_range:
+    for k in range(n_hits):
+        if math.hypot(ends[k, 0] - x, ends[k, 1] - y) > obstacle_range:
             continue
         col, row = int(ends[k, 0] / resolution), int(ends[k, 1] / resolution)
         if ends[k, 0] < 0.0 or ends[k, 1] < 0.0 or row >= rows or col >= cols:

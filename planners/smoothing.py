@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,24 +60,28 @@ def densify(path: Array, spacing: float) -> Array:
     return out
 
 
+class Band(NamedTuple):
+    """How an elastic band pulls and pushes.
+
+    Each point is drawn to its neighbours' middle (`pull`) and, nearer than `reach` [m] to an obstacle, up
+    the clearance's gradient (`push`) by the inflated cost exp(-fade * (d - radius)), measured from its value
+    at `reach`.
+    """
+
+    reach: float
+    fade: float
+    pull: float
+    push: float
+    sweeps: int
+
+
 @njit(cache=True)
-def relax(
-    field: Field32,
-    resolution: float,
-    radius: float,
-    path: Array,
-    reach: float,
-    fade: float,
-    pull: float,
-    push: float,
-    sweeps: int,
-) -> Array:
+def relax(field: Field32, resolution: float, radius: float, path: Array, band: Band) -> Array:
     """Elastic band (Quinlan and Khatib 1993) over a dense polyline (n, 2), its ends held.
 
-    Each point is drawn to its neighbours' middle (`pull`) and, nearer than `reach` to an obstacle,
-    up the clearance's gradient (`push`) by the inflated cost exp(-fade * (d - radius)), measured
-    from its value at `reach`; a move that brings it to `radius` is not made.
+    A move that brings a point to `radius` is not made.
     """
+    reach, fade, pull, push, sweeps = band
     out = path.copy()
     h = resolution
     for _ in range(sweeps):

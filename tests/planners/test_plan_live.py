@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import Costmap, clearance_field
 from turtlebag.planners.global_plan import NoPath
-from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer, _mark_and_clear
+from turtlebag.planners.live import NEVER, Beams, LiveConfig, LiveLayer, _mark_and_clear
 from turtlebag.planners.rolling import (
     NEAREST_M,
     RIM_M,
@@ -57,10 +57,9 @@ def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed):
     for now in (1.0, 2.5, 3.1):
         x, y = rng.uniform(0.3, [3.1, 2.3])
         ends = np.vstack([rng.uniform(-1.0, [4.4, 3.6], (40, 2)), [[x, y]]])
-        is_hit = rng.random(41) < 0.6
-        args = (x, y, ends, is_hit, now, 1.4, 1.1, 0.14)
-        _mark_and_clear(seen, hits, clearance, RES, *args)
-        plain_sweep(*expected, clearance, *args)
+        n_hits = int(rng.integers(15, 35))
+        _mark_and_clear(seen, hits, clearance, RES, Beams(x, y, ends, n_hits), now, (1.4, 1.1, 0.14))
+        plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 1.1, 0.14)
         np.testing.assert_array_equal(seen, expected[0])
         np.testing.assert_array_equal(hits, expected[1])
     assert (seen == 3.1).any()

@@ -10,7 +10,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import disc_segment_free, field_at, footprint_free
 from turtlebag.planners.oriented import drives, free_from, moves, pull, turning, turns
-from turtlebag.planners.smoothing import densify, path_length, relax, shortcut, with_headings
+from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
 from turtlebag.planners.wavefront import descend, wave
 
 RES = 0.05
@@ -287,7 +287,7 @@ def test_the_elastic_band_is_that_of_a_plain_loop(seed):
                 move += push * cost * gradient / np.linalg.norm(gradient)
             if at(p + move) > min(radius, d):
                 expected[k] = p + move
-    found = relax(field, RES, radius, path, reach, fade, draw, push, 5)
+    found = relax(field, RES, radius, path, Band(reach, fade, draw, push, 5))
     assert np.abs(found - path).max() > 0.01
     np.testing.assert_allclose(found, expected, atol=1e-9)
     np.testing.assert_array_equal(found[[0, -1]], path[[0, -1]])
@@ -298,7 +298,7 @@ def test_the_band_does_not_move_a_point_to_the_radius_unless_that_is_an_improvem
     y = np.array([0.5, 0.5, 0.5])
     for x, drawn_to, moves_on in ((0.6, 0.3, False), (0.2, 0.1, False), (0.2, 0.4, True)):
         path = np.column_stack([[drawn_to, x, drawn_to], y])
-        found = relax(field, RES, 0.2, path, 0.0, 1.0, 0.5, 0.0, 1)
+        found = relax(field, RES, 0.2, path, Band(0.0, 1.0, 0.5, 0.0, 1))
         assert (found[1, 0] != x) == moves_on
 
 

@@ -10,7 +10,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, _with_start, solve
-from turtlebag.planners.smoothing import densify, path_length, relax, shortcut
+from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
 from turtlebag.planners.wavefront import descend, wave
 
 
@@ -143,7 +143,7 @@ def test_shortcuts_never_lengthen_and_stay_free():
 def test_the_elastic_band_moves_away_from_obstacles_and_holds_its_ends():
     costmap = costmap_from_grid(room(), CostmapConfig())
     grid_line = densify(np.array([[0.3, 0.2], [2.7, 0.2]]), 0.05)
-    band = relax(costmap.clearance, 0.05, 0.15, grid_line, 0.5, 3.0, 0.5, 0.1, 200)
+    band = relax(costmap.clearance, 0.05, 0.15, grid_line, Band(0.5, 3.0, 0.5, 0.1, 200))
     np.testing.assert_allclose(band[[0, -1]], grid_line[[0, -1]])
     assert band[len(band) // 2, 1] > 0.4
 
