@@ -18,8 +18,14 @@ class Lidar3d:
     """Turns base poses over a sweep into a cloud."""
 
     def __init__(
-        self, solids: Sequence[Solid], mount: Lidar3dMount, sigma: float, rng: np.random.Generator
+        self,
+        solids: Sequence[Solid],
+        mount: Lidar3dMount,
+        sigma: float,
+        rng: np.random.Generator,
+        moving: Sequence[Solid] = (),
     ) -> None:
+        """`moving` solids each stand at the origin of their own frame."""
         self._mount, self._sigma, self._rng = mount, sigma, rng
         self._angles: Array = np.linspace(0.0, 2.0 * np.pi, mount.n_azimuths, endpoint=False)
         self._share: Array = np.asarray(np.arange(mount.n_azimuths) / mount.n_azimuths, dtype=np.float64)
@@ -27,20 +33,20 @@ class Lidar3d:
         self._elevations: Array = np.linspace(low, high, mount.n_rings)
         self._scene = Scene(solids)
         self._movers: list[Sequence[Array]] = []
-        self._moving: list[Scene] = []
+        self._moving = [Scene([solid]) for solid in moving]
 
-    def know_movers(self, solids: Sequence[Solid]) -> None:
-        """The movers' solids, each standing at the origin of its own frame."""
-        self._moving = [Scene([solid]) for solid in solids]
+    def turn(self) -> tuple[float, float]:
+        """Begin a turn: its share of the nominal time, and how late it is stamped [s]."""
+        return 1.0, 0.0
 
-    def note_movers(self, positions: Sequence[Array], first: bool) -> None:
-        """Where the movers stand in the control step just taken, (2,) each; `first`: of a sweep."""
-        self._movers = [positions] if first else [*self._movers, positions]
+    def note_movers(self, positions: Sequence[Array], earlier: int) -> None:
+        """Where the movers stand in this control step, (2,) each; `earlier`: steps before it in the turn."""
+        self._movers = [*self._movers[len(self._movers) - earlier :], positions]
 
-    def true_ranges(self, poses: Array) -> Array:
-        """Distances (n_azimuths, n_rings) without noise or limits; poses as for the planar lidar."""
+    def true_ranges(self, poses: Array, begin: float = 0.0, end: float | None = None) -> Array:
+        """Distances (n_azimuths, n_rings) without noise or limits; arguments as for the planar lidar."""
         x, y, z = self._mount.position
-        when: Array = self._share * float(len(poses) - 1)
+        when: Array = begin + self._share * ((len(poses) - 1.0 if end is None else end) - begin)
         origins, directions, _ = beam_rays(poses, when, np.array([x, y, 0.0]), self._angles)
         tangents: Array = np.tan(self._elevations)
         level = self._scene.cast(origins, directions, z, tangents)
@@ -52,9 +58,9 @@ class Lidar3d:
                 level[beams] = np.minimum(level[beams], near)
         return np.asarray(level / np.cos(self._elevations))
 
-    def measure(self, poses: Array) -> Cloud:
+    def measure(self, poses: Array, begin: float = 0.0, end: float | None = None) -> Cloud:
         """The points that came back, in the order of their instants, in the lidar frame."""
-        ranges = self.true_ranges(poses)
+        ranges = self.true_ranges(poses, begin, end)
         seen = (ranges >= self._mount.range_min) & (ranges <= self._mount.range_max)
         noisy = ranges + self._sigma * self._rng.standard_normal(ranges.shape)
         azimuth, ring = np.nonzero(seen)

@@ -1,24 +1,35 @@
-"""Turns of a planar lidar's head: they begin and end when they like, between control steps too."""
+"""Turns of a lidar's head: they begin and end when they like, between control steps too."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.sim.lidar import Lidar
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Turn:
-    """A whole turn: its stamp, ranges (n_beams,), and where the base truly was at the stamp, (3,)."""
+    """A whole turn: its stamp, what was measured, and where the base truly was at the stamp, (3,)."""
 
     stamp_ns: int
-    ranges: NDArray[np.float32]
+    measured: Any
     pose_at_stamp: Array
+
+
+class Head(Protocol):
+    """A lidar that turns."""
+
+    def turn(self) -> tuple[float, float]:
+        """Begin a turn: its share of the nominal time, and how late it is stamped [s]."""
+        ...
+
+    def measure(self, poses: Array, begin: float, end: float) -> Any:
+        """What is seen in a turn between two rows of base poses (k, 3) at equal steps, with fractions."""
+        ...
 
 
 class Sweep:
@@ -27,7 +38,7 @@ class Sweep:
     The first turn begins at step 0, each further one where the last one ended.
     """
 
-    def __init__(self, lidar: Lidar, steps: int, control_hz: int) -> None:
+    def __init__(self, lidar: Head, steps: int, control_hz: int) -> None:
         self._lidar, self._steps, self._hz = lidar, steps, control_hz
         self._poses: list[Array] = []
         self._first = 0
@@ -47,10 +58,10 @@ class Sweep:
         begin, late = self._begin - self._first, self._delay_s * self._hz
         turn = None
         # Measured even when there will be no scan, so that what is drawn does not depend on it.
-        ranges = self._lidar.measure(rows, begin, self._end - self._first)
+        measured = self._lidar.measure(rows, begin, self._end - self._first)
         if not self._carried:
             stamp = round((self._begin + late) * 10**9 / self._hz)
-            turn = Turn(stamp, ranges, _between(rows, begin + late))
+            turn = Turn(stamp, measured, _between(rows, begin + late))
         self._carried = False
         self._begin_turn(self._end)
         first = math.floor(self._begin)

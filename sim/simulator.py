@@ -153,9 +153,10 @@ class Simulator:
         if mount is not None:
             lidar = self.config.lidar
             sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
-            self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"))
-            self._lidar3d.know_movers([mover.solid for mover in self.world.movers])
-            self._sweep3d = np.zeros((round(CONTROL_HZ / mount.rate_hz) + 1, 3))
+            moving = [mover.solid for mover in self.world.movers]
+            self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"), moving)
+            self._steps_per_cloud = round(CONTROL_HZ / mount.rate_hz)
+            self._sweep3d = Sweep(self._lidar3d, self._steps_per_cloud, CONTROL_HZ)
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
         self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
         self._motors = Motors(self.robot, calibration, dt)
@@ -168,7 +169,6 @@ class Simulator:
         self._step = 0
         self._place_movers()
         self._touched = self._physics.touched()
-        self._carried3d = False
         self._scan_truth = start
         return self._observe()
 
@@ -215,16 +215,15 @@ class Simulator:
         at_once = not self.config.lidar.turning
         self._lidar.note_movers(outlines(seen), 0 if at_once else self._sweep.steps_before(self._step))
         if self._lidar3d is not None:
-            first = at_once or self._step % (len(self._sweep3d) - 1) == 0
-            self._lidar3d.note_movers([one.position.copy() for one in self._moving], first)
+            earlier = 0 if at_once else self._sweep3d.steps_before(self._step)
+            self._lidar3d.note_movers([one.position.copy() for one in self._moving], earlier)
 
     def _put_down(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere; of the sweep under way there is no scan."""
         self._physics.put_down(T_world_base)
         self._sweep.put_down(T_world_base.xyt)
-        self._carried3d = True
         if self._lidar3d is not None:
-            self._sweep3d[:] = T_world_base.xyt
+            self._sweep3d.put_down(T_world_base.xyt)
 
     def _observe(self) -> Observation:
         stamp = stamp_of(self._step)
@@ -251,7 +250,7 @@ class Simulator:
         if self.config.lidar.turning:
             done = self._sweep.add(self._step, pose)
             if done is not None:
-                scan, first = Scan(done.stamp_ns, done.ranges, self._lidar.spec), done.pose_at_stamp
+                scan, first = Scan(done.stamp_ns, done.measured, self._lidar.spec), done.pose_at_stamp
         elif self._step % self._steps_per_scan == 0:
             scan = Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
@@ -260,23 +259,14 @@ class Simulator:
         return delivered
 
     def _cloud_on(self, pose: Array) -> tuple[int, Cloud] | None:
-        """Collect poses for the 3D lidar, if there is one; stamp and cloud when its sweep ends."""
+        """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
         if self._lidar3d is None:
             return None
-        steps, turning = len(self._sweep3d) - 1, self.config.lidar.turning
-        place = self._step % steps
-        if place or (turning and self._step == 0):
-            self._sweep3d[place] = pose
-            return None
-        if not turning:
-            return stamp_of(self._step), self._lidar3d.measure(pose[None])
-        self._sweep3d[-1] = pose
-        carried, self._carried3d = self._carried3d, False
-        cloud = None if carried else self._lidar3d.measure(self._sweep3d)
-        self._sweep3d[0] = pose
-        if cloud is None:
-            return None
-        return stamp_of(self._step - steps), cloud
+        if self.config.lidar.turning:
+            done = self._sweep3d.add(self._step, pose)
+            return None if done is None else (done.stamp_ns, done.measured)
+        at_once = self._step % self._steps_per_cloud == 0
+        return (stamp_of(self._step), self._lidar3d.measure(pose[None])) if at_once else None
 
     def _something_near(self) -> bool:
         """Whether anything can be touched within the next control step."""
