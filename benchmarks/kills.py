@@ -348,7 +348,8 @@ def main() -> int:
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
         rows = kills(chain, took, len(took) if args.quick else args.count, args.seed)
         rows += hindrances(chain, took)
-        rows += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
+        if "record" in took:
+            rows += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
     args.out.mkdir(parents=True, exist_ok=True)
     with (args.out / "kills.csv").open("w", newline="") as file:
         csv.writer(file).writerows([("stage", "after_s_or_hindrance", "outcome"), *rows])

@@ -112,6 +112,22 @@ def _unknown_without_specks(grid: OccupancyGrid, speck_area: float) -> Mask:
     return np.asarray(unknown & keep[labels], dtype=bool)
 
 
+def nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
+    """The free cell under a point (x, y), or else the nearest one, all in cells; None: none within reach."""
+    col, row = (int(v) for v in np.floor(xy))
+    if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
+        return row, col
+    # No cell further off can be within reach.
+    first, last = np.maximum([row - reach, col - reach], 0), np.maximum([row + reach + 2, col + reach + 2], 0)
+    (r0, c0), (r1, c1) = first.astype(int), last.astype(int)
+    cells = np.argwhere(free[r0:r1, c0:c1]) + np.array([r0, c0])
+    if len(cells) == 0:
+        return None
+    gap = np.linalg.norm(cells[:, ::-1] + 0.5 - xy, axis=1)
+    best = int(np.argmin(gap))
+    return (int(cells[best, 0]), int(cells[best, 1])) if gap[best] <= reach else None
+
+
 def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:
     """Cells of a polygon (even-odd rule) with (n, 2) corners in the map frame.
 

@@ -19,7 +19,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
-from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.costmap import Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.lattice import Lattice, inner_disc_joins
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
@@ -263,24 +263,7 @@ class _Search:
 
     def entry(self, xy: Array) -> tuple[int, int] | None:
         """The free cell under a point, or the nearest one within the snapping distance."""
-        cell = self.cell(xy)
-        if cell is not None:
-            return cell
-        reach = int(self.config.snap / self.resolution)
-        row, col = (int(v) for v in np.floor(xy[::-1] / self.resolution))
-        r0, c0 = max(row - reach, 0), max(col - reach, 0)
-        window = self.free[r0 : max(row + reach + 1, 0), c0 : max(col + reach + 1, 0)]
-        cells = np.argwhere(window)
-        if len(cells) == 0:
-            return None
-        cells = cells + np.array([r0, c0])
-        gap = np.hypot(
-            cells[:, 0] + 0.5 - xy[1] / self.resolution, cells[:, 1] + 0.5 - xy[0] / self.resolution
-        )
-        best = int(gap.argmin())
-        if gap[best] * self.resolution > self.config.snap:
-            return None
-        return int(cells[best, 0]), int(cells[best, 1])
+        return nearest_free(self.free, xy / self.resolution, self.config.snap / self.resolution)
 
     def to_goal(self, goal: tuple[int, int]) -> NDArray[np.float32]:
         """Distance from every cell to the goal's, in cells."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import Costmap, Mask
+from turtlebag.planners.costmap import Costmap, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
 from turtlebag.planners.wavefront import wave
@@ -48,7 +48,7 @@ class RollingLayer(LiveLayer):
             return goal
         costmap, res = self.costmap, self.costmap.resolution
         free = costmap.clearance > radius
-        start = _nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
+        start = nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
         if start is None:
             raise NoPath("the robot is too close to an obstacle")
         ways = wave(free, *start, math.inf) * res
@@ -106,16 +106,3 @@ def _rim(cells: int, inset: int) -> Array:
     ends = np.full_like(side, low), np.full_like(side, high)
     edges = [np.stack([end, side], axis=1) for end in ends] + [np.stack([side, end], axis=1) for end in ends]
     return np.unique(np.concatenate(edges), axis=0)
-
-
-def _nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
-    """The free cell nearest to a point (x, y), all in cells; None when there is none within reach."""
-    col, row = (int(v) for v in np.floor(xy))
-    if 0 <= row < free.shape[0] and 0 <= col < free.shape[1] and free[row, col]:
-        return row, col
-    cells = np.argwhere(free)
-    if len(cells) == 0:
-        return None
-    gap = np.linalg.norm(cells[:, ::-1] + 0.5 - xy, axis=1)
-    best = int(np.argmin(gap))
-    return (int(cells[best, 0]), int(cells[best, 1])) if gap[best] <= reach else None

@@ -12,11 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap
+from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, nearest_free
 from turtlebag.planners.wavefront import wave
 
 LEAST_M = 0.4
 """Shorter frontiers are gaps between beams, not openings."""
+START_M = 0.5
+"""How far from the robot its ways may begin, where it stands too near something."""
 VIEW_M = 0.8
 """From how near a frontier is looked at."""
 
@@ -55,7 +57,8 @@ def next_view(
     `spent` are places (2,) looked from before.
     """
     labels = frontiers(grid, LEAST_M)
-    start = _standing(costmap, T_map_base, radius)
+    here = costmap.T_grid_map @ T_map_base.xy / costmap.resolution
+    start = nearest_free(costmap.clearance > radius, here, START_M / costmap.resolution)
     if start is None or not labels.any():
         return None
     ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
@@ -74,16 +77,3 @@ def next_view(
     best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - worth))
     ahead = grid.center_of(target[best]) - places[best]
     return SE2.from_xyt(places[best, 0], places[best, 1], math.atan2(ahead[1], ahead[0]))
-
-
-def _standing(costmap: Costmap, T_map_base: SE2, radius: float) -> tuple[int, int] | None:
-    """The cell with enough room that is nearest to the robot, within half a metre; None without one."""
-    xy = (costmap.T_grid_map @ T_map_base.xy) / costmap.resolution
-    cells = np.argwhere(costmap.clearance > radius)
-    if len(cells) == 0:
-        return None
-    distance = np.linalg.norm(cells[:, ::-1] + 0.5 - xy, axis=1)
-    nearest = int(np.argmin(distance))
-    if distance[nearest] * costmap.resolution > 0.5:
-        return None
-    return int(cells[nearest, 0]), int(cells[nearest, 1])

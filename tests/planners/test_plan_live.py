@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.costmap import Costmap, clearance_field
+from turtlebag.planners.costmap import Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.live import NEVER, Beams, LiveConfig, LiveLayer, _mark_and_clear
 from turtlebag.planners.rolling import (
@@ -16,14 +16,19 @@ from turtlebag.planners.rolling import (
     RIM_M,
     RollingLayer,
     _free_floor,
-    _nearest_free,
     _rim,
     _shifted,
 )
-from turtlebag.planners.tasks.frontier import VIEW_M, FrontierConfig, _standing, frontiers, next_view
+from turtlebag.planners.tasks.frontier import START_M, VIEW_M, FrontierConfig, frontiers, next_view
 from turtlebag.planners.wavefront import wave
 
 RES = 0.1
+
+
+def standing(costmap, pose, radius):
+    """The cell from which exploring begins."""
+    here = costmap.T_grid_map @ pose.xy / costmap.resolution
+    return nearest_free(costmap.clearance > radius, here, START_M / costmap.resolution)
 
 
 def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, raytrace_range, known):
@@ -145,9 +150,9 @@ def test_the_nearest_free_cell_is_that_of_the_least_gap_within_reach():
             expected = row, col
         else:
             expected = tuple(cells[gap.argmin()]) if gap.min() <= 2.5 else None
-        assert _nearest_free(free, xy, 2.5) == expected
-    assert _nearest_free(np.zeros((3, 3), dtype=bool), np.ones(2), 9.0) is None
-    assert _nearest_free(np.eye(3, dtype=bool)[:1], np.array([2.5, 0.5]), 2.0) == (0, 0)
+        assert nearest_free(free, xy, 2.5) == expected
+    assert nearest_free(np.zeros((3, 3), dtype=bool), np.ones(2), 9.0) is None
+    assert nearest_free(np.eye(3, dtype=bool)[:1], np.array([2.5, 0.5]), 2.0) == (0, 0)
 
 
 def window(side=4.0, shift=0.5, centre=(0.23, -0.31)):
@@ -179,7 +184,7 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
         assert layer.stands_in(goal)
         pose = SE2.from_xyt(*rng.uniform(-0.5, 0.5, 2), 0.0)
         free = layer.costmap.clearance > radius
-        start = _nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
+        start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
         ways = wave(free, *start, math.inf) * res
         best = (math.inf, None)
         inset = round(RIM_M / res)
@@ -235,7 +240,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     assert len(np.unique(labels)) > 2
     costmap = Costmap(grid.cells != FREE, RES, grid.T_map_grid)
     robot = grid.T_map_grid @ SE2.from_xyt(2.5, 2.0, 0.0)
-    start = _standing(costmap, robot, 0.15)
+    start = standing(costmap, robot, 0.15)
     ways = wave(costmap.clearance > 0.15, *start, np.inf) * RES
     spots = np.argwhere(labels > 0)
     spent = [grid.center_of(np.array([30, 16]))]
@@ -262,8 +267,8 @@ def test_the_robot_stands_in_the_nearest_cell_with_room_within_half_a_metre():
     lethal = np.zeros((20, 30), dtype=bool)
     lethal[:, 15:] = True
     costmap = Costmap(lethal, RES, SE2.from_xyt(1.0, 0.0, 0.0))
-    assert _standing(costmap, SE2.from_xyt(1.0 + 0.83, 0.98, 0.0), 0.3) == (9, 8)
+    assert standing(costmap, SE2.from_xyt(1.0 + 0.83, 0.98, 0.0), 0.3) == (9, 8)
     # the last column with 0.35 m to the wall's centres is the eleventh, its centre at 1.15
-    assert _standing(costmap, SE2.from_xyt(1.0 + 1.64, 0.95, 0.0), 0.35) == (9, 11)
-    assert _standing(costmap, SE2.from_xyt(1.0 + 1.66, 0.95, 0.0), 0.35) is None
-    assert _standing(costmap, SE2.from_xyt(2.0, 1.0, 0.0), 99.0) is None
+    assert standing(costmap, SE2.from_xyt(1.0 + 1.64, 0.95, 0.0), 0.35) == (9, 11)
+    assert standing(costmap, SE2.from_xyt(1.0 + 1.66, 0.95, 0.0), 0.35) is None
+    assert standing(costmap, SE2.from_xyt(2.0, 1.0, 0.0), 99.0) is None
