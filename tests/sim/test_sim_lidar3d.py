@@ -159,3 +159,23 @@ def test_a_mover_is_seen_where_it_stands_in_each_step():
     np.testing.assert_allclose(near, 1.3 + 0.2 * np.arange(4) + 2 / 30, atol=0.04)
     np.testing.assert_allclose(np.diff(near), 0.2, atol=0.005)
     assert all(np.abs(points[:, 0]).max() < 0.21 and len(points) > 50 for points in seen)
+
+
+def test_each_beam_sees_what_moves_where_it_stood_in_that_control_step():
+    post = cylinder("post", (0.0, 0.0), 0.3, (0.0, 2.0))
+    mover = Mover(post, np.array([[-1.5, -2.0], [-1.5, 2.0]]), speed=2.0)
+    world = dataclasses.replace(load_world("empty"), movers=(mover,))
+    with Simulator(world, ROBOT, SimConfig(sensors="clean"), 1) as simulator:
+        simulator.reset()
+        stood, cloud = [simulator._moving[0].position], None
+        while cloud is None:
+            seen = simulator.step(Twist())
+            stood.append(simulator._moving[0].position)
+            cloud = seen.cloud
+    points = cloud[1].points
+    lidar = np.array(MOUNT.position)
+    on_it = points[:, 2] + lidar[2] > 0.05
+    step = np.floor(cloud[1].times[on_it] * 30.0).astype(int)
+    there = (simulator.truth.T_world_base @ (points[on_it, :2] + lidar[:2])) - np.array(stood)[step + 1]
+    assert len(there) > 50
+    np.testing.assert_allclose(np.hypot(*there.T), 0.3, atol=0.04)
