@@ -5,11 +5,12 @@ python -m benchmarks.navigate [--quick] [--only NAME ...] [--sensors SET] [--epi
 python -m benchmarks.navigate --replay NAME SEED --out DIR
 
 Collisions are Bullet's contacts, errors are against the truth. Every map is made by our own SLAM from a
-recorded tour. Sensors are the simulator's `realistic` ones, on the tour and in the episodes; `--sensors
-clean` runs the same episodes with its clean ones, as scenarios "patrol, clean" and so on. Rows are
-written as they come: started again with the same --out, a campaign goes on where it was (delete
-navigate.jsonl to start anew). `--from` runs other seeds; `--replay` drives one episode again and keeps
-its whole run: bag, run log, metrics. BARN worlds: the folder `barn` in TURTLEBAG_DATA.
+recorded tour, but for the controllers side by side, which drive on the true ones. Sensors are the simulator's
+`realistic` ones, on the tour and in the episodes; `--sensors clean` runs the same episodes with its clean
+ones, as scenarios "patrol, clean" and so on. Rows are written as they come: started again with the same
+--out, a campaign goes on where it was (delete navigate.jsonl to start anew). `--from` runs other seeds;
+`--replay` drives one episode again and keeps its whole run: bag, run log, metrics. BARN worlds: the folder
+`barn` in TURTLEBAG_DATA.
 """
 
 from __future__ import annotations
