@@ -109,9 +109,7 @@ def hashes(out: Path) -> dict[str, str]:
     return {"": found[out.name]} if out.is_file() else found
 
 
-def start(
-    words: list[str], errors: Path, before: Callable[[], object] = lambda: None, cache: str = "off"
-) -> int:
+def start(words: list[str], errors: Path, before: Callable[[], object] = lambda: None) -> int:
     """Fork a process (and group) that runs the command line with stderr in a file; returns its pid."""
     sys.stdout.flush()
     pid = os.fork()
@@ -121,7 +119,6 @@ def start(
             os.setsid()
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
-            os.environ["TURTLEBAG_STAGE_CACHE"] = cache
             before()
             code = turtlebag(words)
         except BaseException as error:
@@ -163,9 +160,7 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     """Outcome of a stage killed after `after_s` seconds and started again."""
     out, errors = folder / stage, folder / "stderr"
     words = [*commands(chain)[stage], "--out", str(out)]
-    # The second start finds what the first had put into the stage cache when it was killed.
-    cache = str(folder / "cache")
-    pid = start(words, errors, cache=cache)
+    pid = start(words, errors)
     time.sleep(after_s)
     os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
     code = finish(pid)
@@ -173,13 +168,13 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
         return "finished before the kill" if code in DONE else f"BAD: exit {code} undisturbed"
     whole = out.exists()
     if not whole:
-        code = finish(start(words, errors, cache=cache))
+        code = finish(start(words, errors))
         if code not in DONE:
             return f"BAD: exit {code} when started again: {errors.read_text().strip()}"
     different = dict(hashes(out).items() ^ hashes(chain / stage).items())
     if different:
         return f"BAD: other bytes than undisturbed: {', '.join(sorted(different))}"
-    left = {path.name for path in folder.iterdir()} - {stage, "stderr", f"{stage}.unfinished", "cache"}
+    left = {path.name for path in folder.iterdir()} - {stage, "stderr", f"{stage}.unfinished"}
     if left:
         return f"BAD: left behind {', '.join(sorted(left))}"
     return "killed after the last step, whole" if whole else "killed, started again: same bytes"
