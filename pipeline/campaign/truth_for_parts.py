@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from turtlebag.datasets.bags.reader import read_poses
+from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2, Array
@@ -21,7 +22,7 @@ from turtlebag.datasets.types import Observation, Odometry, Recording, Twist
 from turtlebag.pipeline.navigation.episode import Episode, drive
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.recorder import Bag, NoBag
+from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.slam.course import Maker
@@ -105,10 +106,12 @@ def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection
     simulators = _TrueWheels if "odometry" in parts else Simulator
     with simulators(world, mission.robot, config.sim, request.seed) as simulator:
 
-        def make(mission: Mission, first: Observation, bag: Bag, say: Callable[[str], None]) -> Made:
+        def make(mission: Mission, first: Observation, bag: BagWriter, say: Callable[[str], None]) -> Made:
             driver, localiser, sequence = make_driver(mission, first, bag, say)
-            if "localisation" in parts and localiser is not None and isinstance(driver, NavigationDriver):
-                localiser = driver.localiser = _TrueLocaliser(localiser, driver.sensing, bag, simulator)
+            finder = driver.finder if isinstance(driver, NavigationDriver) else None
+            if "localisation" in parts and finder is not None:
+                localiser = _TrueLocaliser(finder.localiser, driver.sensing, bag, simulator)
+                finder.localiser = localiser
             return driver, localiser, sequence
 
         return drive(simulator, mission, NoBag(), lambda line: None, make=make)
@@ -133,7 +136,7 @@ class _TrueWheels(Simulator):
 class _TrueLocaliser(Localiser):
     """Knows where the robot is. The filter that it takes the place of only says that it was told its pose."""
 
-    def __init__(self, usual: Localiser, sensing: Sensing, bag: Bag, simulator: Simulator) -> None:
+    def __init__(self, usual: Localiser, sensing: Sensing, bag: BagWriter, simulator: Simulator) -> None:
         super().__init__(usual.amcl, sensing.odometry, bag)
         self.T_map_odom = usual.T_map_odom
         self._simulator = simulator

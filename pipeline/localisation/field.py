@@ -13,9 +13,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 FloatGrid = NDArray[np.float32]
 
@@ -61,6 +63,12 @@ class DistanceField:
         half = -0.5 * self.resolution
         return self.T_map_field @ SE2.from_xyt(half, half, 0.0)
 
+    @property
+    def frame(self) -> tuple[float, float, float, float]:
+        """What the kernels take: that corner (x, y, yaw) in the map [m, rad], and cells per metre."""
+        x, y, yaw = self.T_map_corner.xyt.tolist()
+        return x, y, yaw, 1.0 / self.resolution
+
 
 def distance_field(grid: OccupancyGrid, max_dist: float) -> DistanceField:
     """The field of a map; ValueError when nothing in it is occupied."""
@@ -82,11 +90,6 @@ def hit_probability(
     """Beam probability from distance, as ROS amcl: z_hit exp(-d^2 / 2 sigma^2) + z_rand / range_max."""
     d = distance.astype(np.float64)
     return z_hit * np.exp(-0.5 * (d / sigma_hit) ** 2) + z_rand / range_max
-
-
-def free_cells(grid: OccupancyGrid) -> NDArray[np.int64]:
-    """(row, col) of every free cell, (n, 2)."""
-    return np.argwhere(grid.cells == FREE)
 
 
 @njit(cache=True)
@@ -149,3 +152,22 @@ def sum_over_beams(
             total += flat[row * cols + col] if inside else np.float32(outside)
         out[i] = total
     return out
+
+
+class LikelihoodField:
+    """End points on the likelihood field, probabilities multiplied (Probabilistic Robotics, table 6.3)."""
+
+    def __init__(self, config: AmclConfig, field: DistanceField, range_max: float) -> None:
+        self._max_beams = config.max_beams
+        distance, factor = field.finer()
+        p = hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, range_max)
+        self._table = np.log(p).astype(np.float32)
+        # Padded by max_dist all round, the table's corner is as far from everything as outside is.
+        self._outside = float(self._table.min())
+        x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
+        self._frame = (x, y, yaw, factor / field.resolution)
+
+    def weigh(self, poses: Array, beams: Beams) -> Array:
+        """Log weights (n,) of poses (n, 3) in the map frame."""
+        points = (beams.points[spread(len(beams), self._max_beams)] * self._frame[3]).astype(np.float32)
+        return sum_over_beams(self._table, self._outside, self._frame, poses, points)

@@ -13,14 +13,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
-from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.localisation.beams import Beams, spread
 from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
-from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
+# Poses spread over the free space; the best are kept.
+CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m, m, rad], and the particles left for the next.
 STAGES = ((0.10, 0.10), (0.05, 0.05), (0.03, 0.03))
 STAGE_PARTICLES = 3000
@@ -38,19 +40,25 @@ P_MISSED, P_SILENT = 0.1, 0.9
 
 
 class GlobalSearch:
-    """Likelihood of poses with the paths of the beams, and draws from it over the free space."""
+    """Likelihood of poses with the paths of the beams, and draws from it over the free space of a map."""
 
-    def __init__(self, field: DistanceField, free: FreeSpace, config: AmclConfig, range_max: float) -> None:
-        self.field, self._free = field, free
-        self._candidates = config.global_particles
+    def __init__(
+        self, grid: OccupancyGrid, field: DistanceField, config: AmclConfig, range_max: float
+    ) -> None:
+        self.field = field
         self.range_max = range_max
+        self._grid, self._free = grid, np.argwhere(grid.cells == FREE)
         self._noise = (config.sigma_hit, config.z_hit, config.z_rand / range_max)
-        x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
-        self._frame = (x, y, yaw, 1.0 / field.resolution)
 
     def uniform(self, count: int, rng: np.random.Generator) -> Array:
-        """`count` poses, (count, 3), anywhere on the free space."""
-        return self._free.sample(count, rng)
+        """`count` poses, (count, 3), on free cells with any heading; ValueError when no cell is free."""
+        if len(self._free) == 0:
+            raise ValueError("the map has no free cell to be in")
+        cells = self._free[rng.integers(len(self._free), size=count)]
+        within = rng.uniform(-0.5, 0.5, size=(count, 2)) * self._grid.resolution
+        yaw = rng.uniform(-np.pi, np.pi, size=count)
+        turned = SE2.from_xyt(0.0, 0.0, float(self._grid.T_map_grid.yaw)) @ within
+        return np.column_stack([self._grid.center_of(cells) + turned, yaw])
 
     def log_likelihood(self, poses: Array, beams: Beams) -> Array:
         """Flattened log likelihood (n,) of poses (n, 3) in the map frame."""
@@ -72,7 +80,7 @@ class GlobalSearch:
     def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
         """`count` poses, (count, 3), likely by this scan alone: anywhere, or `around` a pose (3,)."""
         if around is None:
-            poses = self._free.sample(self._candidates, rng)
+            poses = self.uniform(CANDIDATES, rng)
         else:
             poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
         for shake_xy, shake_yaw in STAGES:
@@ -95,7 +103,7 @@ class GlobalSearch:
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
         )
-        return self.field.distance, self._frame, poses, starts, ways, len(hits), self._noise
+        return self.field.distance, self.field.frame, poses, starts, ways, len(hits), self._noise
 
 
 def tempered(log_likelihood: Array) -> Array:

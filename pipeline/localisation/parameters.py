@@ -6,6 +6,8 @@ import math
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from turtlebag.datasets.types import LidarSpec
+
 
 class AmclConfig(BaseModel):
     """Settings of `turtlebag.pipeline.localisation.amcl.Amcl`; lengths in m, angles in rad.
@@ -18,7 +20,6 @@ class AmclConfig(BaseModel):
 
     min_particles: int = Field(default=500, ge=2)
     max_particles: int = Field(default=2000, ge=2)
-    global_particles: int = Field(default=20000, ge=2)  # spread over the free space; the best are kept
     kld_err: float = Field(default=0.02, gt=0.0)
     kld_z: float = Field(default=2.33, gt=0.0)  # quantile of the normal distribution itself, as in ROS
     kld_bin_xy: float = Field(default=0.25, gt=0.0)
@@ -71,3 +72,11 @@ class AmclConfig(BaseModel):
         if self.recovery_alpha_slow > self.recovery_alpha_fast:
             raise ValueError("recovery_alpha_slow must not exceed recovery_alpha_fast")
         return self
+
+    def range_limits(self, lidar: LidarSpec) -> tuple[float, float]:
+        """Ranges [m] that are used of a lidar's: its own, or narrower."""
+        low, high = self.laser_min_range, self.laser_max_range
+        return (
+            lidar.range_min if low < 0.0 else low,
+            lidar.range_max if high < 0.0 else min(high, lidar.range_max),
+        )

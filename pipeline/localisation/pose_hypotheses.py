@@ -18,20 +18,25 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.localisation.beams import Beams
-from turtlebag.pipeline.localisation.distinguishing_views import differences
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
+from turtlebag.pipeline.localisation.field import DistanceField
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
 from turtlebag.pipeline.localisation.local_search import climb
+from turtlebag.pipeline.localisation.ray_casting import expected_ranges
 
 # Poses drawn by one scan, and the share of them that a place must hold to be looked at.
 DRAWN, LEAST_SHARE = 2000, 0.01
-# A place that explains the scans by less than this worse than the best one is its rival ...
+# A place that explains the scans by less than this worse than the best one is another hypothesis ...
 ALIKE = 0.05
 # ... if it is so far off [m] or turned so much [rad] - nearer ones the filter itself sorts out - and so much
 # of the scans is explained at all: with people all round, nothing can be said ...
 APART_M, APART_RAD, LEAST_FIT = 1.0, 1.0, 0.7
 # ... and one that explains them so much worse, over as many scans, is out of the race.
 WORSE, SCANS = 0.05, 6
+
+# Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
+# heading), and ranges so far from all of them [m] are clearly others.
+BEAMS, NEIGHBOURS, CLEAR_M = 180, 2, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,7 @@ class Glimpse:
     T_odom_base: SE2
 
 
-class Rivals:
+class Aliasing:
     """Finds the places that look like the estimate's, and weighs them against it scan by scan."""
 
     def __init__(self, search: GlobalSearch, rng: np.random.Generator) -> None:
@@ -58,27 +63,36 @@ class Rivals:
         found = [SE2.identity()]
         for glimpse, T_map_base in zip(glimpses, here, strict=True):
             for pose in self._places(glimpse.beams):
-                T_rival = SE2.from_array(pose) @ T_map_base.inverse()
-                if all(apart(T_rival @ here[-1], known @ here[-1]) for known in found):
-                    found.append(T_rival)
-        fits = [self._polished(T_rival, glimpses, here) for T_rival in found]
+                T_map_map = SE2.from_array(pose) @ T_map_base.inverse()
+                if all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
+                    found.append(T_map_map)
+        fits = [self._polished(T_map_map, glimpses, here) for T_map_map in found]
         best = max(fit for fit, _ in fits)
         if best < LEAST_FIT:
             return found[:1]
         kept: list[SE2] = []
-        for k, (fit, T_rival) in enumerate(fits):
-            if fit > best - ALIKE and all(apart(T_rival @ here[-1], other @ here[-1]) for other in kept):
-                kept.append(T_rival if k > 0 else found[0])
+        for k, (fit, T_map_map) in enumerate(fits):
+            if fit > best - ALIKE and all(apart(T_map_map @ here[-1], other @ here[-1]) for other in kept):
+                kept.append(T_map_map if k > 0 else found[0])
         return kept
 
-    def fits(self, rivals: Sequence[SE2], glimpse: Glimpse, T_map_odom: SE2) -> Array:
-        """Agreement of a scan with the map under each of the rivals (n,), at the best pose near by."""
+    def fits(self, hypotheses: Sequence[SE2], glimpse: Glimpse, T_map_odom: SE2) -> Array:
+        """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""
         here = [T_map_odom @ glimpse.T_odom_base]
-        return np.array([self._polished(T_rival, [glimpse], here)[0] for T_rival in rivals])
+        return np.array([self._polished(T_map_map, [glimpse], here)[0] for T_map_map in hypotheses])
 
-    def differences(self, rivals: Sequence[SE2], T_map_base: SE2) -> Array:
-        """How unlike the most unlike two of some rivals would look from each pose (n,): a share of beams."""
-        return differences(self._search.field, rivals, T_map_base, self._search.range_max)
+    def differences(self, hypotheses: Sequence[SE2], T_map_lidar: SE2) -> Array:
+        """By how much the most unlike two of some hypotheses differ, as a share of the beams, at poses (n,).
+
+        The robot at one of the poses is, under a hypothesis T_map_map, at T_map_map @ pose.
+        """
+        search = self._search
+        views = [expected_views(search.field, T @ T_map_lidar, search.range_max) for T in hypotheses]
+        most = np.zeros(len(T_map_lidar))
+        for i, one in enumerate(views):
+            for other in views[:i]:
+                most = np.maximum(most, clearly_other(one, other))
+        return most
 
     def _places(self, beams: Beams) -> list[Array]:
         """Centres (3,) of the clusters of poses that one scan alone makes likely."""
@@ -95,13 +109,15 @@ class Rivals:
             poses = poses[~near]
         return places
 
-    def _polished(self, T_rival: SE2, glimpses: Sequence[Glimpse], here: Sequence[SE2]) -> tuple[float, SE2]:
-        """Mean agreement of the scans where it is highest near a rival, and the rival there."""
+    def _polished(
+        self, T_map_map: SE2, glimpses: Sequence[Glimpse], here: Sequence[SE2]
+    ) -> tuple[float, SE2]:
+        """Mean agreement of the scans where it is highest near a hypothesis, and the hypothesis there."""
         last = here[-1]
         # The scans' poses hang together by odometry: all are moved with the last one.
         relative = [last.inverse() @ T_map_base for T_map_base in here]
         best, pose = climb(
-            lambda poses: self._mean_agreement(poses, relative, glimpses), (T_rival @ last).xyt
+            lambda poses: self._mean_agreement(poses, relative, glimpses), (T_map_map @ last).xyt
         )
         return best, SE2.from_array(pose) @ last.inverse()
 
@@ -113,27 +129,25 @@ class Rivals:
         return total / len(glimpses)
 
 
-class Contest:
-    """Who of the rivals is still in the race, by the agreement of the last `SCANS` scans under each."""
+class PoseHypotheses:
+    """Motions of the map onto itself, T_map_map, one of which is right, and how each explains the scans."""
 
-    def __init__(self, rivals: Sequence[SE2]) -> None:
-        self.rivals = list(rivals)
+    def __init__(self, poses: Sequence[SE2]) -> None:
+        self.poses = list(poses)
         self._fits: deque[Array] = deque(maxlen=SCANS)
 
-    @property
-    def decided(self) -> bool:
-        """Whether one is left."""
-        return len(self.rivals) == 1
+    def judge(self, fits: Array) -> SE2 | None:
+        """Take in the agreement (n,) of a scan under each; the one that is left when no other is any more.
 
-    def judge(self, fits: Array) -> None:
-        """Take in the agreement (n,) of a scan under each rival; those left far behind are dropped."""
+        Those left far behind over `SCANS` scans are dropped.
+        """
         self._fits.append(fits)
-        if len(self._fits) < SCANS:
-            return
-        mean = np.mean(self._fits, axis=0)
-        kept = mean > mean.max() - WORSE
-        self.rivals = [rival for rival, stays in zip(self.rivals, kept, strict=True) if stays]
-        self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
+        if len(self._fits) == SCANS:
+            mean = np.mean(self._fits, axis=0)
+            kept = mean > mean.max() - WORSE
+            self.poses = [pose for pose, stays in zip(self.poses, kept, strict=True) if stays]
+            self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
+        return self.poses[0] if len(self.poses) == 1 else None
 
 
 def apart(one: SE2, other: SE2) -> bool:
@@ -146,3 +160,23 @@ def within(poses: Array, centre: Array) -> NDArray[np.bool_]:
     """Which poses (n, 3) are about a place, (n,) of bool."""
     near = np.hypot(poses[:, 0] - centre[0], poses[:, 1] - centre[1]) <= REACH_XY
     return np.asarray(near & (np.abs(wrap(poses[:, 2] - centre[2])) <= REACH_YAW), dtype=np.bool_)
+
+
+def expected_views(field: DistanceField, T_map_lidar: SE2, range_max: float) -> Array:
+    """Ranges of `BEAMS` beams all round from each pose (n,), cut at `range_max`: (n, BEAMS)."""
+    angle = 2.0 * np.pi * np.arange(BEAMS) / BEAMS
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    poses = np.ascontiguousarray(T_map_lidar.xyt)
+    return expected_ranges(field.distance, field.frame, poses, np.zeros((BEAMS, 2)), directions, range_max)
+
+
+def clearly_other(views: Array, others: Array) -> Array:
+    """Share (n,) of beams whose range, in two sets of views (n, BEAMS), can be told apart by a lidar."""
+    return np.maximum(_beyond(views, others), _beyond(others, views))
+
+
+def _beyond(views: Array, others: Array) -> Array:
+    """Share (n,) of `views`' beams that none of the neighbouring beams in `others` comes near."""
+    about = [np.roll(others, k, axis=1) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
+    low, high = np.min(about, axis=0) - CLEAR_M, np.max(about, axis=0) + CLEAR_M
+    return np.asarray(np.mean((views < low) | (views > high), axis=1))

@@ -30,16 +30,17 @@ ALERT, LONGEST_PAUSE = 5, 32
 LEAST_XY, LEAST_YAW = 0.05, 0.03
 
 
-class StandingWatch:
+class PushDetector:
     """Compares the scans of a standing robot with the first of them."""
 
     def __init__(self) -> None:
-        self._reference: tuple[Array, SE2] | None = None
-        self._changed = self._alert = self._pause = self._next_pause = 0
+        self.pushes = 0
+        """How often the robot was found to have been pushed."""
+        self.moved()
 
     def moved(self) -> None:
         """The wheels have turned: what the filter does anyway is enough."""
-        self._reference = None
+        self._reference: tuple[Array, SE2] | None = None
         self._changed = self._alert = self._pause = self._next_pause = 0
 
     def pushed(
@@ -62,6 +63,7 @@ class StandingWatch:
             return None
         self._reference = (scan.ranges.astype(np.float64), T_odom_base)
         self._alert, self._pause, self._next_pause = ALERT, 0, 0
+        self.pushes += 1
         return np.array([max(xy, LEAST_XY), max(xy, LEAST_XY), max(float(offset[2]), LEAST_YAW)])
 
     def _worth_a_look(self, scan: Scan, T_odom_base: SE2) -> bool:

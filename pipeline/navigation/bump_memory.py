@@ -2,61 +2,126 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import scipy
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.guarded import GuardConfig, SlipWatch
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.planners.costmap import Costmap
 
-AHEAD_M = 0.05
-"""How far before the leading edge the thing is taken to stand."""
-SPACING_M = 0.02
-LONGEST_S = 5.0
+# Sweeps are compared once odometry has gone so far, or turned so much; fewer points say nothing.
+TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
+# Standing still must explain the sweep by this factor better than odometry does; distances beyond are cut.
+STILL_RATIO, FAR_M = 0.5, 0.2
+# So far beyond the leading edge the thing is taken to stand; points along it are so far apart.
+BEYOND_M, SPACING_M = 0.05, 0.02
+# It is kept out of for so long: then odometry has drifted, and the thing may have been moved.
+MEMORY_NS = 600 * 10**9
+# Backing off from it: how far, how fast, for how long at most, then turning by this speed.
+BACK_OFF_M, BACK_OFF_V, BACK_OFF_NS, ESCAPE_NS, TURN_W = 0.25, 0.1, 4 * 10**9, 10 * 10**9, 0.5
 
 
-class Unseen:
-    """Watches for slipping wheels; remembers in the map frame what must have stopped them."""
+class SlipWatch:
+    """Tells turning wheels from a moving robot by comparing sweeps."""
 
-    def __init__(self, model: RobotModel, config: GuardConfig) -> None:
-        self._config, self._model = config, model
-        self._slip = SlipWatch(config)
-        self._points: list[Array] = []
-        self._start: SE2 | None = None
-        self._away = 0.0
-        self._until_ns = 0
+    def __init__(self) -> None:
+        self._pose: SE2 | None = None
+        self._points = np.zeros((0, 2))
 
-    def noticed(self, sight: Sight, T_odom_base: SE2, T_map_odom: SE2, last: Twist) -> bool:
-        """Whether a new sweep shows that the robot pushes against something; that is remembered."""
-        if self._start is not None or not self._slip.slipping(T_odom_base, sight.hits_odom):
+    def reset(self) -> None:
+        """Start from the next sweep."""
+        self._pose = None
+
+    def slipping(self, T_odom_base: SE2, hits_odom: Array) -> bool:
+        """Whether the new sweep fits the remembered one better without the motion odometry tells of."""
+        points = T_odom_base.inverse() @ hits_odom
+        if self._pose is None or len(points) < LEAST_POINTS or len(self._points) < LEAST_POINTS:
+            self._pose, self._points = T_odom_base, points
             return False
-        ends = self._model.footprint
-        edge = ends[:, 0].min() - AHEAD_M if last.v < 0.0 else ends[:, 0].max() + AHEAD_M
-        ys = np.arange(ends[:, 1].min(), ends[:, 1].max() + SPACING_M, SPACING_M)
-        line = np.stack([np.full(len(ys), edge), ys], axis=1)
-        self._points.append(T_map_odom @ (T_odom_base @ line))
-        self._start, self._away = T_odom_base, 1.0 if last.v < 0.0 else -1.0
-        self._until_ns = sight.stamp_ns + round(LONGEST_S * 1e9)
+        x, y, yaw = (self._pose.inverse() @ T_odom_base).xyt.tolist()
+        if math.hypot(x, y) < TRAVEL_M:
+            if abs(yaw) > TURN_RAD:
+                self._pose, self._points = T_odom_base, points
+            return False
+        tree = scipy.spatial.cKDTree(self._points)
+        still = _misfit(tree, SE2.from_xyt(0.0, 0.0, yaw) @ points)
+        moved = _misfit(tree, SE2.from_xyt(x, y, yaw) @ points)
+        stood = _misfit(tree, points)
+        self._pose, self._points = T_odom_base, points
+        return min(still, stood) < STILL_RATIO * moved
+
+
+def _misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
+    """Mean distance of points to their nearest neighbours, far ones cut."""
+    distance, _ = tree.query(points, distance_upper_bound=FAR_M)
+    return float(np.minimum(distance, FAR_M).mean())
+
+
+class BumpMemory:
+    """Watches for slipping wheels; remembers what must have stopped them, in the frame of the poses given."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._footprint = model.footprint
+        self._slip = SlipWatch()
+        self._bumps: list[tuple[int, Array]] = []
+
+    def reset(self) -> None:
+        """Compare sweeps anew from the next one on; places stay known."""
+        self._slip.reset()
+
+    def noticed(self, sight: Sight, T_odom_base: SE2, last: Twist, T_frame_odom: SE2) -> bool:
+        """Whether a new sweep shows that the robot pushes against something; that is remembered."""
+        if not self._slip.slipping(T_odom_base, sight.hits_odom):
+            return False
+        xs, ys = self._footprint.T
+        edge = xs.min() - BEYOND_M if last.v < 0.0 else xs.max() + BEYOND_M
+        across = np.arange(ys.min(), ys.max() + SPACING_M, SPACING_M)
+        line = np.stack([np.full(len(across), edge), across], axis=1)
+        self._bumps.append((sight.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
         return True
 
-    def backing_off(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
-        """The command that leads away from it; None when that is over."""
-        if self._start is None:
-            return None
-        driven = float(np.linalg.norm(T_odom_base.xy - self._start.xy))
-        if driven >= self._config.back_off or now_ns >= self._until_ns:
-            self._start = None
-            self._slip.reset()
-            return None
-        return Twist(self._away * self._config.back_off_v, 0.0)
+    def points(self, now_ns: int) -> Array:
+        """Points (n, 2) of what is remembered still."""
+        self._bumps = [(t, line) for t, line in self._bumps if now_ns - t < MEMORY_NS]
+        return np.concatenate([np.zeros((0, 2)), *(line for _, line in self._bumps)])
 
-    def kept_out(self, costmap: Costmap) -> Costmap:
-        """The costmap with everything remembered as lethal."""
-        if not self._points:
-            return costmap
+    def kept_out(self, costmap: Costmap, now_ns: int) -> Costmap:
+        """The costmap, in the same frame, with everything remembered as lethal."""
+        points = self.points(now_ns)
         lethal = np.zeros_like(costmap.lethal)
-        cells = np.floor((costmap.T_grid_map @ np.concatenate(self._points)) / costmap.resolution).astype(int)
+        cells = np.floor((costmap.T_grid_map @ points) / costmap.resolution).astype(int)
         inside = np.all((cells >= 0) & (cells < lethal.shape[::-1]), axis=1)
         lethal[cells[inside, 1], cells[inside, 0]] = True
-        return costmap.with_lethal(lethal)
+        return costmap.with_lethal(lethal) if inside.any() else costmap
+
+
+class Escape:
+    """Back off, then turn an angle [rad], or as much of both as a few seconds allow."""
+
+    def __init__(self, now_ns: int, start: SE2, distance: float, angle: float) -> None:
+        self._now_ns, self._start = now_ns, start
+        self._distance, self._angle = distance, angle
+        self._turned_from: float | None = None
+
+    @classmethod
+    def after_bump(cls, now_ns: int, start: SE2, last: Twist, angle: float) -> Escape:
+        """Away from what stopped the robot when it was last told to drive as `last` says."""
+        return cls(now_ns, start, BACK_OFF_M if last.v < 0.0 else -BACK_OFF_M, angle)
+
+    def command(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
+        """The twist of this tick; None when it is over."""
+        if now_ns - self._now_ns >= ESCAPE_NS:
+            return None
+        done = float(np.linalg.norm(T_odom_base.xy - self._start.xy))
+        backing = done < abs(self._distance) and now_ns - self._now_ns < BACK_OFF_NS
+        if self._turned_from is None and backing:
+            return Twist(math.copysign(BACK_OFF_V, self._distance), 0.0)
+        if self._turned_from is None:
+            self._turned_from = float(T_odom_base.yaw)
+        turned = (float(T_odom_base.yaw) - self._turned_from + math.pi) % (2.0 * math.pi) - math.pi
+        if abs(turned) >= min(abs(self._angle), math.pi - 0.2):
+            return None
+        return Twist(0.0, math.copysign(TURN_W, self._angle))

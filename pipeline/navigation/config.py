@@ -9,9 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets.spans import Seconds
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore import ExploreConfig
-from turtlebag.pipeline.navigation.guarded import GuardConfig
-from turtlebag.pipeline.navigation.moving_obstacles import WaryConfig
-from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig
+from turtlebag.pipeline.navigation.lost import RelocaliseConfig
 from turtlebag.pipeline.navigation.takeover import TakeoverConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
@@ -74,7 +72,6 @@ class NavigateConfig(BaseModel):
     dwa: DwaConfig = DwaConfig()
     pursuit: PursuitConfig = PursuitConfig()
     monitor: MonitorConfig = MonitorConfig()
-    wary: WaryConfig = WaryConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     wiggle: WiggleConfig = WiggleConfig()
@@ -82,5 +79,4 @@ class NavigateConfig(BaseModel):
     explore: ExploreConfig = ExploreConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     avoid: AvoidConfig = AvoidConfig()
-    guard: GuardConfig = GuardConfig()
     takeover: TakeoverConfig = TakeoverConfig()

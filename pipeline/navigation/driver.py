@@ -2,36 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.pipeline.navigation.goal_runner import Tick
+from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.planners.live import LiveLayer
 
 
-class Driver(Protocol):
+class Driver:
     """A task in closed loop. It never sees the truth."""
 
-    state: str
-    """One word on what it is doing, for the run log."""
-    goal_index: int
-    """Which goal it pursues, -1 for none."""
-    finished: bool
-    """Whether the task is over."""
-    estimate: SE2 | None
-    """Where it takes itself to be in the map; None when it does not know, or needs no map."""
-
-    sensing: Sensing
-    """What it has seen of odometry and sweeps."""
+    def __init__(self, sensing: Sensing) -> None:
+        self.sensing = sensing
+        """What it has seen of odometry and sweeps."""
+        self.state = "wait"
+        """One word on what it is doing, for the run log."""
+        self.goal_index = -1
+        """Which goal it pursues, -1 for none."""
+        self.finished = False
+        """Whether the task is over."""
+        self.estimate: SE2 | None = None
+        """Where it takes itself to be in the map; None when it does not know, or needs no map."""
+        self._last = Twist()
+        self._seen_ns = -(10**9)
 
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period."""
-        ...
+        raise NotImplementedError
 
     def stand_by(self, observation: Observation) -> None:
         """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
-        ...
+        raise NotImplementedError
 
     def resume(self, last: Twist) -> None:
         """Drive again from the next step on, after the command that someone else gave last."""
-        ...
+        self._last = last
+
+    def _see(self, sight: Sight, T_frame_odom: SE2, live: LiveLayer) -> None:
+        """Enter a sweep in the obstacle layer, unless it comes too soon after the one before."""
+        if sight.stamp_ns - self._seen_ns < live.config.period * 1e9:
+            return
+        self._seen_ns = sight.stamp_ns
+        live.update(
+            sight.stamp_ns * 1e-9,
+            T_frame_odom @ sight.T_odom_lidar,
+            T_frame_odom @ sight.hits_odom,
+            T_frame_odom @ sight.passes_odom,
+        )
+
+    def _tick(self, observation: Observation, T_frame_base: SE2, *, stop: bool = False) -> Tick:
+        """What a goal runner is told of a tick; `stop` where something moves too near."""
+        return Tick(
+            observation.stamp_ns,
+            T_frame_base,
+            observation.odometry.twist,
+            self._last,
+            self.sensing.points_base(observation.odometry.T_odom_base),
+            observation.scan is not None,
+            stop,
+        )

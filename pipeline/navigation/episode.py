@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.explore import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
-from turtlebag.pipeline.navigation.recorder import Bag, RunRecorder, trajectory_of
+from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
@@ -39,7 +40,7 @@ class Episode:
 def drive(
     simulator: Simulator,
     mission: Mission,
-    bag: Bag,
+    bag: BagWriter,
     say: Callable[[str], None],
     takeovers: Source | None = None,
     make: DriverMaker = make_driver,
@@ -60,11 +61,11 @@ def drive(
         command = owner.step(observation)
         recorder.tick(observation, owner, command)
         ended = _cut_short(observation.stamp_ns, interrupted)
-        if ended and sequence is not None and not owner.finished:
+        if ended and sequence is not None and not driver.finished:
             sequence.expire(ended, observation.stamp_ns)
         if news is not None:
             news.tick(observation.stamp_ns, owner, sequence, simulator.truth)
-        if owner.finished or ended:
+        if driver.finished or ended:
             break
         observation = simulator.step(command)
     estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)

@@ -3,39 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
 
 import numpy as np
 
+from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.pose_hypotheses import Glimpse
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
-
-
-class Publisher(Protocol):
-    """Where a driver says what it thinks: the bag of the run."""
-
-    def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
-        """The estimate with its covariance (3, 3)."""
-        ...
-
-    def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
-        """The localiser's transform."""
-        ...
-
-    def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
-        """The cloud, (n,) poses."""
-        ...
-
-    def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
-        """A global path, (n,) poses."""
-        ...
-
-    def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
-        """A goal that is pursued from now on."""
-        ...
 
 
 class Localiser:
@@ -45,7 +21,7 @@ class Localiser:
     PARTICLES_SHOWN = 500
     GLIMPSES = 5
 
-    def __init__(self, amcl: Amcl, odometry: OdometryBuffer, publisher: Publisher) -> None:
+    def __init__(self, amcl: Amcl, odometry: OdometryBuffer, publisher: BagWriter) -> None:
         self.amcl = amcl
         self._publisher = publisher
         self._odometry = odometry
@@ -53,6 +29,8 @@ class Localiser:
         """Odometry's frame on the map; None while it is not known."""
         self.updates = 0
         """Scans that the filter used: those between which the robot moved."""
+        self.pushed = False
+        """Whether the newest observation has shown that someone pushed the robot."""
         self._glimpses: deque[Glimpse] = deque(maxlen=self.GLIMPSES)
         self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
@@ -67,11 +45,6 @@ class Localiser:
     def initialise_globally(self) -> None:
         """Anywhere on the free floor."""
         self.amcl.initialise_globally()
-
-    @property
-    def searches(self) -> int:
-        """How often the estimate may have come from a search over the whole map."""
-        return self.amcl.searches
 
     @property
     def glimpses(self) -> list[Glimpse]:
@@ -92,12 +65,14 @@ class Localiser:
 
     def observe(self, observation: Observation) -> None:
         """Take in one observation, which the odometry buffer has seen already."""
-        scan = observation.scan
+        scan, pushes = observation.scan, self.amcl.push.pushes
+        self.pushed = False
         if scan is None or not self.amcl.initialised:
             return
         T_odom_base = self._odometry.at(scan.stamp_ns)
         self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
         updated = self.amcl.update(*self._seen)
+        self.pushed = self.amcl.push.pushes > pushes
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base
         self.scan_poses.append((scan.stamp_ns, T_map_base))

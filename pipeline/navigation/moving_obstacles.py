@@ -6,7 +6,6 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -23,34 +22,21 @@ SHIFT_M = 0.06
 NEAR_M = 1.5
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point has so many others near it: one alone is noise."""
-
-
-class WaryConfig(BaseModel):
-    """Metres."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    padding: float = Field(default=0.35, ge=0.0)
-    """Something that moves within so much of the footprint stops the robot, wherever it is going: at
-    0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""
-
-
-class Wary:
-    """Stands still for what moves near by: who walks into a robot sees it, who is run over may not."""
-
-    def __init__(self, model: RobotModel, config: WaryConfig) -> None:
-        self._footprint = padded(model.footprint, config.padding)
-
-    def holds(self, moving_base: Array) -> bool:
-        """Whether one of the moving points (n, 2), in the base frame, is that near."""
-        return any(depth_inside(self._footprint, x, y) > 0.0 for x, y in moving_base)
+STOP_M = 0.35
+"""Something that moves within so much of the footprint stops the robot, wherever it is going: at
+0.3 m/s it comes 0.2 m nearer before it is seen next and the robot has braked."""
 
 
 class MovingWatch:
-    """Points that moved: where they are now, a sweep a little older saw through."""
+    """Stops the robot for what moves near by: who walks into a robot sees it, who is run over may not.
 
-    def __init__(self) -> None:
+    A point of the newest sweep moved where a sweep a little older saw through its place.
+    """
+
+    def __init__(self, model: RobotModel) -> None:
         self.points_odom = np.zeros((0, 2))
         """(n, 2) points of the newest sweep that moved there."""
+        self._zone = padded(model.footprint, STOP_M)
         self._profiles: deque[tuple[int, SE2, Array]] = deque(maxlen=16)
 
     def observe(self, sight: Sight) -> None:
@@ -63,9 +49,9 @@ class MovingWatch:
         ends = T.inverse() @ np.concatenate([sight.hits_odom, sight.passes_odom])
         self._profiles.append((sight.stamp_ns, T, profile(ends)))
 
-    def points_base(self, T_odom_base: SE2) -> Array:
-        """They as seen from the base now, (n, 2)."""
-        return T_odom_base.inverse() @ self.points_odom
+    def stops(self, T_odom_base: SE2) -> bool:
+        """Whether one of the points is that near."""
+        return any(depth_inside(self._zone, x, y) > 0.0 for x, y in T_odom_base.inverse() @ self.points_odom)
 
 
 def profile(ends_lidar: Array) -> Array:

@@ -2,53 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
 import numpy as np
 
-from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.runlog import RunLog, RunLogBuilder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Trajectory, Twist
-from turtlebag.pipeline.navigation.localiser import Publisher
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.sim.simulator import Simulator
 
 
-class Bag(Publisher, Protocol):
-    """What a run writes to its bag (see turtlebag.datasets.bags.writer)."""
-
-    def static_transforms(
-        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
-    ) -> None:
-        """Fixed frames of the robot."""
-        ...
-
-    def observation(self, observation: Observation) -> None:
-        """Everything the robot measured in a tick."""
-        ...
-
-    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
-        """The true state."""
-        ...
-
-    def command(self, stamp_ns: int, twist: Twist) -> None:
-        """The command given."""
-        ...
-
-    def owner(self, stamp_ns: int, owner: str) -> None:
-        """Who gives the commands from now on."""
-        ...
-
-    def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
-        """The map used."""
-        ...
-
-
-class NoBag:
+class NoBag(BagWriter):
     """A bag that forgets: for when only the numbers of a run are wanted."""
+
+    def __init__(self) -> None:
+        """Nothing is opened."""
 
     def _forget(self, *message: object, **named: object) -> None:
         """Nothing is kept of it."""
@@ -60,7 +29,7 @@ class NoBag:
 class RunRecorder:
     """Writes each tick of a run to the bag and keeps its rows."""
 
-    def __init__(self, simulator: Simulator, bag: Bag) -> None:
+    def __init__(self, simulator: Simulator, bag: BagWriter) -> None:
         self._simulator = simulator
         self._bag = bag
         self._rows = RunLogBuilder()
@@ -70,15 +39,15 @@ class RunRecorder:
         self._odometry = OdometryBuffer()
         self._owner = "navigation"
 
-    def tick(self, observation: Observation, driver: CommandOwner, command: Twist) -> None:
+    def tick(self, observation: Observation, owner: CommandOwner, command: Twist) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         truth = self._simulator.truth
         self._bag.observation(observation)
         self._bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
         self._bag.command(observation.stamp_ns, command)
-        if driver.owner != self._owner:
-            self._owner = driver.owner
-            self._bag.owner(observation.stamp_ns, driver.owner)
+        if owner.owner != self._owner:
+            self._owner = owner.owner
+            self._bag.owner(observation.stamp_ns, owner.owner)
         self._odometry.add(observation.stamp_ns, observation.odometry.T_odom_base)
         if observation.scan is not None:
             self._scan_odometry.append(self._odometry.at(observation.scan.stamp_ns))
@@ -87,15 +56,15 @@ class RunRecorder:
         self._rows.append(
             observation.stamp_ns,
             T_world_base=truth.T_world_base,
-            T_map_base=driver.estimate,
+            T_map_base=owner.driver.estimate,
             T_odom_base=observation.odometry.T_odom_base,
             command=command,
             clearance_m=self._simulator.clearance(),
             contact_visible=truth.contact_visible,
             contact_low=truth.contact_low,
-            goal_index=driver.goal_index,
-            state=driver.state,
-            owner=driver.owner,
+            goal_index=owner.driver.goal_index,
+            state=owner.state,
+            owner=owner.owner,
         )
 
     def log(self) -> RunLog:

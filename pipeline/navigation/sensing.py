@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
+from turtlebag.planners.tasks.avoid import Sectors, read_sectors
 
 SILENT_S = 0.5
 """Two scans of a 5 Hz lidar lost, one after the other, and the robot stops."""
@@ -53,6 +55,7 @@ class Sight:
     T_odom_lidar: SE2
     hits_odom: Array
     passes_odom: Array
+    sectors: Sectors
 
 
 class Sensing:
@@ -96,8 +99,13 @@ class Sensing:
         hit = scan.valid() | near
         passed = scan.lidar.silent(scan.ranges)
         distance = np.where(near, scan.lidar.range_min, np.where(passed, scan.lidar.range_max, ranges))
-        used = hit | passed
-        fraction = np.arange(len(ranges))[used] / len(ranges)
-        T_odom_lidar = first.interpolate(last, fraction) @ self._T_base_lidar
-        ends = T_odom_lidar @ (scan.lidar.directions[used] * distance[used, None])
-        return Sight(scan.stamp_ns, last @ self._T_base_lidar, ends[hit[used]], ends[passed[used]])
+        used = np.flatnonzero(hit | passed)
+        origins, directions = deskewed(
+            scan.lidar.angles[used],
+            used / len(ranges),
+            self._T_base_lidar.xyt,
+            (first.inverse() @ last).xyt[None],
+        )
+        ends = first @ (origins + directions * distance[used, None])
+        T_odom_lidar = last @ self._T_base_lidar
+        return Sight(scan.stamp_ns, T_odom_lidar, ends[hit[used]], ends[passed[used]], read_sectors(scan))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -15,21 +15,19 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.localisation.pose_hypotheses import Rivals
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.disambiguation import Telling
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.finder import Finder
 from turtlebag.pipeline.navigation.goal_runner import Tools
 from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.pipeline.navigation.moving_obstacles import Wary
+from turtlebag.pipeline.navigation.lost import Lost, State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
-from turtlebag.pipeline.navigation.recorder import Bag
-from turtlebag.pipeline.navigation.seeker import Seeker
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.planners.control.dwa import Dwa
@@ -152,61 +150,46 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
 
 
 Made = tuple[Driver, Localiser | None, GoalSequence | None]
-DriverMaker = Callable[[Mission, Observation, Bag, Callable[[str], None]], Made]
+DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
-def make_driver(mission: Mission, first: Observation, publisher: Bag, say: Callable[[str], None]) -> Made:
+def make_driver(
+    mission: Mission, first: Observation, publisher: BagWriter, say: Callable[[str], None]
+) -> Made:
     """The driver of a mission, the localiser it uses and the goals it works through."""
-    request, config = mission.request, mission.config
-    robot = mission.robot
+    request, config, robot = mission.request, mission.config, mission.robot
     sensing = Sensing(robot.T_base_lidar)
     if request.task == "avoid":
-        guard = Guard(robot.model, config.avoid, config.guard) if config.avoid.mode == "guarded" else None
         duration = request.duration_s or DEFAULT_DURATION_S
-        return AvoidDriver(config.avoid, guard, robot.model, sensing, duration, say), None, None
+        return AvoidDriver(config.avoid, robot.model, sensing, duration, say), None, None
     seed = int(stream(request.seed, "plan").integers(2**31))
     if request.task == "explore":
-        return _make_explorer(mission, sensing, publisher, seed), None, None
+        explore = config.explore
+        checked = config.model_copy(update={"goal_checker": explore.checker})
+
+        def tools_on(costmap: Costmap) -> Tools:
+            return make_tools(robot, checked, LiveLayer(costmap, config.live), publisher, seed)
+
+        duration = request.duration_s or DEFAULT_EXPLORE_S
+        online = OnlineMap(robot.T_base_lidar, explore.slam)
+        driver = ExploreDriver(explore, robot.model, sensing, online, tools_on, publisher, duration)
+        return driver, None, None
     sequence = GoalSequence(mission.waypoints, config.sequence)
-    localiser = None
-    if mission.grid is not None and mission.costmap is not None:
-        localiser = _make_localiser(mission, mission.grid, sensing, publisher)
-        _tell_pose(localiser, request.initial_pose, first)
-        publisher.map(first.stamp_ns, mission.grid)
-        tools = make_tools(robot, config, LiveLayer(mission.costmap, config.live))
-    else:
+    if mission.grid is None or mission.costmap is None:
         m = config.mapless
         window = RollingLayer(first.odometry.T_odom_base.xy, m.window, m.resolution, m.shift, m.live)
-        tools = make_tools(robot, _mapless(config), window)
-    looks_about = request.wiggle or request.initial_pose == "global"
-    wiggle = Wiggle(config.wiggle) if looks_about and request.initial_pose is not None else None
-    guard = Guard(robot.model, config.avoid, config.guard)
-    seeker = Seeker(config.relocalise, config.wiggle, guard, sensing, tools.monitor, tools.controller)
-    telling = None
-    if localiser is not None:
-        rivals = Rivals(localiser.amcl.search, stream(request.seed, "rivals"))
-        telling = functools.partial(Telling, rivals, tools, config.relocalise.tell_apart, seed)
-    driver = NavigationDriver(tools, sensing, localiser, sequence, publisher, seed, wiggle, seeker, telling)
-    return driver, localiser, sequence
-
-
-def _make_explorer(mission: Mission, sensing: Sensing, publisher: Bag, seed: int) -> ExploreDriver:
-    explore, robot = mission.config.explore, mission.robot
-    config = mission.config.model_copy(update={"goal_checker": explore.checker})
-
-    def tools_on(costmap: Costmap) -> Tools:
-        return make_tools(robot, config, LiveLayer(costmap, config.live))
-
-    return ExploreDriver(
-        explore,
-        robot.model,
-        sensing,
-        OnlineMap(robot.T_base_lidar, explore.slam),
-        tools_on,
-        publisher,
-        mission.request.duration_s or DEFAULT_EXPLORE_S,
-        seed,
-    )
+        tools = make_tools(robot, _mapless(config), window, publisher, seed)
+        return NavigationDriver(tools, sensing, sequence), None, sequence
+    localiser = _make_localiser(mission, mission.grid, sensing, publisher)
+    _tell_pose(localiser, request.initial_pose, first)
+    publisher.map(first.stamp_ns, mission.grid)
+    tools = make_tools(robot, config, LiveLayer(mission.costmap, config.live), publisher, seed)
+    wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
+    lost = Lost(config.relocalise, State.WIGGLE if wiggles else State.DRIVE)
+    aliasing = Aliasing(localiser.amcl.search, stream(request.seed, "rivals"))
+    guard, wiggle = Guard(robot.model, config.avoid), Wiggle(config.wiggle)
+    finder = Finder(lost, localiser, aliasing, tools, guard, wiggle)
+    return NavigationDriver(tools, sensing, sequence, finder), localiser, sequence
 
 
 def _mapless(config: NavigateConfig) -> NavigateConfig:
@@ -217,17 +200,20 @@ def _mapless(config: NavigateConfig) -> NavigateConfig:
     return config.model_copy(update=own)
 
 
-def make_tools(robot: RobotSpec, config: NavigateConfig, live: LiveLayer) -> Tools:
-    """Controller and monitor for a robot, on a costmap with live obstacles."""
+def make_tools(
+    robot: RobotSpec, config: NavigateConfig, live: LiveLayer, publisher: BagWriter, seed: int
+) -> Tools:
+    """Controller and monitor for a robot, on a costmap with live obstacles; `seed` is that of the plans."""
     return Tools(
         model=robot.model,
         controller=make_controller(robot, config),
         monitor=CollisionMonitor(robot.model, config.monitor),
-        wary=Wary(robot.model, config.wary),
         live=live,
         plan=config.plan,
         checker=config.goal_checker,
         recovery=config.recovery,
+        publisher=publisher,
+        seed=seed,
     )
 
 
@@ -239,7 +225,9 @@ def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     return Pursuit(robot.model, config.pursuit, period)
 
 
-def _make_localiser(mission: Mission, grid: OccupancyGrid, sensing: Sensing, publisher: Bag) -> Localiser:
+def _make_localiser(
+    mission: Mission, grid: OccupancyGrid, sensing: Sensing, publisher: BagWriter
+) -> Localiser:
     lidar = mission.robot.lidar.spec(mission.config.sim.lidar.turning)
     rng = stream(mission.request.seed, "amcl")
     amcl = Amcl(grid, lidar, mission.robot.T_base_lidar, mission.config.amcl, rng)

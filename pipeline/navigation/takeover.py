@@ -15,7 +15,6 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.datasets.yaml_files import checked, parsed
 from turtlebag.pipeline.navigation.driver import Driver
@@ -127,21 +126,6 @@ class CommandOwner:
     def state(self) -> str:
         """The driver's word, or `teleop`."""
         return self.driver.state if self.owner == "navigation" else "teleop"
-
-    @property
-    def goal_index(self) -> int:
-        """The driver's goal; it stays the goal while someone else drives."""
-        return self.driver.goal_index
-
-    @property
-    def finished(self) -> bool:
-        """Whether the task is over."""
-        return self.driver.finished
-
-    @property
-    def estimate(self) -> SE2 | None:
-        """Where the driver takes the robot to be."""
-        return self.driver.estimate
 
     def step(self, observation: Observation) -> Twist:
         """The command of this tick's owner."""

@@ -42,8 +42,6 @@ class Outer(BaseModel):
                 "mapless.replan_period",
                 "live.decay",
                 "live.period",
-                "guard.memory",
-                "guard.restless",
                 "explore.look_after",
                 "amcl.likelihood_max_dist",
                 "sim.faults.command_delay",

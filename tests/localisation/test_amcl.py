@@ -155,13 +155,13 @@ def test_scans_that_agree_less_than_they_once_did_are_worth_a_second_look_now_an
     amcl = make(room)
     amcl.initialise(log[0].T_room_base, np.diag([0.01, 0.01, 0.01]))
     errors(amcl, log[:30])
-    assert amcl._search_share() == 0.0
-    amcl._fast = 0.85 * amcl._best  # the twin of a place: nothing is wrong enough to be lost
+    assert amcl.watch.search_share() == 0.0
+    amcl.watch.fast = 0.85 * amcl.watch.best  # the twin of a place: nothing is wrong enough to be lost
     assert amcl.agrees
     shares = []
     for _ in range(60):
-        amcl._updates += 1
-        shares.append(amcl._search_share())
+        amcl.watch.updates += 1
+        shares.append(amcl.watch.search_share())
     looks = np.flatnonzero(shares)
     assert len(looks) == 3
     assert np.all(np.diff(looks) == 24)

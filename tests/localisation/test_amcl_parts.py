@@ -9,15 +9,16 @@ from filter_room import PLACE, beams_at, made, scan_at
 from localisation_room import LIDAR
 
 from turtlebag.datasets.se2 import SE2, wrap
-from turtlebag.pipeline.localisation import amcl as module
+from turtlebag.pipeline.localisation import agreement as agreement_module
 from turtlebag.pipeline.localisation import sampling
 from turtlebag.pipeline.localisation.estimate import Estimate
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 
 def test_the_limits_of_the_ranges_are_the_lidars_or_narrower():
-    assert made()._limits == (LIDAR.range_min, LIDAR.range_max)
-    assert made(laser_min_range=0.5, laser_max_range=2.0)._limits == (0.5, 2.0)
-    assert made(laser_min_range=0.0, laser_max_range=99.0)._limits == (0.0, 3.5)
+    assert AmclConfig().range_limits(LIDAR) == (LIDAR.range_min, LIDAR.range_max)
+    assert AmclConfig(laser_min_range=0.5, laser_max_range=2.0).range_limits(LIDAR) == (0.5, 2.0)
+    assert AmclConfig(laser_min_range=0.0, laser_max_range=99.0).range_limits(LIDAR) == (0.0, 3.5)
     filter_ = made(laser_max_range=2.0)
     assert filter_.search.range_max == 2.0
 
@@ -40,7 +41,7 @@ def test_a_cloud_is_spread_about_the_pose_it_was_told():
     np.testing.assert_allclose(np.cov((filter_.particles.xyt - told.xyt).T), given, atol=5e-4)
     with pytest.raises(ValueError, match="no pose yet"):
         _ = filter_.covariance
-    filter_._estimate = Estimate(told, np.eye(3), 2.0 * np.eye(3), 1.0)
+    filter_._at.estimate = Estimate(told, np.eye(3), 2.0 * np.eye(3), 1.0)
     np.testing.assert_array_equal(filter_.covariance, 2.0 * np.eye(3))
 
 
@@ -56,71 +57,73 @@ def test_a_cloud_is_spread_about_the_pose_it_was_told():
 )
 def test_a_cloud_has_converged_when_it_is_narrow_in_place_and_heading(std, converged):
     filter_ = made(convergence_xy=0.3, convergence_yaw=0.2)
-    filter_._estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)), 1.0)
+    filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)), 1.0)
     assert filter_.converged == converged
     assert filter_.lost == (not converged)
-    filter_._fast = 0.5 * filter_._slow
+    filter_.watch.fast = 0.5 * filter_.watch.slow
     assert filter_.lost
 
 
-def test_strangers_are_mixed_in_by_how_far_agreement_has_fallen():
+def test_random_particles_are_mixed_in_by_how_far_agreement_has_fallen():
     filter_ = made()
-    filter_._slow = 0.8
+    filter_.watch.slow = 0.8
     for fast, share in ((0.8, 0.0), (0.601, 0.0), (0.59, 1 - 0.59 / 0.8), (0.41, 1 - 0.41 / 0.8), (0.3, 0.5)):
-        filter_._fast = fast
-        assert filter_._stranger_share() == pytest.approx(share)
+        filter_.watch.fast = fast
+        assert filter_.watch.random_share() == pytest.approx(share)
         assert filter_.agrees == (share == 0.0)
         assert filter_.agreement == fast
     off = made(recovery_alpha_slow=0.0)
-    off._fast = 0.1
-    assert off._stranger_share() == 0.0
+    off.watch.fast = 0.1
+    assert off.watch.random_share() == 0.0
 
 
 def test_the_averages_follow_the_agreement_each_at_its_rate():
     filter_ = made(recovery_alpha_slow=0.01, recovery_alpha_fast=0.2)
-    slow = fast = module.NOMINAL_AGREEMENT
+    slow = fast = agreement_module.NOMINAL_AGREEMENT
     best = 0.0
     for agreement in (0.9, 0.95, 0.2, 0.4):
-        filter_._watch(agreement)
+        filter_.watch.update(agreement)
         slow, fast = slow + 0.01 * (agreement - slow), fast + 0.2 * (agreement - fast)
         best = max(best, fast)
-        assert (filter_._slow, filter_._fast, filter_._best) == pytest.approx((slow, fast, best))
-    filter_._fast = 0.0
-    filter_._watch(0.7)
-    assert filter_._fast == 0.7
+        assert (filter_.watch.slow, filter_.watch.fast, filter_.watch.best) == pytest.approx(
+            (slow, fast, best)
+        )
+    filter_.watch.anywhere = True
+    filter_.watch.update(0.7)
+    assert filter_.watch.fast == 0.7
 
 
 def test_searches_while_lost_come_after_pauses_that_double():
     filter_ = made()
-    filter_._slow, filter_._fast = 0.8, 0.4
+    filter_.watch.slow, filter_.watch.fast = 0.8, 0.4
     looked = []
     for update in range(300):
-        filter_._updates = update
-        share = filter_._search_share()
+        filter_.watch.updates = update
+        share = filter_.watch.search_share()
         assert share in (0.0, 0.5)
         if share:
             looked.append(update)
     assert np.diff(looked).tolist() == [2, 4, 8, 16, 32, 64, 64, 64]
-    filter_._fast = 0.8
-    assert filter_._search_share() == 0.0
-    assert filter_._pause == module.FIRST_PAUSE
-    filter_._fast = 0.0
-    assert filter_._search_share() == 1.0
+    filter_.watch.fast = 0.8
+    assert filter_.watch.search_share() == 0.0
+    assert filter_.watch._pause == agreement_module.FIRST_PAUSE
+    filter_.watch.anywhere = True
+    assert filter_.watch.search_share() == 1.0
     # faded, not lost: a look now and then
     again = made()
-    again._slow, again._fast, again._best = 0.8, 0.71, 0.8
-    looked = [u for u in range(60) if (setattr(again, "_updates", u), again._second_look())[1]]
+    again.watch.slow, again.watch.fast, again.watch.best = 0.8, 0.71, 0.8
+    looked = [u for u in range(60) if (setattr(again.watch, "updates", u), again.watch.search_share())[1]]
     assert looked == [0, 24, 48]
-    again._fast = 0.721
-    again._updates = 500
-    assert again._second_look() == 0.0
+    again.watch.fast = 0.721
+    again.watch.updates = 500
+    assert again.watch.search_share() == 0.0
 
 
 def test_the_robot_has_moved_enough_by_its_way_or_by_its_turn():
     filter_ = made(update_min_d=0.2, update_min_a=0.3)
     still = SE2.identity()
     assert filter_._moved_enough(still)
-    filter_._updates = 1
+    filter_.watch.updates = 1
     assert filter_._moved_enough(None)
     for xyt, moved in (
         ((0.12, 0.16, 0.0), True), ((0.12, 0.15, 0.29), False), ((0.0, 0.0, 0.3), True),
@@ -135,11 +138,11 @@ def test_weights_are_multiplied_by_the_sensors_while_it_agrees_and_by_the_paths_
     beams = beams_at(PLACE)
     before = np.random.default_rng(2).random(200)
     for lost in (True, False):
-        filter_._weights = before / before.sum()
+        filter_._cloud.weights = before / before.sum()
         if not lost:
-            filter_._estimate = Estimate(PLACE, np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
+            filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.zeros((3, 3)), 1.0)
         assert filter_.lost == lost
-        source = filter_._search.log_likelihood if lost else filter_._sensor.weigh
+        source = filter_.search.log_likelihood if lost else filter_._sensor.weigh
         expected = np.log(before) + source(filter_.particles.xyt, beams)
         expected = np.exp(expected - expected.max())
         filter_._weigh(beams)
@@ -155,13 +158,13 @@ def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
             max_particles=400, min_particles=50, resample_interval=interval, selective_resampling=True
         )
         filter_.initialise(PLACE, np.diag([1e-3, 1e-3, 1e-3]))
-        filter_._updates = updates
+        filter_.watch.updates = updates
         weights = np.zeros(400)
         weights[: round(400 * effective)] = 1.0
-        filter_._weights = weights / weights.sum()
+        filter_._cloud.weights = weights / weights.sum()
         heavy = filter_.particles.xyt[: round(400 * effective)]
         filter_._resample(beams)
-        assert (np.ptp(filter_._weights) == 0.0) == resampled
+        assert (np.ptp(filter_._cloud.weights) == 0.0) == resampled
         if resampled:
             kept = {tuple(p) for p in filter_.particles.xyt}
             assert kept <= {tuple(p) for p in heavy}
@@ -172,9 +175,9 @@ def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
 def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     filter_ = made(max_particles=900, min_particles=60, kld_err=0.08, kld_z=1.5)
     filter_.initialise(PLACE, np.diag([0.02, 0.02, 0.02]))
-    filter_._weights = np.random.default_rng(8).random(900) ** 6
-    filter_._weights /= filter_._weights.sum()
-    filter_._updates = filter_.config.resample_interval - 1
+    filter_._cloud.weights = np.random.default_rng(8).random(900) ** 6
+    filter_._cloud.weights /= filter_._cloud.weights.sum()
+    filter_.watch.updates = filter_.config.resample_interval - 1
     poses, weights, rng = filter_.particles.xyt, filter_.weights, copy.deepcopy(filter_._rng)
     drawn = poses[rng.permutation(sampling.low_variance(weights, 900, rng.random()))]
     c = filter_.config
@@ -186,16 +189,16 @@ def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     )
 
 
-def test_a_share_of_strangers_replaces_as_many_particles():
+def test_a_share_of_random_particles_replaces_as_many_particles():
     filter_ = made(max_particles=1000, min_particles=300)
     filter_.initialise(PLACE, np.diag([1e-3, 1e-3, 1e-3]))
-    filter_._slow, filter_._fast = 0.8, 0.4
+    filter_.watch.slow, filter_.watch.fast = 0.8, 0.4
     elsewhere = np.tile([9.0, 9.0, 0.0], (600, 1))
     filter_._found = lambda share, beams: elsewhere
     filter_._resample(beams_at(PLACE))
-    strangers = int(np.sum(filter_.particles.x == 9.0))
-    assert strangers == filter_.size // 2
-    filter_._updates = 100
+    found_there = int(np.sum(filter_.particles.x == 9.0))
+    assert found_there == filter_.size // 2
+    filter_.watch.updates = 100
     filter_._found = lambda share, beams: None
     filter_._resample(beams_at(PLACE))
     assert filter_.size >= 300
@@ -227,16 +230,16 @@ class Found:
 def test_a_place_found_must_explain_clearly_more_and_a_far_one_more_still(here, near, far, found, searches):
     filter_ = made(max_particles=1000)
     filter_.initialise(SE2.from_xyt(5.0, 5.0, 0.0), None, SE2.from_xyt(1.0, 0.0, 0.0))
-    filter_._search = Found(here, near, far)
+    filter_.search = Found(here, near, far)
     poses = filter_._found(0.25, beams_at(PLACE))
     assert (None if poses is None else float(poses[0, 0])) == found
     assert filter_.searches == searches
-    assert filter_._search.asked == [(251, (5.0, 5.0, 0.0)), (251, None)]
+    assert filter_.search.asked == [(251, (5.0, 5.0, 0.0)), (251, None)]
     assert poses is None or len(poses) == 251
-    filter_._fast = 0.0
+    filter_.watch.anywhere = True
     assert filter_._found(1.0, beams_at(PLACE))[0, 0] == 1.0
     assert filter_.searches == searches + 1
-    assert filter_._search.asked[-1] == (1001, None)
+    assert filter_.search.asked[-1] == (1001, None)
 
 
 def test_a_scan_that_explains_far_less_than_usual_contradicts():
@@ -246,12 +249,12 @@ def test_a_scan_that_explains_far_less_than_usual_contradicts():
     beams = beams_at(PLACE)
     usual = filter_.search.agreement(PLACE.xyt, beams)
     for slow, told in (
-        (usual / module.CONTRADICTED * 0.99, False),
-        (usual / module.CONTRADICTED * 1.01, True),
+        (usual / agreement_module.CONTRADICTED * 0.99, False),
+        (usual / agreement_module.CONTRADICTED * 1.01, True),
     ):
-        filter_._slow = slow
+        filter_.watch.slow = slow
         assert filter_.contradicted(scan_at(PLACE), PLACE, PLACE) == told
-    filter_._slow = 0.9
+    filter_.watch.slow = 0.9
     wrong = PLACE @ SE2.from_xyt(1.0, 0.5, 1.0)
     assert filter_.contradicted(scan_at(PLACE), wrong, wrong)
 
@@ -261,11 +264,21 @@ def test_a_restart_forgets_all_but_the_settings():
     filter_.initialise(PLACE, np.diag([1e-3] * 3))
     for k in range(3):
         filter_.update(scan_at(PLACE), SE2.from_xyt(0.0, 0.0, 0.5 * k))
-    filter_._pause, filter_._next_search, filter_._best = 8, 9, 0.9
+    filter_.watch._pause, filter_.watch._next_search, filter_.watch.best = 8, 9, 0.9
     filter_.initialise_globally()
-    assert (filter_._updates, filter_._next_search, filter_._pause, filter_._best) == (0, 0, 2, 0.0)
-    assert (filter_._slow, filter_._fast, filter_._estimate, filter_._T_map_odom) == (0.8, 0.0, None, None)
+    assert (filter_.watch.updates, filter_.watch._next_search, filter_.watch._pause, filter_.watch.best) == (
+        0,
+        0,
+        2,
+        0.0,
+    )
+    assert (filter_.watch.slow, filter_.watch.fast, filter_._at.estimate, filter_._at.T_map_odom) == (
+        0.8,
+        0.0,
+        None,
+        None,
+    )
     assert filter_.size == filter_.config.max_particles
     assert filter_._fine is not None
     assert filter_._fine._filter is None
-    assert filter_._standing._reference is None
+    assert filter_.push._reference is None

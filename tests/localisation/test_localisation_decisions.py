@@ -1,4 +1,4 @@
-"""Pushes, rivals, the fine pose and the search, one by one, by hand-computed cases."""
+"""Pushes, aliasing, the fine pose and the search, one by one, by hand-computed cases."""
 
 import math
 
@@ -16,8 +16,8 @@ from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import Contest, Glimpse, Rivals, apart, within
-from turtlebag.pipeline.localisation.push_detection import StandingWatch, _still, changed_share
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, Glimpse, PoseHypotheses, apart, within
+from turtlebag.pipeline.localisation.push_detection import PushDetector, _still, changed_share
 
 
 def test_a_view_has_changed_by_the_share_of_beams_that_see_otherwise():
@@ -43,7 +43,7 @@ def beside(poses):
 
 def watched(changes, agreement=None, odometry=None):
     """What a standing robot says scan by scan; a change is metres added to all ranges."""
-    watch, out, agreement = StandingWatch(), [], agreement or beside
+    watch, out, agreement = PushDetector(), [], agreement or beside
     for k, change in enumerate(changes):
         scan = Scan(0, np.full(20, 1.0 + change, np.float32), STILL_LIDAR)
         out.append(
@@ -63,7 +63,7 @@ def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
         looks.append(len(out))
         return beside(poses) if len(out) < 3 else np.zeros(len(poses))
 
-    watch, out = StandingWatch(), []
+    watch, out = PushDetector(), []
     for k in range(12):
         scan = Scan(0, np.full(20, 1.1 if k else 1.0, np.float32), STILL_LIDAR)
         out.append(watch.pushed(scan, SE2.identity(), np.zeros(3), found_once))
@@ -84,7 +84,7 @@ def test_a_look_in_vain_is_followed_by_pauses_that_double():
         return np.zeros(len(poses))
 
     looks = []
-    watch = StandingWatch()
+    watch = PushDetector()
     for k in range(120):
         before = len(calls)
         change = 0.0 if k == 0 else 0.2
@@ -112,22 +112,22 @@ def test_places_are_apart_by_more_than_a_metre_or_a_radian():
 
 def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
     search = made().search
-    rivals = Rivals(search, np.random.default_rng(3))
+    aliasing = Aliasing(search, np.random.default_rng(3))
     places = [PLACE, PLACE @ SE2.from_xyt(0.2, 0.1, 0.4)]
     glimpses = [Glimpse(beams_at(p), p) for p in places]
     relative = [places[1].inverse() @ p for p in places]
     poses = np.array([places[1].xyt, (places[1] @ SE2.from_xyt(0.05, 0.0, 0.1)).xyt])
-    found = rivals._mean_agreement(poses, relative, glimpses)
+    found = aliasing._mean_agreement(poses, relative, glimpses)
     for pose, value in zip(poses, found, strict=True):
         each = [
             search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, glimpses, strict=True)
         ]
         assert value == pytest.approx(np.mean(each))
     assert found[0] > 0.95 > found[1]
-    fit, rival = rivals._polished(SE2.from_xyt(0.05, -0.03, 0.0), glimpses, places)
+    fit, rival = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), glimpses, places)
     assert fit > 0.97
     assert np.abs((rival @ places[1]).xyt - places[1].xyt).max() < 0.03
-    assert rivals.fits([SE2.identity()], glimpses[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
+    assert aliasing.fits([SE2.identity()], glimpses[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
 
 
 def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hundred():
@@ -140,7 +140,7 @@ def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hu
             assert count == 2000
             return rng.permutation(poses)
 
-    found = Rivals(Drawn(), rng)._places(None)
+    found = Aliasing(Drawn(), rng)._places(None)
     assert len(found) == 3
     for centre in centres[:3]:
         assert min(np.abs(place - centre).max() for place in found) < 0.02
@@ -149,11 +149,11 @@ def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hu
 def test_a_rival_stays_while_its_mean_of_six_is_close():
     places = [SE2.identity(), SE2.from_xyt(2.0, 0.0, 0.0)]
     for off, left in ((0.049, 2), (0.051, 1)):
-        contest = Contest(places)
+        hypotheses = PoseHypotheses(places)
         for _ in range(6):
-            contest.judge(np.array([0.9, 0.9 - off]))
-        assert len(contest.rivals) == left
-        assert contest.decided == (left == 1)
+            found = hypotheses.judge(np.array([0.9, 0.9 - off]))
+        assert len(hypotheses.poses) == left
+        assert found is (places[0] if left == 1 else None)
 
 
 def test_the_fine_pose_agrees_with_a_cloud_within_its_reach():

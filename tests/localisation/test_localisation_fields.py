@@ -11,18 +11,17 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import global_search as search
 from turtlebag.pipeline.localisation.beams import prepare, spread
-from turtlebag.pipeline.localisation.distinguishing_views import (
-    _beyond,
-    clearly_other,
-    differences,
-    expected_views,
+from turtlebag.pipeline.localisation.field import (
+    LikelihoodField,
+    bilinear,
+    distance_field,
+    hit_probability,
+    sum_over_beams,
 )
-from turtlebag.pipeline.localisation.field import bilinear, distance_field, hit_probability, sum_over_beams
-from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.local_search import NEIGHBOURS, climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, _beyond, clearly_other, expected_views
 from turtlebag.pipeline.localisation.ray_casting import expected_ranges
-from turtlebag.pipeline.localisation.sensor import LikelihoodField
 
 
 def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):
@@ -169,7 +168,9 @@ def test_poses_are_drawn_from_the_free_cells_alone_and_from_all_of_each():
     cells = np.full((6, 9), UNKNOWN, dtype=np.int8)
     cells[2, 3], cells[4, 7], cells[1, 1] = FREE, FREE, OCCUPIED
     grid = OccupancyGrid(cells, 0.5, SE2.from_xyt(1.0, -2.0, 0.6))
-    poses = FreeSpace(grid).sample(4000, np.random.default_rng(13))
+    poses = search.GlobalSearch(grid, distance_field(grid, 1.0), AmclConfig(), 3.0).uniform(
+        4000, np.random.default_rng(13)
+    )
     inside = (grid.T_map_grid.inverse() @ poses[:, :2]) / 0.5
     corner = np.floor(inside).astype(int)
     assert set(map(tuple, corner.tolist())) == {(3, 2), (7, 4)}
@@ -212,10 +213,16 @@ def test_views_differ_by_the_share_of_beams_that_no_neighbour_comes_near():
     seen = expected_views(field, poses, 3.0)
     true = l_shaped_room().ranges(SE2(poses.xyt[:1]), 2.0 * math.pi * np.arange(180) / 180, 3.0)
     assert np.mean(np.abs(seen[0] - np.minimum(true, 3.0)) < 0.06) > 0.95
-    rivals = [SE2.identity(), SE2.from_xyt(0.6, 0.0, 0.0), SE2.from_xyt(0.0, 0.0, 3.0)]
+    hypotheses = [SE2.identity(), SE2.from_xyt(0.6, 0.0, 0.0), SE2.from_xyt(0.0, 0.0, 3.0)]
     pairs = [
         clearly_other(*(expected_views(field, r @ poses, 3.0) for r in two))
-        for two in ((rivals[0], rivals[1]), (rivals[0], rivals[2]), (rivals[1], rivals[2]))
+        for two in (
+            (hypotheses[0], hypotheses[1]),
+            (hypotheses[0], hypotheses[2]),
+            (hypotheses[1], hypotheses[2]),
+        )
     ]
-    np.testing.assert_allclose(differences(field, rivals, poses, 3.0), np.max(pairs, axis=0))
-    assert differences(field, rivals[:1], poses, 3.0).tolist() == [0.0, 0.0]
+    grid = l_shaped_room().grid()
+    aliasing = Aliasing(search.GlobalSearch(grid, field, AmclConfig(), 3.0), np.random.default_rng(1))
+    np.testing.assert_allclose(aliasing.differences(hypotheses, poses), np.max(pairs, axis=0))
+    assert aliasing.differences(hypotheses[:1], poses).tolist() == [0.0, 0.0]

@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 from localisation_room import T_BASE_LIDAR
-from scipy.linalg import expm
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import estimate, motion, sampling
-from turtlebag.pipeline.localisation.beams import deskewed, prepare, spread
+from turtlebag.pipeline.localisation.beams import prepare, spread
 
 
 def wrapped(angle):
@@ -147,25 +146,6 @@ def test_motions_of_less_than_a_centimetre_are_turns_and_backwards_ones_point_ah
     assert (rot1, trans, rot2) == pytest.approx((math.atan2(4, 3), -0.05, 3.0 - math.atan2(4, 3)))
     sideways = motion.decompose(SE2.from_xyt(0.0, 0.05, 0.0))
     assert sideways == pytest.approx((0.5 * math.pi, 0.05, -0.5 * math.pi))
-
-
-@pytest.mark.parametrize("sweep", [(0.1, -0.03, 0.7), (0.1, 0.05, 0.0), (0.02, 0.0, -1e-12), (0.0, 0.0, 2.0)])
-def test_the_base_moves_on_an_arc_of_constant_twist_during_a_sweep(sweep):
-    angles, lidar = np.linspace(-2.0, 2.0, 12), np.array([0.1, 0.05, 0.3])
-    # the logarithm of the sweep by its own series: twist = V(yaw)^-1 t
-    yaw = sweep[2]
-    fine = np.linspace(0.0, 1.0, 20001)
-    V = np.trapezoid([[np.cos(f * yaw), np.sin(f * yaw)] for f in fine], fine, axis=0)
-    v = np.linalg.solve([[V[0], -V[1]], [V[1], V[0]]], sweep[:2])
-    twist = np.array([[0.0, -yaw, v[0]], [yaw, 0.0, v[1]], [0.0, 0.0, 0.0]])
-    chosen = np.array([0, 3, 7, 11])
-    origins, directions = deskewed(angles, lidar, np.array(sweep), chosen)
-    for i, origin, direction in zip(chosen, origins, directions, strict=True):
-        T = expm(i / 12 * twist)
-        T_lidar = T @ SE2(lidar).matrix()
-        np.testing.assert_allclose(origin, T_lidar[:2, 2], atol=1e-8)
-        beam = [math.cos(angles[i]), math.sin(angles[i])]
-        np.testing.assert_allclose(direction, T_lidar[:2, :2] @ beam, atol=1e-9)
 
 
 def test_beams_within_their_limits_become_points_and_silent_ones_directions():

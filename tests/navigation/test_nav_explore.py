@@ -28,10 +28,9 @@ def test_exploring_widens_the_map_without_a_contact():
         robot.model,
         Sensing(robot.T_base_lidar),
         online,
-        lambda costmap: make_tools(robot, config, LiveLayer(costmap, config.live)),
+        lambda costmap: make_tools(robot, config, LiveLayer(costmap, config.live), NoBag(), 1),
         NoBag(),
         duration_s=9.0,
-        seed=1,
     )
     seen, contacts = [], 0
     with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
@@ -56,7 +55,7 @@ def test_exploring_ends_in_time_when_no_scan_ever_comes():
     silent = SimConfig.model_validate({"faults": {"scan_loss": 1.0}})
     online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
     driver = ExploreDriver(
-        explore, robot.model, sensing, online, lambda costmap: None, NoBag(), duration_s=1.0, seed=1
+        explore, robot.model, sensing, online, lambda costmap: None, NoBag(), duration_s=1.0
     )
     with Simulator(load_world("turtlebot3_world"), robot, silent, 1) as simulator:
         observation = simulator.reset()
@@ -84,10 +83,10 @@ def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():
 
     def tools(costmap):
         return dataclasses.replace(
-            make_tools(robot, config, LiveLayer(costmap, config.live)), monitor=Holding()
+            make_tools(robot, config, LiveLayer(costmap, config.live), NoBag(), 1), monitor=Holding()
         )
 
-    driver = ExploreDriver(explore, robot.model, sensing, online, tools, NoBag(), duration_s=60.0, seed=1)
+    driver = ExploreDriver(explore, robot.model, sensing, online, tools, NoBag(), duration_s=60.0)
     places = []
     with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
         observation = simulator.reset()

@@ -1,6 +1,8 @@
 """A robot that is lost, carried off, or blind: it stops, finds out, goes on, or says why not."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +11,9 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.lost import TRANSITIONS, Event, Lost, RelocaliseConfig, State
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.recorder import NoBag
-from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig, Relocaliser
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -108,31 +110,31 @@ def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
 
 
 def test_a_few_doubts_are_nothing_and_many_stop_the_robot():
-    task = Relocaliser(RelocaliseConfig(doubts=3, settled=1.0, look=5.0))
-    assert [task.update(k * S, True, False, k) for k in (1, 2)] == ["go", "go"]
-    assert task.update(3 * S, True, True, 3) == "go"
+    task = Lost(RelocaliseConfig(doubts=3, settled=1.0, look=5.0))
+    assert [task.update(k * S, True, False, k) for k in (1, 2)] == ["drive", "drive"]
+    assert task.update(3 * S, True, True, 3) == "drive"
     # Time alone, without the filter being asked, is no doubt.
-    assert [task.update(k * S, False, True, 3) for k in range(4, 20)] == ["go"] * 16
-    assert [task.update((20 + k) * S, False, True, 4 + k) for k in range(3)] == ["go", "go", "look"]
+    assert [task.update(k * S, False, True, 3) for k in range(4, 20)] == ["drive"] * 16
+    assert [task.update((20 + k) * S, False, True, 4 + k) for k in range(3)] == ["drive", "drive", "look"]
     assert task.update(23 * S, True, True, 8) == "look"
-    assert task.update(24 * S, True, True, 9) == "go"
+    assert task.update(24 * S, True, True, 9) == "drive"
 
 
 def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place():
-    task = Relocaliser(RelocaliseConfig(doubts=1, look=5.0, trust=10.0))
+    task = Lost(RelocaliseConfig(doubts=1, look=5.0, trust=10.0))
     assert task.update(1 * S, True, False, 1) == "look"
-    assert task.update(6 * S, True, False, 9) == "go"
-    assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["go"] * 9
+    assert task.update(6 * S, True, False, 9) == "drive"
+    assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["drive"] * 9
     assert task.update(17 * S, True, False, 30) == "look"
 
 
 def test_what_it_does_when_it_never_finds_out_is_bounded():
-    task = Relocaliser(RelocaliseConfig(doubts=1, look=5.0, roam=10.0, restarts=2))
+    task = Lost(RelocaliseConfig(doubts=1, look=5.0, roam=10.0, restarts=2))
     said = [task.update(k * S, False, False, k) for k in range(1, 60)]
     turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
     assert turns[:9] == ["look", "roam", "restart", "look", "roam", "restart", "look", "roam", "give_up"]
     # From then on it drives, and doubts again: the next goal gets as many tries.
-    assert turns[9:11] == ["go", "look"] or turns[9:10] == ["look"]
+    assert turns[9:11] == ["drive", "look"] or turns[9:10] == ["look"]
 
 
 def test_a_goal_that_runs_out_of_time_says_what_the_trouble_was():
@@ -153,3 +155,42 @@ def test_an_exploration_that_never_saw_anything_did_not_succeed():
         episode = drive(simulator, mission, NoBag(), lambda line: None)
     assert episode.grid is None
     assert episode.metrics["success"] is False
+
+
+def test_every_state_is_left_again_and_every_transition_begins_and_ends_in_one():
+    assert {state for state, _ in TRANSITIONS} == set(State)
+    assert set(TRANSITIONS.values()) == set(State) - {State.WIGGLE}
+    assert {event for _, event in TRANSITIONS} == set(Event)
+
+
+def test_the_diagram_in_the_docs_is_the_table_of_transitions():
+    page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text()
+    drawn = re.findall(r"^    (\w+) --> (\w+): (\w+)$", page, re.MULTILINE)
+    table = [(str(a), str(b), event.name.lower()) for (a, event), b in TRANSITIONS.items()]
+    assert sorted(drawn) == sorted(table)
+
+
+def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while():
+    lost = Lost(RelocaliseConfig(doubts=1))
+    lost.on(Event.PUSHED, 1 * S, 1)
+    assert lost.update(2 * S, True, True, 1) == "pushed"
+    lost.on(Event.PUSHED, 2 * S, 2)
+    assert [lost.update(t * S, True, True, 2) for t in (3, 4)] == ["pushed", "pushed"]
+    assert lost.update(4 * S + 1, True, True, 2) == "drive"
+    lost.on(Event.PUSHED, 5 * S, 3)
+    assert lost.update(6 * S, False, False, 4) == "look"
+
+
+def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
+    lost = Lost(RelocaliseConfig(doubts=2))
+    assert lost.update(1 * S, False, True, 1) == "drive"
+    lost.on(Event.ALIKE, 1 * S, 1)
+    assert lost.update(2 * S, True, True, 2) == "tell_apart"
+    assert lost.update(3 * S, False, True, 3) == "tell_apart"
+    lost.on(Event.DECIDED, 3 * S, 3)
+    assert lost.update(4 * S, False, True, 4) == "look"
+
+
+def test_an_event_that_a_state_does_not_know_is_an_error():
+    with pytest.raises(KeyError):
+        Lost(RelocaliseConfig()).on(Event.FOUND, 0, 0)

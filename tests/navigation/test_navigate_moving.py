@@ -4,8 +4,9 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, Wary, WaryConfig, in_company
+from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, in_company
 from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.planners.tasks.avoid import Sectors
 from turtlebag.planners.tasks.recovery import Ladder, RecoveryConfig, Rung
 from turtlebag.sim.robots import load_robot
 
@@ -13,6 +14,7 @@ BURGER = load_robot("burger").model
 ANGLES = np.radians(np.arange(0.5, 360.0))
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 TICK_NS = 200_000_000
+OPEN = Sectors(1.5, 2.0, 1.5)
 
 
 def sight(k, T_odom_lidar, disc_xy, noise=None):
@@ -27,11 +29,11 @@ def sight(k, T_odom_lidar, disc_xy, noise=None):
     off2 = to_disc @ to_disc - along**2
     disc = np.where((off2 < 0.04) & (along > 0), along - np.sqrt(np.maximum(0.04 - off2, 0)), np.inf)
     ranges = np.minimum(walls, disc) + (0.0 if noise is None else noise.normal(0.0, 0.01, 360))
-    return Sight(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)))
+    return Sight(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)), OPEN)
 
 
 def watched(poses, discs):
-    watch, noise = MovingWatch(), np.random.default_rng(1)
+    watch, noise = MovingWatch(BURGER), np.random.default_rng(1)
     counts = []
     for k, (pose, disc) in enumerate(zip(poses, discs, strict=True)):
         watch.observe(sight(k, pose, disc, noise))
@@ -61,11 +63,16 @@ def test_a_point_alone_is_noise():
 
 
 def test_the_robot_stands_still_for_what_moves_within_reach():
-    wary = Wary(BURGER, WaryConfig(padding=0.3))
-    assert not wary.holds(np.zeros((0, 2)))
-    assert wary.holds(np.array([[0.3, 0.0]]))
-    assert wary.holds(np.array([[-0.3, -0.2]]))
-    assert not wary.holds(np.array([[0.5, 0.0], [0.0, 0.5]]))
+    watch, here = MovingWatch(BURGER), SE2.from_xyt(1.0, 2.0, 0.5)
+
+    def stops(points_base):
+        watch.points_odom = here @ np.array(points_base)
+        return watch.stops(here)
+
+    assert not watch.stops(here)
+    assert stops([[0.3, 0.0]])
+    assert stops([[-0.3, -0.2]])
+    assert not stops([[0.5, 0.0], [0.0, 0.5]])
 
 
 def test_recovery_moves_where_it_can():

@@ -1,4 +1,4 @@
-"""Places that look alike: rivals are found, driven to where they differ, and only then are goals counted."""
+"""Places that look alike: hypotheses are found and told apart, and only then are goals counted."""
 
 import dataclasses
 import math
@@ -11,19 +11,25 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.localisation.distinguishing_views import clearly_other, differences
 from turtlebag.pipeline.localisation.field import distance_field
-from turtlebag.pipeline.localisation.free_space import FreeSpace
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import ALIKE, SCANS, Contest, Glimpse, Rivals, apart
+from turtlebag.pipeline.localisation.pose_hypotheses import (
+    ALIKE,
+    SCANS,
+    Aliasing,
+    Glimpse,
+    PoseHypotheses,
+    apart,
+    clearly_other,
+)
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.disambiguation import ALIKE as REASON
 from turtlebag.pipeline.navigation.disambiguation import nearest_difference, passable_under_all
 from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.lost import RelocaliseConfig
+from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
 from turtlebag.pipeline.navigation.recorder import NoBag
-from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -56,10 +62,10 @@ def world(*, cupboard=True):
     return World("twins", "burger", SE2.from_xyt(5.0, 2.4, 0.3), solids, (-0.5, 12.5, -0.5, 4.5), (), {})
 
 
-def rivals_of(grid, seed=1):
+def aliasing_of(grid, seed=1):
     config = AmclConfig()
-    search = GlobalSearch(distance_field(grid, 2.0), FreeSpace(grid), config, STILL_LIDAR.range_max)
-    return Rivals(search, np.random.default_rng(seed))
+    search = GlobalSearch(grid, distance_field(grid, 2.0), config, STILL_LIDAR.range_max)
+    return Aliasing(search, np.random.default_rng(seed))
 
 
 def glimpses_at(place, poses, rng):
@@ -80,7 +86,7 @@ def turning_at(x, y):
 @pytest.mark.parametrize("T_map_odom", [SE2.identity(), TWIN])
 def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
     glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
-    found = rivals_of(room().grid()).find(glimpses, T_map_odom)
+    found = aliasing_of(room().grid()).find(glimpses, T_map_odom)
     assert len(found) == 2
     np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
     there = found[1] @ T_map_odom @ glimpses[-1].T_odom_base
@@ -92,14 +98,14 @@ def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
 @pytest.mark.slow
 def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
     glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
-    rivals = rivals_of(room().grid())
-    (same,) = rivals.find(glimpses, SE2.identity())
+    aliasing = aliasing_of(room().grid())
+    (same,) = aliasing.find(glimpses, SE2.identity())
     np.testing.assert_array_equal(same.xyt, np.zeros(3))
     # The estimate at the twin is told where the robot is.
-    (moved,) = rivals.find(glimpses, TWIN)
+    (moved,) = aliasing.find(glimpses, TWIN)
     there = moved @ TWIN @ glimpses[-1].T_odom_base
     assert np.linalg.norm(there.xy - (10.2, 1.6)) < 0.05
-    fits = rivals.fits([SE2.identity(), TWIN], glimpses[0], SE2.identity())
+    fits = aliasing.fits([SE2.identity(), TWIN], glimpses[0], SE2.identity())
     assert fits[0] > fits[1] + 2.0 * ALIKE
 
 
@@ -107,7 +113,7 @@ def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
 @pytest.mark.parametrize(("x", "y"), [(2.0, 2.0), (0.7, 0.8), (4.3, 2.2), (2.6, 0.5)])
 def test_a_world_without_a_twin_has_one_hypothesis(x, y):
     place = l_shaped_room()
-    found = rivals_of(place.grid()).find(
+    found = aliasing_of(place.grid()).find(
         glimpses_at(place, turning_at(x, y), np.random.default_rng(3)), SE2.identity()
     )
     assert len(found) == 1
@@ -117,7 +123,7 @@ def test_a_world_without_a_twin_has_one_hypothesis(x, y):
 @pytest.mark.slow
 def test_in_a_crowd_nothing_is_said_about_other_places():
     glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
-    rivals = rivals_of(room().grid())
+    aliasing = aliasing_of(room().grid())
     crowded = []
     for glimpse in glimpses:
         beams = glimpse.beams
@@ -126,8 +132,8 @@ def test_in_a_crowd_nothing_is_said_about_other_places():
         hidden = np.arange(len(near)) < 0.7 * len(near)
         near[hidden] = (beams.origins + 0.4 * away / np.linalg.norm(away, axis=1)[:, None])[hidden]
         crowded.append(dataclasses.replace(glimpse, beams=dataclasses.replace(beams, points=near)))
-    assert len(rivals.find(glimpses, TWIN)) == 1
-    (same,) = rivals.find(crowded, TWIN)
+    assert len(aliasing.find(glimpses, TWIN)) == 1
+    (same,) = aliasing.find(crowded, TWIN)
     np.testing.assert_array_equal(same.xyt, np.zeros(3))
 
 
@@ -139,24 +145,23 @@ def test_a_heading_a_little_off_is_no_other_place():
 
 
 @pytest.mark.slow
-def test_the_same_seed_finds_the_same_rivals():
+def test_the_same_seed_finds_the_same_hypotheses():
     glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
-    one, other = (rivals_of(room().grid(), 5).find(glimpses, SE2.identity()) for _ in range(2))
+    one, other = (aliasing_of(room().grid(), 5).find(glimpses, SE2.identity()) for _ in range(2))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a.xyt, b.xyt)
 
 
 def test_the_map_says_where_two_places_differ():
-    field = distance_field(room().grid(), 2.0)
-    rivals = [SE2.identity(), TWIN]
+    both = [SE2.identity(), TWIN]
     poses = SE2(np.array([[10.0, 1.2, 0.5], [2.0, 2.8, -2.6], [6.0, 2.0, 0.0], [5.0, 2.4, 0.0]]))
-    share = differences(field, rivals, poses, 3.5)
+    share = aliasing_of(room().grid()).differences(both, poses)
     # The second pose is the twin of the first: it differs as much.
     assert share[0] > 0.15
     assert share[1] > 0.15
     assert np.all(share[2:] < 0.05)
-    empty = distance_field(room(cupboard=False).grid(), 2.0)
-    assert differences(empty, rivals, poses, 3.5).max() < 0.08
+    empty = aliasing_of(room(cupboard=False).grid())
+    assert empty.differences(both, poses).max() < 0.08
 
 
 def test_edges_that_shift_by_a_beam_are_no_difference():
@@ -167,7 +172,7 @@ def test_edges_that_shift_by_a_beam_are_no_difference():
     assert clearly_other(views, views + 0.15)[0] == 0.0
 
 
-def test_what_stops_the_robot_under_one_rival_stops_it():
+def test_what_stops_the_robot_under_one_hypothesis_stops_it():
     costmap = costmap_from_grid(room().grid(), CostmapConfig())
     both = passable_under_all(costmap, [SE2.identity(), TWIN])
     assert both.clearance_at(np.array([10.82, 2.0])) == 0.0
@@ -179,34 +184,31 @@ def test_what_stops_the_robot_under_one_rival_stops_it():
 def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     grid = room().grid()
     costmap = passable_under_all(costmap_from_grid(grid, CostmapConfig()), [SE2.identity(), TWIN])
-    rivals, both = rivals_of(grid), [SE2.identity(), TWIN]
+    aliasing, both = aliasing_of(grid), [SE2.identity(), TWIN]
     start = SE2.from_xyt(7.0, 1.6, 0.0)
-    place, share = nearest_difference(rivals, both, costmap, 0.2, start, 0.1, [])
+    place, share = nearest_difference(aliasing, both, costmap, 0.2, start, 0.1, [])
     assert share >= 0.1
     assert place.x > 7.5
     assert costmap.clearance_at(place.xy) > 0.2
-    assert rivals.differences(both, SE2(start.xyt[None]))[0] < 0.1
+    assert aliasing.differences(both, SE2(start.xyt[None]))[0] < 0.1
     # From the other half the nearest one is the twin's.
-    mirrored = nearest_difference(rivals, both, costmap, 0.2, TWIN @ start, 0.1, [])
+    mirrored = nearest_difference(aliasing, both, costmap, 0.2, TWIN @ start, 0.1, [])
     assert mirrored[0].x < 4.5
-    other, _ = nearest_difference(rivals, both, costmap, 0.2, start, 0.1, [place.xy])
+    other, _ = nearest_difference(aliasing, both, costmap, 0.2, start, 0.1, [place.xy])
     assert np.linalg.norm(other.xy - place.xy) > 0.6
-    alike = rivals_of(room(cupboard=False).grid())
+    alike = aliasing_of(room(cupboard=False).grid())
     assert nearest_difference(alike, both, costmap, 0.2, start, 0.1, []) is None
 
 
-def test_a_contest_takes_several_scans_and_drops_who_is_left_behind():
-    contest = Contest([SE2.identity(), TWIN, SE2.from_xyt(1.0, 0.0, 0.0)])
+def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():
+    hypotheses = PoseHypotheses([SE2.identity(), TWIN, SE2.from_xyt(1.0, 0.0, 0.0)])
     for _ in range(SCANS - 1):
-        contest.judge(np.array([0.8, 0.88, 0.5]))
-        assert len(contest.rivals) == 3
-    contest.judge(np.array([0.84, 0.88, 0.5]))
-    assert contest.decided
-    assert contest.rivals[0] is TWIN
-    close = Contest([SE2.identity(), TWIN])
+        assert hypotheses.judge(np.array([0.8, 0.88, 0.5])) is None
+        assert len(hypotheses.poses) == 3
+    assert hypotheses.judge(np.array([0.84, 0.88, 0.5])) is TWIN
+    close = PoseHypotheses([SE2.identity(), TWIN])
     for k in range(100):
-        close.judge(np.array([0.86, 0.88]) + 0.03 * (-1) ** k)
-    assert not close.decided
+        assert close.judge(np.array([0.86, 0.88]) + 0.03 * (-1) ** k) is None
 
 
 def run(place, tmp_path, config, seed=2, **request):

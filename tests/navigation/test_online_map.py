@@ -9,15 +9,15 @@ from slam_rooms import ROOM, around_the_room, drifted, recording
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
-from turtlebag.pipeline.navigation.bump_memory import Unseen
+from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape
 from turtlebag.pipeline.navigation.growing_clouds import GrowingClouds
-from turtlebag.pipeline.navigation.guarded import GuardConfig
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.tasks.avoid import Sectors
 
 TRUE = around_the_room(200, laps=2)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
@@ -98,23 +98,26 @@ def wall_ahead(T_world_base: SE2) -> np.ndarray:
 
 @pytest.mark.parametrize("pushing", [True, False])
 def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(pushing):
-    unseen = Unseen(BURGER, GuardConfig())
+    bumps = BumpMemory(BURGER)
     noticed = []
     for k in range(12):
         T_odom_base = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         T_true = SE2.identity() if pushing else T_odom_base
         hits = T_odom_base @ wall_ahead(T_true)
-        sight = Sight(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)))
-        noticed.append(unseen.noticed(sight, T_odom_base, SE2.identity(), Twist(0.2, 0.0)))
+        sight = Sight(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)), Sectors(2.0, 2.0, 2.0))
+        noticed.append(bumps.noticed(sight, T_odom_base, Twist(0.2, 0.0), SE2.identity()))
     assert any(noticed) == pushing
     free = Costmap(np.zeros((80, 80), dtype=bool), 0.05, SE2.from_xyt(-2.0, -2.0, 0.0))
-    kept_out = unseen.kept_out(free).lethal
+    now = 12 * 200_000_000
+    kept_out = bumps.kept_out(free, now).lethal
     if not pushing:
         assert not kept_out.any()
         return
     first = noticed.index(True)
     nose = np.array([0.04 * first + 0.041 + 0.05, 0.0])
-    assert unseen.kept_out(free).clearance_at(nose) < 0.06
+    assert bumps.kept_out(free, now).clearance_at(nose) < 0.06
+    assert bumps.kept_out(free, now + MEMORY_NS) is free
     start = SE2.from_xyt(0.04 * first, 0.0, 0.0)
-    assert unseen.backing_off(first * 200_000_000, start) == Twist(-0.1, 0.0)
-    assert unseen.backing_off(first * 200_000_000, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None
+    escape = Escape.after_bump(0, start, Twist(0.2, 0.0), 0.0)
+    assert escape.command(0, start) == Twist(-0.1, 0.0)
+    assert escape.command(0, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None

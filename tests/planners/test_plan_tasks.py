@@ -6,7 +6,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.relocalise import RelocaliseConfig, Relocaliser
+from turtlebag.pipeline.navigation.lost import Event, Lost, RelocaliseConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -75,18 +75,18 @@ def test_progress_is_a_move_or_a_turn_large_enough_within_the_time():
     ]
 
 
-def test_the_relocaliser_keeps_its_times():
+def test_a_lost_robot_keeps_its_times():
     config = RelocaliseConfig(doubts=2, settled=1.0, look=5.0, trust=15.0, roam=45.0, restarts=1)
-    r = Relocaliser(config)
+    r = Lost(config)
     at = lambda s, narrow, agrees, updates: r.update(round(s * S), narrow, agrees, updates)  # noqa: E731
     assert [at(0, False, True, 1), at(1, False, True, 1), at(2, True, True, 2), at(3, False, True, 3)] == [
-        "go"
+        "drive"
     ] * 4
     assert at(4, True, False, 4) == "look"
     # settled needs an update since, and its whole second
     assert [at(5, True, True, 4), at(6.5, True, True, 4), at(6.6, False, True, 5)] == ["look"] * 3
-    assert [at(7, True, True, 5), at(7.99, True, True, 5), at(8, True, True, 5)] == ["look", "look", "go"]
-    r.suspect(20 * S, 9)
+    assert [at(7, True, True, 5), at(7.99, True, True, 5), at(8, True, True, 5)] == ["look", "look", "drive"]
+    r.on(Event.DOUBTED, 20 * S, 9)
     assert [at(24.9, False, False, 10), at(25, False, False, 10)] == ["look", "roam"]
     assert [at(69.9, False, True, 11), at(70, False, True, 11)] == ["roam", "restart"]
     assert [at(70.1, False, True, 12), at(75.0, False, True, 12), at(75.1, False, True, 13)] == [
@@ -94,13 +94,16 @@ def test_the_relocaliser_keeps_its_times():
         "look",
         "roam",
     ]
-    assert [at(120.1, False, True, 14), at(120.2, False, True, 14)] == ["give_up", "go"]
+    assert [at(120.1, False, True, 14), at(120.2, False, True, 14)] == ["give_up", "drive"]
     # a narrow cloud after looking about is trusted, for a while, whatever the scans say
-    r.suspect(200 * S, 20)
+    r.on(Event.DOUBTED, 200 * S, 20)
     assert [at(205, True, False, 20), at(206, True, False, 21)] == ["roam", "roam"]
-    r.suspect(300 * S, 30)
-    assert [at(304, True, False, 31), at(305, True, False, 31)] == ["look", "go"]
-    assert [at(319.9, True, False, 40), at(319.95, True, False, 41), at(320, True, False, 42)] == ["go"] * 3
+    r = Lost(config)
+    r.on(Event.DOUBTED, 300 * S, 30)
+    assert [at(304, True, False, 31), at(305, True, False, 31)] == ["look", "drive"]
+    assert [at(319.9, True, False, 40), at(319.95, True, False, 41), at(320, True, False, 42)] == [
+        "drive"
+    ] * 3
     assert at(320.1, True, False, 43) == "look"
 
 

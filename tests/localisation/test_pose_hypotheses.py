@@ -10,14 +10,17 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.localisation.distinguishing_views import (
-    BEAMS,
-    clearly_other,
-    differences,
-    expected_views,
-)
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import Contest, Glimpse, Rivals, apart, within
+from turtlebag.pipeline.localisation.pose_hypotheses import (
+    BEAMS,
+    Aliasing,
+    Glimpse,
+    PoseHypotheses,
+    apart,
+    clearly_other,
+    expected_views,
+    within,
+)
 
 # Turned by half a circle about (2, 1.5) the hall is itself, but for the box where there is one.
 HALL = Room(np.array(box(0.013, 0.013, 3.987, 2.987)), (2.0, 1.5))
@@ -25,7 +28,7 @@ WITH_A_BOX = Room(np.vstack([HALL.walls, box(0.5, 2.3, 1.1, 2.9)]), (2.0, 1.5))
 HALF_TURN = SE2.from_xyt(4.0, 3.0, math.pi)
 
 
-def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Rivals, list[Glimpse]]:
+def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Aliasing, list[Glimpse]]:
     """Exact scans on a drive, the odometry being in the map's frame."""
     search = Amcl(room.grid(), STILL_LIDAR, T_BASE_LIDAR, AmclConfig(), np.random.default_rng(1)).search
     glimpses = []
@@ -33,50 +36,47 @@ def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Riva
         T = SE2.from_xyt(*pose)
         ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), STILL_LIDAR.angles, 3.5).astype(np.float32)
         glimpses.append(Glimpse(prepare(Scan(0, ranges, STILL_LIDAR), T_BASE_LIDAR), T))
-    return Rivals(search, np.random.default_rng(2)), glimpses
+    return Aliasing(search, np.random.default_rng(2)), glimpses
 
 
 DRIVE = [(1.1, 0.9, 0.3), (1.4, 1.0, 0.5)]
 
 
 def test_the_twin_of_a_place_is_found_and_the_estimate_stays_the_first():
-    rivals, glimpses = seen_from(HALL, DRIVE)
-    found = rivals.find(glimpses, SE2.identity())
+    aliasing, glimpses = seen_from(HALL, DRIVE)
+    found = aliasing.find(glimpses, SE2.identity())
     assert len(found) == 2
     assert np.array_equal(found[0].xyt, np.zeros(3))
     off = HALF_TURN.inverse() @ found[1]
     assert np.abs(off.xyt).max() < 0.1
-    fits = rivals.fits(found, glimpses[0], SE2.identity())
+    fits = aliasing.fits(found, glimpses[0], SE2.identity())
     assert fits.min() > 0.9
     assert abs(fits[0] - fits[1]) < 0.05
 
 
 @pytest.mark.slow
 def test_a_wrong_estimate_gives_way_to_the_place_that_explains_the_scans():
-    rivals, glimpses = seen_from(WITH_A_BOX, DRIVE)
-    (only,) = rivals.find(glimpses, SE2.identity())
+    aliasing, glimpses = seen_from(WITH_A_BOX, DRIVE)
+    (only,) = aliasing.find(glimpses, SE2.identity())
     assert np.array_equal(only.xyt, np.zeros(3))
-    (right,) = rivals.find(glimpses, HALF_TURN)
+    (right,) = aliasing.find(glimpses, HALF_TURN)
     T_map_base = right @ HALF_TURN @ glimpses[-1].T_odom_base
     assert np.abs((glimpses[-1].T_odom_base.inverse() @ T_map_base).xyt).max() < 0.1
 
 
-def test_a_rival_is_dropped_when_six_scans_in_a_row_speak_against_it():
+def test_a_hypothesis_is_dropped_when_six_scans_in_a_row_speak_against_it():
     places = [SE2.identity(), HALF_TURN, SE2.from_xyt(1.0, 0.0, 0.0)]
-    contest = Contest(places)
+    hypotheses = PoseHypotheses(places)
     for _ in range(5):
-        contest.judge(np.array([0.9, 0.88, 0.6]))
-    assert len(contest.rivals) == 3
-    contest.judge(np.array([0.9, 0.88, 0.6]))
-    assert contest.rivals == places[:2]
-    assert not contest.decided
+        assert hypotheses.judge(np.array([0.9, 0.88, 0.6])) is None
+    assert len(hypotheses.poses) == 3
+    assert hypotheses.judge(np.array([0.9, 0.88, 0.6])) is None
+    assert hypotheses.poses == places[:2]
     for _ in range(2):
-        contest.judge(np.array([0.7, 0.88]))
-    # on average of the last six scans 0.833 and 0.88: still in the race
-    assert not contest.decided
-    contest.judge(np.array([0.7, 0.88]))
-    assert contest.rivals == [HALF_TURN]
-    assert contest.decided
+        # on average of the last six scans 0.833 and 0.88: still in the race
+        assert hypotheses.judge(np.array([0.7, 0.88])) is None
+    assert hypotheses.judge(np.array([0.7, 0.88])) is HALF_TURN
+    assert hypotheses.poses == [HALF_TURN]
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_poses_about_a_place_are_near_in_both_place_and_heading():
 
 
 def test_views_are_the_ranges_of_the_map_all_round():
-    rivals, _ = seen_from(HALL, DRIVE[:1])
-    field = rivals._search.field
+    aliasing, _ = seen_from(HALL, DRIVE[:1])
+    field = aliasing._search.field
     (views,) = expected_views(field, SE2.from_array(np.array([[1.0, 1.2, math.pi / 2]])), 3.5)
     ahead, left, behind, right = views[:: BEAMS // 4]
     assert [ahead, left, behind, right] == pytest.approx([1.787, 0.987, 1.187, 2.987], abs=0.06)
@@ -115,10 +115,10 @@ def test_views_differ_by_the_share_of_beams_that_no_neighbour_comes_near():
     assert clearly_other(views, others) == 0.0
 
 
-def test_rivals_look_different_where_the_map_is_not_symmetric():
-    rivals, _ = seen_from(WITH_A_BOX, DRIVE[:1])
+def test_hypotheses_look_different_where_the_map_is_not_symmetric():
+    aliasing, _ = seen_from(WITH_A_BOX, DRIVE[:1])
     poses = SE2.from_array(np.array([[1.0, 1.8, 0.0], [2.0, 1.0, 1.0]]))
-    told = rivals.differences([SE2.identity(), HALF_TURN], poses)
-    plain = differences(seen_from(HALL, DRIVE[:1])[0]._search.field, [SE2.identity(), HALF_TURN], poses, 3.5)
+    told = aliasing.differences([SE2.identity(), HALF_TURN], poses)
+    plain = seen_from(HALL, DRIVE[:1])[0].differences([SE2.identity(), HALF_TURN], poses)
     assert plain.max() < 0.05
     assert told[0] > 0.2

@@ -1,0 +1,77 @@
+"""How well scans agree with the map at the estimate, and so how much to search: augmented MCL.
+
+Probabilistic Robotics, section 8.3.5: random particles are mixed in by how far a fast average of the
+agreement is below a slow one. Here they come from a search (see global_search), which costs: when it is
+made is decided here, too.
+"""
+
+from __future__ import annotations
+
+from turtlebag.pipeline.localisation.parameters import AmclConfig
+
+# Agreement of scan and map at the right place, before anything was seen: where both averages start.
+NOMINAL_AGREEMENT = 0.8
+# Random particles are mixed in from this share on (less is people and boxes in view), and at most so many.
+LEAST_RANDOM, MOST_RANDOM = 0.25, 0.5
+# Filter updates from one search to the next while lost.
+FIRST_PAUSE, LONGEST_PAUSE = 2, 64
+# Agreement below this part of the best so far is worth a second look, so many updates apart.
+FADED, SECOND_LOOK_PAUSE = 0.9, 24
+# A single scan of which the map explains less than this part of the usual share speaks against the estimate.
+CONTRADICTED = 0.7
+
+
+class AgreementWatch:
+    """Averages of the agreement over the filter's updates, and when to search."""
+
+    def __init__(self, config: AmclConfig, *, anywhere: bool = False) -> None:
+        self.anywhere = anywhere
+        """A global start: the robot may be anywhere, and no scan has been explained yet."""
+        self.updates = 0
+        self.slow = NOMINAL_AGREEMENT
+        self.fast = 0.0 if anywhere else NOMINAL_AGREEMENT
+        self.best = 0.0
+        """The highest fast average so far."""
+        self._config = config
+        self._next_search, self._pause = 0, FIRST_PAUSE
+
+    def update(self, agreement: float) -> None:
+        """Take in the agreement 0..1 of a scan at the new estimate."""
+        self.slow += self._config.recovery_alpha_slow * (agreement - self.slow)
+        self.fast += (1.0 if self.anywhere else self._config.recovery_alpha_fast) * (agreement - self.fast)
+        self.anywhere = self.anywhere and agreement == 0.0
+        self.best = max(self.best, self.fast)
+        self.updates += 1
+
+    def contradicted_by(self, agreement: float) -> bool:
+        """Whether a scan of this agreement speaks against the estimate."""
+        return agreement < CONTRADICTED * self.slow
+
+    def random_share(self) -> float:
+        """Share of random particles: how far the agreement of late is below that of long."""
+        if self._config.recovery_alpha_slow <= 0.0:
+            return 0.0
+        share = 1.0 - self.fast / self.slow
+        return min(share, MOST_RANDOM) if share >= LEAST_RANDOM else 0.0
+
+    def search_share(self) -> float:
+        """Share of particles to draw from a search now: all at a global start, then now and then while lost.
+
+        A search that did not help is not repeated at once: the pause doubles, so a place that does not
+        look like the map (a moved wardrobe) does not cost a search every scan. Where nothing seems wrong
+        but scans agree less than they once did, a second look is taken now and then: in the twin of a
+        place almost all agrees, and only a search shows that the other one agrees better.
+        """
+        if self.anywhere:
+            return 1.0
+        share = self.random_share()
+        lost = share > 0.0
+        if not lost:
+            self._pause = FIRST_PAUSE
+            share = LEAST_RANDOM if self.fast < FADED * self.best else 0.0
+        if share == 0.0 or self.updates < self._next_search:
+            return 0.0
+        self._next_search = self.updates + (self._pause if lost else SECOND_LOOK_PAUSE)
+        if lost:
+            self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        return share

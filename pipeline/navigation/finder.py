@@ -1,0 +1,181 @@
+"""A robot that finds out where it is: events for the state machine of `lost.py`, and its commands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
+from turtlebag.pipeline.navigation.disambiguation import Disambiguation
+from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
+from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.lost import Event, Lost, State
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.tasks.wiggle import Wiggle
+
+JUMP_M, JUMP_RAD = 0.25, 0.25
+"""An estimate that moves more than this with one scan was wrong before; nearer places are the same one."""
+SURE = 10
+"""Filter updates in a row without a doubt after which the robot is sure of where it is."""
+COVARIANCE = np.diag([0.05, 0.05, 0.05]) ** 2
+
+
+class Finder:
+    """Watches the localiser, and drives while the robot is lost."""
+
+    def __init__(
+        self, lost: Lost, localiser: Localiser, aliasing: Aliasing, tools: Tools, guard: Guard, wiggle: Wiggle
+    ) -> None:
+        self.lost = lost
+        self.localiser = localiser
+        self.comparison: Disambiguation | None = None
+        """The drive that decides between pose hypotheses, while there are any."""
+        self.void = False
+        """Whether this tick has shown that what was planned and seen before was by a wrong pose."""
+        self._aliasing, self._tools, self._guard, self._wiggle = aliasing, tools, guard, wiggle
+        self._sureness = _Sureness()
+        self._T_map_odom: SE2 | None = None
+
+    def update(self, observation: Observation, *, examine: bool) -> State:
+        """What to do in this tick; hypotheses are looked for where there is a goal to `examine` them for."""
+        now, lost, localiser = observation.stamp_ns, self.lost, self.localiser
+        before, self.void = lost.state, False
+        if before is State.WIGGLE:
+            return before
+        self.void = self._jumped(observation.odometry.T_odom_base)
+        driving = before in (State.DRIVE, State.COMPARE, State.PUSHED)
+        if self.void and driving and localiser.updates > 0:
+            self.doubt(now)
+        if lost.state is not State.DRIVE or localiser.updates > 0:
+            lost.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
+        if lost.state is State.RESTART:
+            localiser.initialise_globally()
+        if lost.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
+            lost.on(Event.PUSHED, now, localiser.updates)
+        if lost.state not in (State.DRIVE, State.COMPARE, State.PUSHED):
+            self.void |= driving
+            self._sureness.doubted = True
+            if self.comparison is not None:
+                self.comparison, self._sureness.searches = None, -1
+        elif lost.state is State.DRIVE and examine:
+            self._examine(now)
+        if lost.state is not before:
+            self._wiggle = Wiggle(self._wiggle.config)
+            self._guard.interrupted()
+        return lost.state
+
+    def doubt(self, now_ns: int) -> None:
+        """Something else speaks for being lost: look about at once."""
+        self.lost.on(Event.DOUBTED, now_ns, self.localiser.updates)
+
+    def rest(self) -> None:
+        """Someone else has driven meanwhile."""
+        if self.comparison is not None:
+            self.comparison.rest()
+
+    def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
+        """The command while it is lost: no map is used, nothing seen is touched."""
+        now, state, T_odom_base = observation.stamp_ns, self.lost.state, observation.odometry.T_odom_base
+        controller = self._tools.controller
+        if state is State.ROAM and sensing.sight is not None:
+            new = observation.scan is not None
+            return controller.ramp(self._guard.command(sensing.sight, T_odom_base, last, new_sweep=new), last)
+        if state not in (State.WIGGLE, State.LOOK):
+            return controller.brake(last)
+        amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
+        turn = self._wiggle.command(now, wiggling and amcl.converged)
+        if turn is None and wiggling:
+            lost = self._wiggle.gave_up and amcl.lost
+            self.lost.on(Event.DOUBTED if lost else Event.FOUND, now, self.localiser.updates)
+            self._wiggle = Wiggle(self._wiggle.config)
+        if turn is None:
+            return controller.brake(last)
+        factor = self._tools.monitor.limit(turn, sensing.points_base(T_odom_base))
+        return controller.ramp(Twist(0.0, turn.w * factor), last)
+
+    def compare(self, tick: Tick) -> Twist | None:
+        """The command on the way to where hypotheses differ; None when nothing more can be done."""
+        assert self.comparison is not None
+        if self._sureness.new_update(self.localiser):
+            left = self.comparison.judge(self.localiser)
+            if left is not None:
+                self.void = True
+                self._settle(left, tick.now_ns)
+                return self._tools.controller.brake(tick.last)
+        return self.comparison.command(tick, self.lost.config.tell_apart)
+
+    def _jumped(self, T_odom_base: SE2) -> bool:
+        """Whether the estimate has moved otherwise than by odometry since the last question.
+
+        Such a robot looks about before it drives on by the new estimate.
+        """
+        before, self._T_map_odom = self._T_map_odom, self.localiser.T_map_odom
+        if before is None or self._T_map_odom is None or before is self._T_map_odom:
+            return False
+        return _far(before @ T_odom_base, self._T_map_odom @ T_odom_base)
+
+    def _examine(self, now_ns: int) -> None:
+        """Look for places that look like the estimate's; it is moved to a clearly better one."""
+        localiser = self.localiser
+        T_map_odom, glimpses = localiser.T_map_odom, localiser.glimpses
+        if T_map_odom is None or not glimpses or localiser.amcl.lost:
+            return
+        if self._sureness.doubtful(localiser, T_map_odom, glimpses[-1].T_odom_base):
+            found = self._aliasing.find(glimpses, T_map_odom)
+            if len(found) > 1:
+                self.comparison = Disambiguation(self._aliasing, found, self._tools, now_ns)
+                self._sureness.new_update(localiser)
+                self.lost.on(Event.ALIKE, now_ns, localiser.updates)
+            else:
+                self._move_to(found[0])
+
+    def _settle(self, T_map_map: SE2, now_ns: int) -> None:
+        """One is left: the robot is there."""
+        self.comparison = None
+        self.lost.on(Event.DECIDED, now_ns, self.localiser.updates)
+        self._move_to(T_map_map)
+
+    def _move_to(self, T_map_map: SE2) -> None:
+        """Move the estimate if it is not there; that is no reason for doubt."""
+        if not np.allclose(T_map_map.xyt, 0.0):
+            self.localiser.move(T_map_map, COVARIANCE)
+            self._T_map_odom, self.void = self.localiser.T_map_odom, True
+
+
+class _Sureness:
+    """Whether to compare an estimate with other places: it comes from a search, or is not where it was."""
+
+    def __init__(self) -> None:
+        self.doubted = False
+        """Whether the robot has been lost since it last knew where it is."""
+        self.searches = 0
+        """Searches over the whole map whose result has been examined."""
+        self._updates = self._sure = 0
+        self._sure_of = SE2.identity()
+
+    def new_update(self, localiser: Localiser) -> bool:
+        """Whether the filter has used a scan since the last question."""
+        before, self._updates = self._updates, localiser.updates
+        return localiser.updates > before
+
+    def doubtful(self, localiser: Localiser, T_map_odom: SE2, T_odom_base: SE2) -> bool:
+        """Whether to look for other places; the estimate is one that the filter is sure of.
+
+        A robot that was never sure yet is told a pose and corrects it: whoever told it knows the place.
+        """
+        searched = localiser.amcl.searches > self.searches
+        self.searches = localiser.amcl.searches
+        moved = self._sure >= SURE and _far(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base)
+        doubtful = searched or (self.doubted and moved)
+        if self.doubted:
+            self.doubted, self._sure = False, 0
+        if not doubtful and self.new_update(localiser):
+            self._sure, self._sure_of = self._sure + 1, T_map_odom
+        return doubtful
+
+
+def _far(one: SE2, other: SE2) -> bool:
+    x, y, yaw = (one.inverse() @ other).xyt.tolist()
+    return x * x + y * y > JUMP_M * JUMP_M or abs(yaw) > JUMP_RAD
