@@ -60,44 +60,6 @@ def _misfit(tree: scipy.spatial.cKDTree, points: Array) -> float:
     return float(np.minimum(distance, FAR_M).mean())
 
 
-class BumpMemory:
-    """Watches for slipping wheels; remembers what must have stopped them, in the frame of the poses given."""
-
-    def __init__(self, model: RobotModel) -> None:
-        self._footprint = model.footprint
-        self._slip = SlipWatch()
-        self._bumps: list[tuple[int, Array]] = []
-
-    def reset(self) -> None:
-        """Compare sweeps anew from the next one on; places stay known."""
-        self._slip.reset()
-
-    def noticed(self, sight: Sight, T_odom_base: SE2, last: Twist, T_frame_odom: SE2) -> bool:
-        """Whether a new sweep shows that the robot pushes against something; that is remembered."""
-        if not self._slip.slipping(T_odom_base, sight.hits_odom):
-            return False
-        xs, ys = self._footprint.T
-        edge = xs.min() - BEYOND_M if last.v < 0.0 else xs.max() + BEYOND_M
-        across = np.arange(ys.min(), ys.max() + SPACING_M, SPACING_M)
-        line = np.stack([np.full(len(across), edge), across], axis=1)
-        self._bumps.append((sight.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
-        return True
-
-    def points(self, now_ns: int) -> Array:
-        """Points (n, 2) of what is remembered still."""
-        self._bumps = [(t, line) for t, line in self._bumps if now_ns - t < MEMORY_NS]
-        return np.concatenate([np.zeros((0, 2)), *(line for _, line in self._bumps)])
-
-    def kept_out(self, costmap: Costmap, now_ns: int) -> Costmap:
-        """The costmap, in the same frame, with everything remembered as lethal."""
-        points = self.points(now_ns)
-        lethal = np.zeros_like(costmap.lethal)
-        cells = np.floor((costmap.T_grid_map @ points) / costmap.resolution).astype(int)
-        inside = np.all((cells >= 0) & (cells < lethal.shape[::-1]), axis=1)
-        lethal[cells[inside, 1], cells[inside, 0]] = True
-        return costmap.with_lethal(lethal) if inside.any() else costmap
-
-
 class Escape:
     """Back off, then turn an angle [rad], or as much of both as a few seconds allow."""
 
@@ -105,11 +67,6 @@ class Escape:
         self._now_ns, self._start = now_ns, start
         self._distance, self._angle = distance, angle
         self._turned_from: float | None = None
-
-    @classmethod
-    def after_bump(cls, now_ns: int, start: SE2, last: Twist, angle: float) -> Escape:
-        """Away from what stopped the robot when it was last told to drive as `last` says."""
-        return cls(now_ns, start, BACK_OFF_M if last.v < 0.0 else -BACK_OFF_M, angle)
 
     def command(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
         """The twist of this tick; None when it is over."""
@@ -125,3 +82,56 @@ class Escape:
         if abs(turned) >= min(abs(self._angle), math.pi - 0.2):
             return None
         return Twist(0.0, math.copysign(TURN_W, self._angle))
+
+
+class BumpMemory:
+    """Watches for slipping wheels; remembers what must have stopped them, in the frame of the poses given."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self.escape: Escape | None = None
+        """The way out of where it is, while it is on it."""
+        self._footprint = model.footprint
+        self._slip = SlipWatch()
+        self._bumps: list[tuple[int, Array]] = []
+
+    def interrupted(self) -> None:
+        """What was being watched, and the escape, are over; places stay known."""
+        self.escape = None
+        self._slip.reset()
+
+    def noticed(self, sight: Sight, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
+        """Whether a new sweep shows that the robot pushes against something; that is remembered.
+
+        An escape begins then: back, and away from it by `turn` [rad].
+        """
+        if self.escape is not None or not self._slip.slipping(T_odom_base, sight.hits_odom):
+            return False
+        xs, ys = self._footprint.T
+        edge = xs.min() - BEYOND_M if last.v < 0.0 else xs.max() + BEYOND_M
+        across = np.arange(ys.min(), ys.max() + SPACING_M, SPACING_M)
+        line = np.stack([np.full(len(across), edge), across], axis=1)
+        self._bumps.append((sight.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
+        back = BACK_OFF_M if last.v < 0.0 else -BACK_OFF_M
+        self.escape = Escape(sight.stamp_ns, T_odom_base, back, turn)
+        return True
+
+    def escaping(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
+        """The command of the escape; None when there is none, or when it is over."""
+        command = None if self.escape is None else self.escape.command(now_ns, T_odom_base)
+        if self.escape is not None and command is None:
+            self.interrupted()
+        return command
+
+    def points(self, now_ns: int) -> Array:
+        """Points (n, 2) of what is remembered still."""
+        self._bumps = [(t, line) for t, line in self._bumps if now_ns - t < MEMORY_NS]
+        return np.concatenate([np.zeros((0, 2)), *(line for _, line in self._bumps)])
+
+    def kept_out(self, costmap: Costmap, now_ns: int) -> Costmap:
+        """The costmap, in the same frame, with everything remembered as lethal."""
+        points = self.points(now_ns)
+        lethal = np.zeros_like(costmap.lethal)
+        cells = np.floor((costmap.T_grid_map @ points) / costmap.resolution).astype(int)
+        inside = np.all((cells >= 0) & (cells < lethal.shape[::-1]), axis=1)
+        lethal[cells[inside, 1], cells[inside, 0]] = True
+        return costmap.with_lethal(lethal) if inside.any() else costmap

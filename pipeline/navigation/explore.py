@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.spans import Seconds
-from turtlebag.datasets.types import Observation, RobotModel, Twist
-from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sensing, Sight
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.tasks.frontier import FrontierConfig, next_view
 
 
@@ -41,23 +41,13 @@ class ExploreDriver(Driver):
     """Map, choose a frontier, drive there, look, map again, until no frontier can be reached."""
 
     def __init__(
-        self,
-        config: ExploreConfig,
-        model: RobotModel,
-        sensing: Sensing,
-        online: OnlineMap,
-        make_tools: Callable[[Costmap], Tools],
-        publisher: BagWriter,
-        duration_s: float,
+        self, config: ExploreConfig, sensing: Sensing, online: OnlineMap, tools: Tools, duration_s: float
     ) -> None:
         super().__init__(sensing)
         self.online = online
-        self._config, self._model = config, model
-        self._make_tools, self._publisher = make_tools, publisher
+        self._config, self._tools = config, tools
         self._end_ns = round(duration_s * 1e9)
-        self._bumps = BumpMemory(model)
-        self._escape: Escape | None = None
-        self._tools: Tools | None = None
+        self._bumps = BumpMemory(tools.model)
         self._runner: GoalRunner | None = None
         self._spent: list[Array] = []
         self._mapped_ns = 0
@@ -88,7 +78,7 @@ class ExploreDriver(Driver):
             self._choose(observation)
             if self._runner is None:
                 return self._finish(observation)
-        if sight is not None and self._tools is not None:
+        if sight is not None:
             self._see(sight, self.online.T_map_odom, self._tools.live)
         return self._pursue(self._runner, observation)
 
@@ -109,19 +99,12 @@ class ExploreDriver(Driver):
 
     def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
-        now, T_odom_base = observation.stamp_ns, observation.odometry.T_odom_base
-        if self._escape is None:
-            T_map_odom = self.online.T_map_odom
-            if sight is None or not self._bumps.noticed(sight, T_odom_base, self._last, T_map_odom):
-                return None
+        T_odom_base, T_map_odom = observation.odometry.T_odom_base, self.online.T_map_odom
+        if sight is not None and self._bumps.noticed(sight, T_odom_base, self._last, 0.0, T_map_odom):
             self.online.distrust()
             self._runner = None
-            self._escape = Escape.after_bump(now, T_odom_base, self._last, 0.0)
-        wanted = self._escape.command(now, T_odom_base)
+        wanted = self._bumps.escaping(observation.stamp_ns, T_odom_base)
         if wanted is None:
-            self._escape = None
-            self._bumps.reset()
-        if wanted is None or self._tools is None:
             return None
         self.state = "back_off"
         factor = self._tools.monitor.limit(wanted, self.sensing.points_base(T_odom_base))
@@ -130,19 +113,20 @@ class ExploreDriver(Driver):
 
     def _choose(self, observation: Observation) -> None:
         """Map, and pick the place to look from; no runner when there is none."""
-        now, grid = observation.stamp_ns, self.online.update()
+        now, grid, publisher = observation.stamp_ns, self.online.update(), self._tools.publisher
         self._mapped_ns, self._runner = now, None
-        self._publisher.map(now, grid)
-        self._publisher.map_to_odom(now, self.online.T_map_odom)
+        publisher.map(now, grid)
+        publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config.costmap), now)
-        radius = self._model.circumscribed_radius + self._config.margin
+        radius = self._tools.model.circumscribed_radius + self._config.margin
         goal = next_view(grid, costmap, self.estimate, radius, self._spent, self._config.frontier)
         if goal is None:
             return
         self.goal_index += 1
-        self._publisher.goal(now, goal)
-        self._tools = self._make_tools(costmap)
+        publisher.goal(now, goal)
+        live = LiveLayer(costmap, self._tools.live.config)
+        self._tools = dataclasses.replace(self._tools, live=live)
         if self.sensing.sight is not None:
             self._seen_ns = -(10**9)
             self._see(self.sensing.sight, self.online.T_map_odom, self._tools.live)
@@ -159,13 +143,12 @@ class ExploreDriver(Driver):
 
     def _finish(self, observation: Observation) -> Twist:
         if self.state != "done":
-            self._publisher.map(observation.stamp_ns, self.online.finish())
+            self._tools.publisher.map(observation.stamp_ns, self.online.finish())
         self.state = "done"
         return self._stop(observation)
 
     def _stop(self, observation: Observation) -> Twist:
         """Brake; the run is over when it was done and the robot stands."""
-        if self._tools is not None:
-            self._last = self._tools.controller.brake(self._last)
+        self._last = self._tools.controller.brake(self._last)
         self.finished = self.state == "done" and abs(observation.odometry.twist.v) < 1e-3
-        return self._last if self._tools is not None else Twist()
+        return self._last

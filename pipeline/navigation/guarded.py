@@ -43,16 +43,15 @@ class Guard:
         self._turning = 0.0
         self._flips = 0
         self._bumps = BumpMemory(model)
-        self._escape: Escape | None = None
         self._anchor: tuple[float, SE2] | None = None
         self.decision = Decision("hold", Twist())
         """What was decided at the newest sweep."""
 
     def interrupted(self) -> None:
         """Someone else has driven: manoeuvres and what was being watched are over; places stay known."""
-        self._escape, self._anchor, self.decision = None, None, Decision("hold", Twist())
+        self._anchor, self.decision = None, Decision("hold", Twist())
         self._turning, self._flips = 0.0, 0
-        self._bumps.reset()
+        self._bumps.interrupted()
 
     def command(self, sight: Sight, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
         """The command of a tick, as far as it is safe; it is decided anew after a sweep."""
@@ -69,18 +68,13 @@ class Guard:
 
     def decide(self, sight: Sight, T_odom_base: SE2, last: Twist) -> Decision:
         """What to do after a new sweep."""
-        now = sight.stamp_ns
-        if self._escape is None and self._bumps.noticed(sight, T_odom_base, last, SE2.identity()):
+        away = TURN_AWAY_RAD if sight.sectors.left > sight.sectors.right else -TURN_AWAY_RAD
+        if self._bumps.noticed(sight, T_odom_base, last, away, SE2.identity()):
             self._turning = 0.0
-            away = TURN_AWAY_RAD if sight.sectors.left > sight.sectors.right else -TURN_AWAY_RAD
-            self._escape = Escape.after_bump(now, T_odom_base, last, away)
         points = self.points_base(sight, T_odom_base)
-        if self._escape is not None:
-            command = self._escape.command(now, T_odom_base)
-            if command is not None:
-                return self._possible(Decision("back off" if command.v else "turn away", command), points)
-            self._escape = None
-            self._bumps.reset()
+        command = self._bumps.escaping(sight.stamp_ns, T_odom_base)
+        if command is not None:
+            return self._possible(Decision("back off" if command.v else "turn away", command), points)
         return self._possible(self._tiers(sight, T_odom_base, points), points)
 
     def _tiers(self, sight: Sight, T_odom_base: SE2, points: Array) -> Decision:
@@ -92,7 +86,7 @@ class Guard:
         self._turning, self._flips = 0.0, 0
         if self._restless(sight.stamp_ns * 1e-9, T_odom_base):
             angle = _to_most_room(T_odom_base.inverse() @ sight.hits_odom)
-            self._escape = Escape(sight.stamp_ns, T_odom_base, 0.0, angle)
+            self._bumps.escape = Escape(sight.stamp_ns, T_odom_base, 0.0, angle)
             return Decision("turn away", Twist(0.0, 0.0))
         return tutorial_rule(s, rule)
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
@@ -166,14 +168,10 @@ def make_driver(
     if request.task == "explore":
         explore = config.explore
         checked = config.model_copy(update={"goal_checker": explore.checker})
-
-        def tools_on(costmap: Costmap) -> Tools:
-            return make_tools(robot, checked, LiveLayer(costmap, config.live), publisher, seed)
-
-        duration = request.duration_s or DEFAULT_EXPLORE_S
+        tools = make_tools(robot, checked, LiveLayer(nothing_known(), config.live), publisher, seed)
         online = OnlineMap(robot.T_base_lidar, explore.slam)
-        driver = ExploreDriver(explore, robot.model, sensing, online, tools_on, publisher, duration)
-        return driver, None, None
+        duration = request.duration_s or DEFAULT_EXPLORE_S
+        return ExploreDriver(explore, sensing, online, tools, duration), None, None
     sequence = GoalSequence(mission.waypoints, config.sequence)
     if mission.grid is None or mission.costmap is None:
         m = config.mapless
@@ -198,6 +196,11 @@ def _mapless(config: NavigateConfig) -> NavigateConfig:
     plan = {"replan_period": m.replan_period, "inflation_radius": m.inflation_radius}
     own = {"controller": m.controller, "recovery": m.recovery, "plan": config.plan.model_copy(update=plan)}
     return config.model_copy(update=own)
+
+
+def nothing_known() -> Costmap:
+    """A costmap of one cell, for before anything was mapped."""
+    return Costmap(np.zeros((1, 1), dtype=np.bool_), 1.0, SE2.identity())
 
 
 def make_tools(

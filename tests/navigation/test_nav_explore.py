@@ -11,27 +11,24 @@ from turtlebag.pipeline.navigation.explore import ExploreConfig, ExploreDriver
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.setup import make_tools
+from turtlebag.pipeline.navigation.setup import make_tools, nothing_known
 from turtlebag.planners.live import LiveLayer
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
 
-@pytest.mark.slow
-def test_exploring_widens_the_map_without_a_contact():
+def explorer(duration_s, **replaced):
     robot, explore = load_robot("burger"), ExploreConfig()
     config = NavigateConfig(goal_checker=explore.checker)
-    online = OnlineMap(robot.T_base_lidar, explore.slam)
-    driver = ExploreDriver(
-        explore,
-        robot.model,
-        Sensing(robot.T_base_lidar),
-        online,
-        lambda costmap: make_tools(robot, config, LiveLayer(costmap, config.live), NoBag(), 1),
-        NoBag(),
-        duration_s=9.0,
-    )
+    tools = make_tools(robot, config, LiveLayer(nothing_known(), config.live), NoBag(), 1)
+    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
+    return robot, ExploreDriver(explore, sensing, online, dataclasses.replace(tools, **replaced), duration_s)
+
+
+@pytest.mark.slow
+def test_exploring_widens_the_map_without_a_contact():
+    robot, driver = explorer(9.0)
     seen, contacts = [], 0
     with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
         observation = simulator.reset()
@@ -51,12 +48,8 @@ def test_exploring_widens_the_map_without_a_contact():
 
 
 def test_exploring_ends_in_time_when_no_scan_ever_comes():
-    robot, explore = load_robot("burger"), ExploreConfig()
+    robot, driver = explorer(1.0)
     silent = SimConfig.model_validate({"faults": {"scan_loss": 1.0}})
-    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
-    driver = ExploreDriver(
-        explore, robot.model, sensing, online, lambda costmap: None, NoBag(), duration_s=1.0
-    )
     with Simulator(load_world("turtlebot3_world"), robot, silent, 1) as simulator:
         observation = simulator.reset()
         while not driver.finished and observation.stamp_ns < 2e9:
@@ -77,16 +70,7 @@ class Holding:
 
 @pytest.mark.slow
 def test_a_held_robot_climbs_its_recoveries_instead_of_choosing_anew_for_ever():
-    robot, explore = load_robot("burger"), ExploreConfig()
-    config = NavigateConfig(goal_checker=explore.checker)
-    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
-
-    def tools(costmap):
-        return dataclasses.replace(
-            make_tools(robot, config, LiveLayer(costmap, config.live), NoBag(), 1), monitor=Holding()
-        )
-
-    driver = ExploreDriver(explore, robot.model, sensing, online, tools, NoBag(), duration_s=60.0)
+    robot, driver = explorer(60.0, monitor=Holding())
     places = []
     with Simulator(load_world("turtlebot3_world"), robot, SimConfig(), 1) as simulator:
         observation = simulator.reset()

@@ -9,7 +9,7 @@ from slam_rooms import ROOM, around_the_room, drifted, recording
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
-from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape
+from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory
 from turtlebag.pipeline.navigation.growing_clouds import GrowingClouds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sight
@@ -105,7 +105,7 @@ def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(p
         T_true = SE2.identity() if pushing else T_odom_base
         hits = T_odom_base @ wall_ahead(T_true)
         sight = Sight(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)), Sectors(2.0, 2.0, 2.0))
-        noticed.append(bumps.noticed(sight, T_odom_base, Twist(0.2, 0.0), SE2.identity()))
+        noticed.append(bumps.noticed(sight, T_odom_base, Twist(0.2, 0.0), 0.0, SE2.identity()))
     assert any(noticed) == pushing
     free = Costmap(np.zeros((80, 80), dtype=bool), 0.05, SE2.from_xyt(-2.0, -2.0, 0.0))
     now = 12 * 200_000_000
@@ -118,6 +118,6 @@ def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(p
     assert bumps.kept_out(free, now).clearance_at(nose) < 0.06
     assert bumps.kept_out(free, now + MEMORY_NS) is free
     start = SE2.from_xyt(0.04 * first, 0.0, 0.0)
-    escape = Escape.after_bump(0, start, Twist(0.2, 0.0), 0.0)
-    assert escape.command(0, start) == Twist(-0.1, 0.0)
-    assert escape.command(0, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None
+    assert bumps.escaping(first * 200_000_000, start) == Twist(-0.1, 0.0)
+    assert bumps.escaping(first * 200_000_000, start @ SE2.from_xyt(-0.26, 0.0, 0.0)) is None
+    assert bumps.escape is None

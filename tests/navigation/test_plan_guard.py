@@ -99,7 +99,7 @@ def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
     assert pushing(g, sectors=Sectors(2.0, 2.0, 1.0)).command == Twist(-0.1, 0.0)
     g._turning, g._flips = 1.0, 2
     g.interrupted()
-    assert (g._escape, g._turning, g._flips, g._bumps._slip._pose) == (None, 0.0, 0, None)
+    assert (g._bumps.escape, g._turning, g._flips, g._bumps._slip._pose) == (None, 0.0, 0, None)
     assert len(g.points_base(view(), HERE)) > len(FAR)
     assert len(g.points_base(view(now=MEMORY_NS * 1e-9 - 0.1), HERE)) > len(FAR)
     assert len(g.points_base(view(now=MEMORY_NS * 1e-9), HERE)) == len(FAR)
@@ -112,16 +112,16 @@ def test_what_it_is_stuck_at_is_remembered_and_left_the_other_way(v, left, backs
     found = pushing(g, v=v, now=3.0, pose=pose, sectors=Sectors(left, 2.0, 1.5))
     assert (found.command, g._turning) == (Twist(backs, 0.0), 0.0)
     there = pose @ SE2.from_xyt(-0.25 if v > 0 else 0.25, 0.0, 0.0)
-    assert g._escape.command(0, there) == Twist(0.0, turns)
-    assert g._escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.59, turns))) is not None
-    assert g._escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.61, turns))) is None
+    assert g._bumps.escape.command(0, there) == Twist(0.0, turns)
+    assert g._bumps.escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.59, turns))) is not None
+    assert g._bumps.escape.command(0, there @ SE2.from_xyt(0.0, 0.0, math.copysign(1.61, turns))) is None
 
 
 @pytest.mark.parametrize(("v", "edge"), [(0.1, 0.041 + 0.05), (0.0, 0.041 + 0.05), (-0.1, -0.105 - 0.05)])
 def test_a_bump_is_a_line_beyond_the_leading_edge_as_wide_as_the_robot_in_the_frame_asked_for(v, edge):
     bumps, T_map_odom, pose = BumpMemory(BURGER), SE2.from_xyt(0.3, 0.1, -0.2), SE2.from_xyt(1.0, 2.0, 0.5)
     bumps._slip.slipping = lambda *seen: True
-    assert bumps.noticed(view(pose=pose), pose, Twist(v, 0.0), T_map_odom)
+    assert bumps.noticed(view(pose=pose), pose, Twist(v, 0.0), 0.0, T_map_odom)
     line = (T_map_odom @ pose).inverse() @ bumps.points(0)
     np.testing.assert_allclose(line[:, 0], edge)
     np.testing.assert_allclose(np.diff(line[:, 1]), 0.02)
