@@ -28,6 +28,8 @@ from turtlebag.pipeline.localisation.push_detection import PushDetector
 BETTER_BY = 0.1
 # A place found far away must explain so much more of the scan than one near by.
 NEARER_BY = 0.05
+# The cloud counts as converged when its standard deviations are below these.
+CONVERGED_M, CONVERGED_RAD = 0.15, 0.1
 
 
 @dataclass
@@ -79,7 +81,7 @@ class Amcl:
         self.push = PushDetector()
         self._prepare = functools.partial(prepare, T_base_lidar=T_base_lidar, range_limits=limits)
         self._sensor = LikelihoodField(config, field, limits[1])
-        self._fine = FinePose(grid, config) if config.refine else None
+        self._fine = FinePose(grid) if config.refine else None
         self._rng = rng
         self._cloud = _Cloud.even(np.zeros((0, 3)))
         self._at = _Located()
@@ -91,13 +93,11 @@ class Amcl:
 
     @property
     def converged(self) -> bool:
-        """Whether the whole cloud is one narrow cluster (see `convergence_xy`, `convergence_yaw`)."""
+        """Whether the whole cloud is one narrow cluster."""
         if self._at.estimate is None:
             return False
         std = np.sqrt(np.diag(self.covariance))
-        return bool(
-            max(std[0], std[1]) <= self.config.convergence_xy and std[2] <= self.config.convergence_yaw
-        )
+        return bool(max(std[0], std[1]) <= CONVERGED_M and std[2] <= CONVERGED_RAD)
 
     @property
     def T_map_odom(self) -> SE2:
@@ -266,7 +266,7 @@ class Amcl:
         found = self._found(share, beams) if share > 0.0 else None
         pool = sampling.low_variance(cloud.weights, c.max_particles, random())
         drawn = cloud.poses[self._rng.permutation(pool)]
-        bins = sampling.bin_numbers(drawn, c.kld_bin_xy, c.kld_bin_yaw)
+        bins = sampling.bin_numbers(drawn, sampling.BIN_M, sampling.BIN_RAD)
         count = sampling.kld_count(bins, c.kld_err, c.kld_z, c.min_particles)
         new = 0 if found is None else int(share * count)
         kept = cloud.poses[sampling.low_variance(cloud.weights, count - new, random())]
@@ -294,13 +294,11 @@ class Amcl:
 
     def _agreement_of(self, poses: Array, beams: Beams) -> float:
         """Agreement of scan and map at the main cluster of equally likely poses (n, 3)."""
-        return self.search.agreement(self._main_cluster(_Cloud.even(poses)).T_map_base.xyt, beams)
-
-    def _main_cluster(self, cloud: _Cloud) -> Estimate:
-        return main_cluster(cloud.poses, cloud.weights, self.config.kld_bin_xy, self.config.kld_bin_yaw)
+        there = main_cluster(poses, _Cloud.even(poses).weights).T_map_base
+        return self.search.agreement(there.xyt, beams)
 
     def _estimate_pose(self, beams: Beams, T_base_odom: SE2) -> None:
-        estimate = self._main_cluster(self._cloud)
+        estimate = main_cluster(self._cloud.poses, self._cloud.weights)
         T_map_base = estimate.T_map_base
         if self._fine is not None:
             T_map_base = self._fine.correct(estimate, beams.points)

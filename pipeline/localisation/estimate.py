@@ -8,13 +8,13 @@ import numpy as np
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.localisation.sampling import bin_numbers
+from turtlebag.pipeline.localisation.sampling import BIN_M, BIN_RAD, bin_numbers
 
 # Reach of a cluster about its mean: several bins, so that one cloud is never cut in two.
 REACH_XY, REACH_YAW = 0.5, 0.6
 MOST_SHIFTS, MOST_SEEDS = 10, 5
 # A variance no cloud's is taken below: 1 mm and 0.05 deg.
-LEAST_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
+LEAST_VARIANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +27,15 @@ class Estimate:
     weight: float  # of the main cluster
 
 
-def main_cluster(poses: Array, weights: Array, bin_xy: float, bin_yaw: float) -> Estimate:
+def main_cluster(poses: Array, weights: Array) -> Estimate:
     """The heaviest cluster: from each of the heaviest histogram bins, move to the mean of what is near."""
-    numbers = bin_numbers(poses, bin_xy, bin_yaw)
+    numbers = bin_numbers(poses, BIN_M, BIN_RAD)
     bins = np.bincount(numbers, weights=weights)
     best: tuple[float, Array, Array] | None = None
     # A bin's border may cut a cluster: the heaviest bin need not belong to the heaviest cluster.
     for heavy in np.argsort(-bins, kind="stable")[:MOST_SEEDS]:
         seed = poses[np.argmax(numbers == heavy)]
-        cluster = settled(poses, weights, moments(poses, weights, seed, bin_xy, bin_yaw)[1])
+        cluster = settled(poses, weights, moments(poses, weights, seed, BIN_M, BIN_RAD)[1])
         if best is None or cluster[0] > best[0]:
             best = cluster
         if best[0] > 0.5:
@@ -44,7 +44,7 @@ def main_cluster(poses: Array, weights: Array, bin_xy: float, bin_yaw: float) ->
     mass, mean, core = best
     everything = 1.0 - mass < 1e-9
     covariance = core if everything else moments(poses, weights, mean, np.inf, np.inf)[2]
-    return Estimate(SE2.from_array(mean), core + np.diag(LEAST_VARIANCE), covariance, mass)
+    return Estimate(SE2.from_array(mean), core + LEAST_VARIANCE * np.eye(3), covariance, mass)
 
 
 def settled(poses: Array, weights: Array, mean: Array) -> tuple[float, Array, Array]:

@@ -18,26 +18,24 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.pipeline.localisation.estimate import Estimate
-from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# The cloud must be this narrow before a pose is tracked in it: matching reaches four cells far.
-START_STD = np.array([0.15, 0.15, 0.15])
-# Less than this apart, the two agree whatever the cloud's spread: its field is a cell coarse.
-LEAST_REACH = np.array([0.08, 0.08, 0.08])
-# Share of the alphas' standard deviation: at first, least and most; how fast it follows the scans' surprise,
-# which it holds at this (below 1: residuals of one wall are alike), and the most that one scan may say.
-FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.3, 0.05, 1.0
-SHARE_RATE, USUAL_SURPRISE, MOST_SURPRISE = 0.05, 0.5, 3.0
+# The cloud must be this narrow [m and rad] before a pose is tracked in it: matching reaches four cells far.
+START_STD = 0.15
+# Less than this apart [m or rad], the two agree whatever the cloud's spread: its field is a cell coarse.
+LEAST_REACH = 0.08
+# Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
+# scans' NIS, which it holds at this (below 1: residuals of one wall are alike), and the most one may say.
+FIRST_SHARE, LEAST_SHARE = 0.3, 0.05
+SHARE_RATE, USUAL_NIS, MOST_NIS = 0.05, 0.5, 3.0
 
 
 class FinePose:
     """The tracked pose; `correct` gives the estimate to publish."""
 
-    def __init__(self, grid: OccupancyGrid, config: AmclConfig) -> None:
+    def __init__(self, grid: OccupancyGrid) -> None:
         self._surfaces = fit_surfaces(grid)
-        self._config = config
         self._filter: WallFilter | None = None
         self._share = FIRST_SHARE
 
@@ -63,24 +61,15 @@ class FinePose:
         T_map_base = self._filter.T_map_base
         return T_map_base if _agree(T_map_base, cloud) else cloud.T_map_base
 
-    def _learn(self, surprise: float) -> None:
+    def _learn(self, nis: float) -> None:
         """Trust odometry more or less."""
-        share = self._share * math.exp(SHARE_RATE * (min(surprise, MOST_SURPRISE) - USUAL_SURPRISE))
-        self._share = min(max(share, LEAST_SHARE), MOST_SHARE)
+        share = self._share * math.exp(SHARE_RATE * (min(nis, MOST_NIS) - USUAL_NIS))
+        self._share = min(max(share, LEAST_SHARE), 1.0)
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
         if np.any(np.sqrt(np.diag(cloud.core)) > START_STD):
             return None
-        c = self._config
-        return WallFilter(
-            self._surfaces,
-            cloud.T_map_base,
-            cloud.core,
-            scale=c.match_scale,
-            beam_std=c.match_std,
-            patch_beams=c.match_patch_beams,
-            offset_std=c.match_offset_cells * self._surfaces.resolution,
-        )
+        return WallFilter(self._surfaces, cloud.T_map_base, cloud.core)
 
 
 def _agree(T_map_base: SE2, cloud: Estimate) -> bool:

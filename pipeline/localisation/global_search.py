@@ -23,20 +23,21 @@ from turtlebag.pipeline.localisation.sampling import effective_size, low_varianc
 
 # Poses spread over the free space; the best are kept.
 CANDIDATES = 20000
-# Shaking after each stage: standard deviations [m, m, rad], and the particles left for the next.
-STAGES = ((0.10, 0.10), (0.05, 0.05), (0.03, 0.03))
+# Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
+SHAKES = (0.10, 0.05, 0.03)
 STAGE_PARTICLES = 3000
-# Standard deviations of a search about a pose [m, m, rad].
-AROUND = (0.4, 0.4, 0.35)
+# Standard deviations of a search about a pose.
+AROUND_M, AROUND_RAD = 0.4, 0.35
 # Each weighing is flattened until this share of the candidates still counts.
 LEAST_EFFECTIVE = 0.02
 # Beams are not independent: at the end the likelihood counts with this exponent at most.
 STEEPEST = 0.3
-MOST_HITS, MOST_SILENT, MOST_AGREEING = 40, 30, 120
+# Beams looked at in a search, and for an agreement; so many silent ones besides for each of them.
+MOST_HITS, MOST_AGREEING, SILENT_SHARE = 40, 120, 0.75
 # A beam may end this much before the wall that it is said to come from.
 PATH_SLACK_M = 0.2
-# Probability of no return although the map has a wall in reach, and of one where it has none.
-P_MISSED, P_SILENT = 0.1, 0.9
+# Probability of no return although the map has a wall in reach.
+P_MISSED = 0.1
 
 
 class GlobalSearch:
@@ -74,7 +75,7 @@ class GlobalSearch:
         if p.shape[1] == 0:
             return np.zeros(len(poses))
         hits = min(len(beams), MOST_AGREEING)
-        best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), P_SILENT)
+        best = np.where(np.arange(p.shape[1]) < hits, sum(self._noise[1:]), 1.0 - P_MISSED)
         return np.asarray(np.mean(p / best, axis=1))
 
     def draw(self, count: int, beams: Beams, rng: np.random.Generator, around: Array | None = None) -> Array:
@@ -82,11 +83,15 @@ class GlobalSearch:
         if around is None:
             poses = self.uniform(CANDIDATES, rng)
         else:
-            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * AROUND
-        for shake_xy, shake_yaw in STAGES:
+            poses = around + rng.standard_normal((STAGE_PARTICLES, 3)) * (
+                AROUND_M,
+                AROUND_M,
+                AROUND_RAD,
+            )
+        for shake in SHAKES:
             weights = tempered(self._score(poses, beams))
             poses = poses[low_variance(weights, STAGE_PARTICLES, rng.random())]
-            poses = poses + rng.standard_normal(poses.shape) * (shake_xy, shake_xy, shake_yaw)
+            poses = poses + rng.standard_normal(poses.shape) * shake
         weights = tempered(self._score(poses, beams))
         poses = poses[rng.permutation(low_variance(weights, count, rng.random()))]
         poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
@@ -98,7 +103,7 @@ class GlobalSearch:
 
     def _arguments(self, poses: Array, beams: Beams, most: int) -> tuple:
         hits = spread(len(beams), most)
-        silent = spread(len(beams.silent_origins), most * MOST_SILENT // MOST_HITS)
+        silent = spread(len(beams.silent_origins), int(SILENT_SHARE * most))
         starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
@@ -165,7 +170,7 @@ def path_probabilities(
                 # The nearest centre is at least this far from here, wherever in the cell we are.
                 at += max(d - 0.75 * cell, 0.5 * cell)
             if j >= hits:
-                out[i, j] = P_MISSED if blocked else P_SILENT
+                out[i, j] = P_MISSED if blocked else 1.0 - P_MISSED
                 continue
             p = p_rand
             col, row = int((ox + wx) * per_metre), int((oy + wy) * per_metre)

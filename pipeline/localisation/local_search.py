@@ -12,7 +12,7 @@ from turtlebag.datasets.se2 import Array
 STEPS = ((0.08, 0.06), (0.04, 0.03), (0.02, 0.012))
 MOST_STEPS = 6
 # A pose and its neighbours a step away, (27, 3).
-NEIGHBOURS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+NEIGHBOURS = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
 
 
 def climb(value: Callable[[Array], Array], pose: Array) -> tuple[float, Array]:

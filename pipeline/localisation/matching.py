@@ -6,22 +6,12 @@ import numpy as np
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.localisation.surfaces import Indices
+from turtlebag.pipeline.localisation.surfaces import Surfaces
 
 
 @njit(cache=True)
 def match_beams(
-    points: Array,
-    normals: Array,
-    trust: Array,
-    patch: Indices,
-    nearest: Indices,
-    inverse_resolution: float,
-    pose: Array,
-    beams: Array,
-    offsets: Array,
-    scale: float,
-    patch_beams: float,
+    surfaces: Surfaces, pose: Array, beams: Array, offsets: Array, scale: float, patch_beams: float
 ) -> tuple[Array, Array]:
     """Sums over the beams of each patch: second order terms (patches, 10), first order ones (patches, 4).
 
@@ -31,7 +21,8 @@ def match_beams(
     Geman-McClure, a beam that is `scale` [m] off counts a quarter; all beams on one patch together
     weigh at most `patch_beams`.
     """
-    n = len(beams)
+    points, normals, nearest = surfaces.points, surfaces.normals, surfaces.nearest
+    n, per_metre = len(beams), 1.0 / surfaces.resolution
     seen = np.full(n, -1, dtype=np.int32)
     jac, residual, weight = np.empty((n, 3)), np.empty(n), np.empty(n)
     mass = np.zeros(len(offsets))
@@ -39,7 +30,7 @@ def match_beams(
     for i in range(n):
         dx, dy = c * beams[i, 0] - s * beams[i, 1], s * beams[i, 0] + c * beams[i, 1]
         x, y = pose[0] + dx, pose[1] + dy
-        col, row = int(np.floor(x * inverse_resolution)), int(np.floor(y * inverse_resolution))
+        col, row = int(np.floor(x * per_metre)), int(np.floor(y * per_metre))
         if not (0 <= row < nearest.shape[0] and 0 <= col < nearest.shape[1]):
             continue
         k = nearest[row, col]
@@ -48,11 +39,11 @@ def match_beams(
         nx, ny = normals[k, 0], normals[k, 1]
         if nx * dx + ny * dy > 0.0:
             continue  # this face looks away from the robot: the far side of a thin wall
-        p = patch[k]
+        p = surfaces.patch[k]
         residual[i] = (x - points[k, 0]) * nx + (y - points[k, 1]) * ny - offsets[p]
         seen[i] = p
         jac[i, 0], jac[i, 1], jac[i, 2] = nx, ny, ny * dx - nx * dy
-        weight[i] = trust[k] / (1.0 + (residual[i] / scale) ** 2) ** 2
+        weight[i] = surfaces.trust[k] / (1.0 + (residual[i] / scale) ** 2) ** 2
         mass[p] += weight[i]
     sums, right = np.zeros((len(offsets), 10)), np.zeros((len(offsets), 4))
     for i in range(n):

@@ -9,42 +9,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.localisation.parameters import AmclConfig
 
-_SAME = [
-    "min_particles",
-    "max_particles",
-    "kld_err",
-    "kld_z",
-    "update_min_d",
-    "update_min_a",
-    "resample_interval",
-    "selective_resampling",
-    "laser_min_range",
-    "laser_max_range",
-    "recovery_alpha_slow",
-    "recovery_alpha_fast",
-    "initial_cov_xx",
-    "initial_cov_yy",
-    "initial_cov_aa",
-    "sigma_hit",
-    "z_hit",
-    "z_rand",
-    "max_beams",
-    "alpha1",
-    "alpha2",
-    "alpha3",
-    "alpha4",
-]
-# Theirs -> ours. ROS 1 puts odom_ and laser_ before many names; Nav2 calls the KLD pair pf_err, pf_z.
+# Theirs -> ours; most have the same name. ROS 1 puts odom_ and laser_ before many, Nav2 calls the KLD pair
+# pf_err, pf_z.
 NAMES: dict[str, str] = {
-    **{name: name for name in _SAME},
+    **{name: name for name in AmclConfig.model_fields if name != "refine"},
     "pf_err": "kld_err",
     "pf_z": "kld_z",
     "laser_likelihood_max_dist": "likelihood_max_dist",
-    "likelihood_max_dist": "likelihood_max_dist",
     **{f"odom_alpha{i}": f"alpha{i}" for i in range(1, 5)},
-    **{f"laser_{name}": name for name in ("max_beams", "z_hit", "z_rand")},
-    "laser_sigma_hit": "sigma_hit",
+    **{f"laser_{name}": name for name in ("max_beams", "z_hit", "z_rand", "sigma_hit")},
 }
 
 

@@ -22,8 +22,6 @@ class AmclConfig(BaseModel):
     max_particles: int = Field(default=2000, ge=2)
     kld_err: float = Field(default=0.02, gt=0.0)
     kld_z: float = Field(default=2.33, gt=0.0)  # quantile of the normal distribution itself, as in ROS
-    kld_bin_xy: float = Field(default=0.25, gt=0.0)
-    kld_bin_yaw: float = Field(default=math.radians(10.0), gt=0.0)
 
     update_min_d: float = Field(default=0.05, ge=0.0)
     update_min_a: float = Field(default=0.05, ge=0.0)
@@ -48,18 +46,7 @@ class AmclConfig(BaseModel):
     recovery_alpha_slow: float = Field(default=0.001, ge=0.0, le=1.0)
     recovery_alpha_fast: float = Field(default=0.1, ge=0.0, le=1.0)
 
-    # The estimate finer than the cloud (fine_pose, wall_filter): residual at which a beam counts a quarter,
-    # standard deviation of a beam, how many beams' worth one wall may say in a scan, and how far from
-    # where its cells are a wall may stand (standard deviation).
-    refine: bool = True
-    match_scale: float = Field(default=0.03, gt=0.0)
-    match_std: float = Field(default=0.012, gt=0.0)
-    match_patch_beams: float = Field(default=4.0, gt=0.0)
-    match_offset_cells: float = Field(default=0.14, gt=0.0)
-
-    # The cloud counts as converged when its standard deviations are below these.
-    convergence_xy: float = Field(default=0.15, gt=0.0)
-    convergence_yaw: float = Field(default=0.1, gt=0.0)
+    refine: bool = True  # the estimate finer than the cloud (see fine_pose)
 
     initial_cov_xx: float = Field(default=0.25, ge=0.0)
     initial_cov_yy: float = Field(default=0.25, ge=0.0)

@@ -26,14 +26,12 @@ from turtlebag.pipeline.localisation.ray_casting import expected_ranges
 
 # Poses drawn by one scan, and the share of them that a place must hold to be looked at.
 DRAWN, LEAST_SHARE = 2000, 0.01
-# A place that explains the scans by less than this worse than the best one is another hypothesis ...
-ALIKE = 0.05
-# ... if it is so far off [m] or turned so much [rad] - nearer ones the filter itself sorts out - and so much
-# of the scans is explained at all: with people all round, nothing can be said ...
-APART_M, APART_RAD, LEAST_FIT = 1.0, 1.0, 0.7
-# ... and one that explains them so much worse, over as many scans, is out of the race.
-WORSE, SCANS = 0.05, 6
-
+# A place that explains the scans by less than this worse than the best one is another hypothesis, and one
+# that explains so many scans so much worse is none any more.
+ALIKE, SCANS = 0.05, 6
+# Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
+# people all round, so that less than this is explained, nothing can be said.
+APART, LEAST_FIT = 1.0, 0.7
 # Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
 # heading), and ranges so far from all of them [m] are clearly others.
 BEAMS, NEIGHBOURS, CLEAR_M = 180, 2, 0.2
@@ -144,7 +142,7 @@ class PoseHypotheses:
         self._fits.append(fits)
         if len(self._fits) == SCANS:
             mean = np.mean(self._fits, axis=0)
-            kept = mean > mean.max() - WORSE
+            kept = mean > mean.max() - ALIKE
             self.poses = [pose for pose, stays in zip(self.poses, kept, strict=True) if stays]
             self._fits = deque((row[kept] for row in self._fits), maxlen=SCANS)
         return self.poses[0] if len(self.poses) == 1 else None
@@ -153,7 +151,7 @@ class PoseHypotheses:
 def apart(one: SE2, other: SE2) -> bool:
     """Whether two poses are different places."""
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return math.hypot(x, y) > APART_M or abs(yaw) > APART_RAD
+    return math.hypot(x, y) > APART or abs(yaw) > APART
 
 
 def within(poses: Array, centre: Array) -> NDArray[np.bool_]:

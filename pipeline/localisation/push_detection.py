@@ -16,8 +16,8 @@ from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.local_search import climb
 
-# Standing: odometry moves less than this [m, rad] from one scan to the other.
-STILL_M, STILL_RAD = 0.01, 0.01
+# Standing: odometry moves less than this [m and rad] from one scan to the other.
+STILL = 0.01
 # A beam has changed beyond the noise of a lidar; a view has when so large a share of the beams has, in so
 # many scans one after the other.
 CHANGED_M, CHANGED_SHARE, CHANGED_SCANS = 0.04, 0.25, 2
@@ -26,8 +26,8 @@ OFF_M, OFF_RAD, BETTER_BY = 0.025, 0.03, 0.04
 # After a push every scan is held against the map for so long; after a look in vain there is a pause, which
 # doubles [scans].
 ALERT, LONGEST_PAUSE = 5, 32
-# Spread of the cloud for a forced update: as far as the place found, and at least this [m, rad].
-LEAST_XY, LEAST_YAW = 0.05, 0.03
+# The cloud is spread as far as the place found for a forced update, and at least so far [m] or OFF_RAD.
+LEAST_SPREAD_M = 0.05
 
 
 class PushDetector:
@@ -64,7 +64,7 @@ class PushDetector:
         self._reference = (scan.ranges.astype(np.float64), T_odom_base)
         self._alert, self._pause, self._next_pause = ALERT, 0, 0
         self.pushes += 1
-        return np.array([max(xy, LEAST_XY), max(xy, LEAST_XY), max(float(offset[2]), LEAST_YAW)])
+        return np.array([max(xy, LEAST_SPREAD_M), max(xy, LEAST_SPREAD_M), max(float(offset[2]), OFF_RAD)])
 
     def _worth_a_look(self, scan: Scan, T_odom_base: SE2) -> bool:
         """Whether the view has changed for good, or has lately been found to shift."""
@@ -98,4 +98,4 @@ def changed_share(ranges: Array, before: Array) -> float:
 
 def _still(one: SE2, other: SE2) -> bool:
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return bool(np.hypot(x, y) < STILL_M and abs(yaw) < STILL_RAD)
+    return bool(np.hypot(x, y) < STILL and abs(yaw) < STILL)

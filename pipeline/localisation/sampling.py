@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 
+# Bins of the histogram by which KLD-sampling counts particles.
+BIN_M, BIN_RAD = 0.25, math.radians(10.0)
+
 
 def effective_size(weights: Array) -> float:
     """1 / sum w^2 of normalised weights: how many particles really count."""

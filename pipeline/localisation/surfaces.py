@@ -7,7 +7,7 @@ A wall along the grid's axes stays where its cells are: what the grid does not s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -30,9 +30,10 @@ REACH_CELLS = 2.5
 MARGIN_CELLS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Surfaces:
+class Surfaces(NamedTuple):
     """One small surface an occupied cell, in the frame of the padded grid's outer corner [m].
+
+    The numba kernels take the tuple whole; `corner` (3,) is that corner's pose in the map.
 
     `points`, `normals` (n, 2), normals towards the free side; `trust` (n,) in 0..1; `patch` (n,) says
     which surfaces are one wall; `nearest` (rows, cols) is the surface nearest to a cell, -1 beyond reach.
@@ -44,7 +45,12 @@ class Surfaces:
     patch: Indices
     nearest: Indices
     resolution: float
-    T_map_surfaces: SE2
+    corner: Array
+
+    @property
+    def T_map_surfaces(self) -> SE2:
+        """The surfaces' frame in the map."""
+        return SE2(self.corner)
 
     @property
     def patches(self) -> int:
@@ -74,7 +80,7 @@ def fit_surfaces(grid: OccupancyGrid) -> Surfaces:
         patch,
         nearest,
         grid.resolution,
-        grid.T_map_grid @ SE2.from_xyt(corner, corner, 0.0),
+        (grid.T_map_grid @ SE2.from_xyt(corner, corner, 0.0)).xyt,
     )
 
 

@@ -23,6 +23,9 @@ from turtlebag.pipeline.localisation.matching import match_beams
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 
+# Residual at which a beam counts a quarter, standard deviation of a beam, how many beams' worth one wall may
+# say in a scan, and how far from where its cells are a wall may stand (standard deviation).
+MATCH_SCALE_M, BEAM_STD_M, PATCH_BEAMS, OFFSET_CELLS = 0.03, 0.012, 4.0, 0.14
 MAX_ITERATIONS = 4
 STEP_DONE = 1e-4
 # Walls kept in the state; beyond, the one longest out of sight is forgotten.
@@ -34,8 +37,8 @@ ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
 ODOMETRY_WALK = 5e-4
 # A correction of 0.1 mm or 0.006 deg is no surprise whatever was expected.
 LEAST_EXPECTED = 1e-8
-# From this surprise on, odometry slipped, by about so much (x, y [m], yaw [rad]).
-SLIP, SLIP_STD = 6.0, np.array([0.1, 0.1, 0.1])
+# From this NIS on, odometry slipped, by about so much [m and rad].
+SLIP, SLIP_STD = 6.0, 0.1
 
 
 class WallFilter:
@@ -46,15 +49,8 @@ class WallFilter:
         surfaces: Surfaces,
         T_map_base: SE2,
         covariance: Array,
-        *,
-        scale: float,
-        beam_std: float,
-        patch_beams: float,
-        offset_std: float,
     ) -> None:
         self._surfaces = surfaces
-        self._scale, self._beam_std, self._patch_beams = scale, beam_std, patch_beams
-        self._offset_variance = offset_std**2
         T_surfaces_map = surfaces.T_map_surfaces.inverse()
         turn = _turn(float(T_surfaces_map.yaw))
         self._x = np.concatenate([(T_surfaces_map @ T_map_base).xyt, np.zeros(3)])
@@ -71,25 +67,14 @@ class WallFilter:
         """The pose."""
         return self._surfaces.T_map_surfaces @ SE2.from_array(self._x[:3])
 
-    @property
-    def offsets(self) -> dict[int, tuple[float, float]]:
-        """Offset and its standard deviation [m] of each known wall, by patch."""
-        std, offsets = np.sqrt(np.diag(self._P)[FIXED:]), self._x[FIXED:]
-        return {int(p): (float(o), float(s)) for p, o, s in zip(self._walls, offsets, std, strict=True)}
-
-    @property
-    def odometry_errors(self) -> tuple[Array, Array]:
-        """Share of distance, share of turn, turn by distance [rad/m] that odometry lacks, and their std."""
-        return self._x[POSE:FIXED].copy(), np.sqrt(np.diag(self._P)[POSE:FIXED])
-
     def predict(self, T_base_new: SE2, motion: tuple[float, float, float], std: Array) -> None:
         """Move by odometry: the motion, its parts (rot1, trans, rot2) and their standard deviations (3,)."""
         move(self._x, self._P, T_base_new.xyt, motion[0], motion[1], std)
 
     def correct(self, points_base: Array) -> float:
-        """Take in a scan's end points, (n, 2) in the base frame; how surprising they were (see `surprise`).
+        """Take in a scan's end points, (n, 2) in the base frame; their NIS (see `nis`).
 
-        A great surprise is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
+        A great one is a slip of the wheels: then odometry is not believed and the scan is taken in anew.
         """
         self._scans += 1
         sums, right = self._match(self._x[:POSE], self._offsets(), points_base)
@@ -110,9 +95,7 @@ class WallFilter:
         return offsets
 
     def _match(self, pose: Array, offsets: Array, points_base: Array) -> tuple[Array, Array]:
-        s = self._surfaces
-        tables = (s.points, s.normals, s.trust, s.patch, s.nearest, 1.0 / s.resolution)
-        return match_beams(*tables, pose, points_base, offsets, self._scale, self._patch_beams)
+        return match_beams(self._surfaces, pose, points_base, offsets, MATCH_SCALE_M, PATCH_BEAMS)
 
     def _take_in(self, points_base: Array, seen: NDArray[np.int64], sums: Array, right: Array) -> float:
         """Correct the state by a scan, matched at the predicted pose; `seen` are its walls in the list."""
@@ -124,7 +107,7 @@ class WallFilter:
             if iteration > 0:
                 offsets[walls] = x[3:]
                 sums, right = self._match(x[:3], offsets, points_base)
-            information, gradient = normal_equations(sums, right, walls, self._beam_std**-2)
+            information, gradient = normal_equations(sums, right, walls, BEAM_STD_M**-2)
             new = posterior(before, prior, x, information, gradient)
             step = np.abs(new - x).max()
             x, last = new, x
@@ -132,7 +115,7 @@ class WallFilter:
                 break
         P_predicted = self._P[:POSE, :POSE].copy()
         spread(self._x, self._P, state, before, last, information, gradient)
-        return surprise(before[:POSE], P_predicted, self._x[:POSE], self._P[:POSE, :POSE])
+        return nis(before[:POSE], P_predicted, self._x[:POSE], self._P[:POSE, :POSE])
 
     def _admit(self, seen: Indices) -> NDArray[np.int64]:
         """Give every wall in sight a state; where in the list of walls they are."""
@@ -141,7 +124,9 @@ class WallFilter:
             size, more = len(self._x), len(new)
             P = np.zeros((size + more, size + more))
             P[:size, :size] = self._P
-            P[range(size, size + more), range(size, size + more)] = self._offset_variance
+            P[range(size, size + more), range(size, size + more)] = (
+                OFFSET_CELLS * self._surfaces.resolution
+            ) ** 2
             self._P, self._x = P, np.concatenate([self._x, np.zeros(more)])
             self._walls = np.concatenate([self._walls, new])
             self._last_seen = np.concatenate([self._last_seen, np.zeros(more, dtype=np.int64)])
@@ -277,8 +262,8 @@ def spread(
 
 
 @njit(cache=True)
-def surprise(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Array) -> float:
-    """Square of a pose's correction over what was expected of it, per degree of freedom: 1 on average."""
+def nis(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Array) -> float:
+    """Normalised innovation squared: a pose's correction over what was expected, per degree of freedom."""
     step = (corrected - predicted).reshape(-1, 1)
     step[2, 0] = (step[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
     expected = P_predicted - P_corrected + LEAST_EXPECTED * np.eye(3)

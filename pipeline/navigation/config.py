@@ -6,7 +6,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from turtlebag.datasets.spans import Seconds
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore import ExploreConfig
 from turtlebag.pipeline.navigation.lost import RelocaliseConfig
@@ -33,13 +32,7 @@ class MaplessConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     window: float = Field(default=16.0, ge=4.0, le=100.0)
     """Side of the window [m]; what leaves it is forgotten."""
-    shift: float = Field(default=1.0, gt=0.0, le=1.0)
-    """It moves on when the robot is so far off its centre."""
-    resolution: float = Field(default=0.05, gt=0.0)
     controller: ControllerName = "dwa"
-    replan_period: Seconds = 0.3
-    """Takes the place of plan.replan_period: there is always something new to see."""
-    inflation_radius: float = Field(default=0.6, gt=0.0)
     recovery: RecoveryConfig = RecoveryConfig(
         ladder=(
             Rung(kind="back_up", amount=0.25),

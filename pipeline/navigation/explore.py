@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
@@ -22,6 +21,10 @@ from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.tasks.frontier import FrontierConfig, next_view
 
+# Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
+# long on the way to one place, too [s].
+MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
+
 
 class ExploreConfig(BaseModel):
     """Seconds and metres."""
@@ -31,10 +34,6 @@ class ExploreConfig(BaseModel):
     slam: SlamConfig = SlamConfig()
     costmap: CostmapConfig = CostmapConfig()
     checker: GoalCheckerConfig = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=3.2, stop=False)
-    margin: float = Field(default=0.03, ge=0.0)
-    """Clearance beyond the robot's circumscribed radius that ways must have."""
-    look_after: Seconds = Field(default=12.0, gt=0.0)
-    """The map is made anew after this long on the way to one place, too."""
 
 
 class ExploreDriver(Driver):
@@ -95,7 +94,7 @@ class ExploreDriver(Driver):
 
     def _late(self, runner: GoalRunner, now: int) -> bool:
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
-        return now - self._mapped_ns > self._config.look_after * 1e9 and not runner.recovering
+        return now - self._mapped_ns > LOOK_AFTER_S * 1e9 and not runner.recovering
 
     def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
@@ -119,7 +118,7 @@ class ExploreDriver(Driver):
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config.costmap), now)
-        radius = self._tools.model.circumscribed_radius + self._config.margin
+        radius = self._tools.model.circumscribed_radius + MARGIN_M
         goal = next_view(grid, costmap, self.estimate, radius, self._spent, self._config.frontier)
         if goal is None:
             return

@@ -15,11 +15,12 @@ from turtlebag.pipeline.navigation.lost import Event, Lost, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.tasks.wiggle import Wiggle
 
-JUMP_M, JUMP_RAD = 0.25, 0.25
-"""An estimate that moves more than this with one scan was wrong before; nearer places are the same one."""
+JUMP = 0.25
+"""An estimate that moves more than this [m or rad] with one scan was wrong before."""
 SURE = 10
 """Filter updates in a row without a doubt after which the robot is sure of where it is."""
-COVARIANCE = np.diag([0.05, 0.05, 0.05]) ** 2
+SPREAD = 0.05
+"""Standard deviation [m and rad] of an estimate that was moved to the right hypothesis."""
 
 
 class Finder:
@@ -140,7 +141,7 @@ class Finder:
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
-            self.localiser.move(T_map_map, COVARIANCE)
+            self.localiser.move(T_map_map, SPREAD**2 * np.eye(3))
             self._T_map_odom, self.void = self.localiser.T_map_odom, True
 
 
@@ -178,4 +179,4 @@ class _Sureness:
 
 def _far(one: SE2, other: SE2) -> bool:
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return x * x + y * y > JUMP_M * JUMP_M or abs(yaw) > JUMP_RAD
+    return x * x + y * y > JUMP * JUMP or abs(yaw) > JUMP

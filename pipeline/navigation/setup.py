@@ -51,6 +51,9 @@ DEFAULT_DURATION_S = 60.0
 DEFAULT_EXPLORE_S = 1800.0
 MAX_SIMULATED_S = 4 * 3600.0
 MAX_LAPS = 1000
+# Without a map: cells of the window, and how far off its centre the robot may be; there is always something
+# new to see, so plans are made often, and keep farther off.
+WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_REPLAN_S, MAPLESS_INFLATION_M = 0.05, 1.0, 0.3, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +178,7 @@ def make_driver(
     sequence = GoalSequence(mission.waypoints, config.sequence)
     if mission.grid is None or mission.costmap is None:
         m = config.mapless
-        window = RollingLayer(first.odometry.T_odom_base.xy, m.window, m.resolution, m.shift, m.live)
+        window = RollingLayer(first.odometry.T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M, m.live)
         tools = make_tools(robot, _mapless(config), window, publisher, seed)
         return NavigationDriver(tools, sensing, sequence), None, sequence
     localiser = _make_localiser(mission, mission.grid, sensing, publisher)
@@ -193,7 +196,7 @@ def make_driver(
 def _mapless(config: NavigateConfig) -> NavigateConfig:
     """The configuration with the section `mapless` in force."""
     m = config.mapless
-    plan = {"replan_period": m.replan_period, "inflation_radius": m.inflation_radius}
+    plan = {"replan_period": MAPLESS_REPLAN_S, "inflation_radius": MAPLESS_INFLATION_M}
     own = {"controller": m.controller, "recovery": m.recovery, "plan": config.plan.model_copy(update=plan)}
     return config.model_copy(update=own)
 

@@ -39,10 +39,8 @@ class Outer(BaseModel):
                 "wiggle.most",
                 "goal_checker.hold",
                 "plan.replan_period",
-                "mapless.replan_period",
                 "live.decay",
                 "live.period",
-                "explore.look_after",
                 "amcl.likelihood_max_dist",
                 "sim.faults.command_delay",
             )

@@ -48,15 +48,15 @@ def test_a_cloud_is_spread_about_the_pose_it_was_told():
 @pytest.mark.parametrize(
     ("std", "converged"),
     [
-        ((0.2, 0.2, 0.1), True),
-        ((0.31, 0.2, 0.1), False),
-        ((0.2, 0.31, 0.1), False),
-        ((0.2, 0.2, 0.21), False),
-        ((0.299, 0.299, 0.199), True),
+        ((0.1, 0.1, 0.05), True),
+        ((0.151, 0.1, 0.05), False),
+        ((0.1, 0.151, 0.05), False),
+        ((0.1, 0.1, 0.101), False),
+        ((0.149, 0.149, 0.099), True),
     ],
 )
 def test_a_cloud_has_converged_when_it_is_narrow_in_place_and_heading(std, converged):
-    filter_ = made(convergence_xy=0.3, convergence_yaw=0.2)
+    filter_ = made()
     filter_._at.estimate = Estimate(PLACE, np.zeros((3, 3)), np.diag(np.square(std)), 1.0)
     assert filter_.converged == converged
     assert filter_.lost == (not converged)
@@ -180,8 +180,7 @@ def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     filter_.watch.updates = filter_.config.resample_interval - 1
     poses, weights, rng = filter_.particles.xyt, filter_.weights, copy.deepcopy(filter_._rng)
     drawn = poses[rng.permutation(sampling.low_variance(weights, 900, rng.random()))]
-    c = filter_.config
-    count = sampling.kld_count(sampling.bin_numbers(drawn, c.kld_bin_xy, c.kld_bin_yaw), 0.08, 1.5, 60)
+    count = sampling.kld_count(sampling.bin_numbers(drawn, sampling.BIN_M, sampling.BIN_RAD), 0.08, 1.5, 60)
     filter_._resample(beams_at(PLACE))
     assert 60 < filter_.size == count < 900
     np.testing.assert_array_equal(

@@ -125,7 +125,7 @@ def test_a_beam_is_as_likely_as_its_path_and_its_end_say(seed):
                 walk(field.distance, frame, *start, ux, uy, length - search.PATH_SLACK_M, 0.5) is not None
             )
             if j >= 7:
-                expected[i, j] = search.P_MISSED if blocked else search.P_SILENT
+                expected[i, j] = search.P_MISSED if blocked else 1.0 - search.P_MISSED
                 continue
             c, r = np.trunc(end * frame[3]).astype(int)
             inside = 0 <= c < field.distance.shape[1] and 0 <= r < field.distance.shape[0]

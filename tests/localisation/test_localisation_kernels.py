@@ -51,17 +51,17 @@ def test_a_cluster_is_settled_on_its_mean_from_its_edge():
     assert mass == pytest.approx(0.8)
     np.testing.assert_allclose(mean, poses[:400].mean(axis=0), atol=2e-4)
     np.testing.assert_allclose(core, np.cov(poses[:400].T, bias=True), atol=1e-3)
-    found = estimate.main_cluster(poses, weights, 0.25, 0.2)
+    found = estimate.main_cluster(poses, weights)
     assert found.weight == pytest.approx(0.8)
     np.testing.assert_allclose(found.core, core + 1e-6 * np.eye(3), atol=1e-6)
     np.testing.assert_allclose(wrapped(found.T_map_base.xyt - mean), 0.0, atol=2e-4)
     whole = estimate.moments(poses, weights, found.T_map_base.xyt, np.inf, np.inf)[2]
     np.testing.assert_allclose(found.covariance, whole, atol=1e-3)
-    alone = estimate.main_cluster(poses[:400], np.full(400, 1.0 / 400), 0.25, 0.2)
+    alone = estimate.main_cluster(poses[:400], np.full(400, 1.0 / 400))
     np.testing.assert_allclose(alone.covariance, alone.core - 1e-6 * np.eye(3), atol=1e-12)
 
 
-def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_told(monkeypatch):
+def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_kld_sampling_does(monkeypatch):
     asked = []
 
     def noted(poses, bin_xy, bin_yaw):
@@ -69,15 +69,15 @@ def test_a_cloud_is_binned_as_wide_in_place_and_heading_as_told(monkeypatch):
         return sampling.bin_numbers(poses, bin_xy, bin_yaw)
 
     monkeypatch.setattr(estimate, "bin_numbers", noted)
-    estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25), 0.5, 0.1)
-    assert asked == [(0.5, 0.1)]
+    estimate.main_cluster(np.zeros((4, 3)), np.full(4, 0.25))
+    assert asked == [(sampling.BIN_M, sampling.BIN_RAD)]
 
 
 def test_the_heaviest_cluster_wins_though_the_heaviest_bin_is_another_s():
     """Four bins share the heavier cluster, each lighter than the bin of the other."""
     corners = np.array([[x, y, 0.1] for x in (-0.05, 0.05) for y in (-0.05, 0.05)])
     poses = np.vstack([np.repeat(corners, 15, axis=0), np.tile([2.1, 2.1, 0.1], (40, 1))])
-    found = estimate.main_cluster(poses, np.full(100, 0.01), 0.25, 0.2)
+    found = estimate.main_cluster(poses, np.full(100, 0.01))
     np.testing.assert_allclose(found.T_map_base.xyt, [0.0, 0.0, 0.1], atol=1e-9)
     assert found.weight == pytest.approx(0.6)
 

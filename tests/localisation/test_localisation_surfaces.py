@@ -23,10 +23,10 @@ from turtlebag.pipeline.localisation.surfaces import (
 from turtlebag.pipeline.localisation.wall_filter import (
     ODOMETRY_WALK,
     move,
+    nis,
     normal_equations,
     posterior,
     spread,
-    surprise,
 )
 
 
@@ -173,8 +173,7 @@ def test_beams_are_summed_up_by_wall_with_numerical_derivatives(patch_beams):
     pose = (made.T_map_surfaces.inverse() @ SE2.from_xyt(1.8, 1.7, 0.4)).xyt
     angles = rng.uniform(-4.0, 4.0, 1500)
     beams = rng.uniform(0.3, 3.0, (1500, 1)) * np.column_stack([np.cos(angles), np.sin(angles)])
-    args = made.points, made.normals, made.trust, made.patch, made.nearest, 1.0 / made.resolution
-    sums, right = match_beams(*args, pose, beams, offsets, scale, patch_beams)
+    sums, right = match_beams(made, pose, beams, offsets, scale, patch_beams)
     rows = []
     for beam in beams:
         x, y = SE2(pose) @ beam
@@ -292,9 +291,9 @@ def test_a_correction_is_as_surprising_as_it_was_expected():
     step = np.array([0.02, -0.03, 0.05])
     expected = step @ np.linalg.solve(P - less + walls.LEAST_EXPECTED * np.eye(3), step) / 3.0
     before = np.array([1.0, 2.0, 3.12])
-    assert surprise(before, P, before + step, less) == pytest.approx(expected)
-    assert surprise(before, P, before + step - [0, 0, 2 * math.pi], less) == pytest.approx(expected)
-    assert surprise(before, P, before + np.array([1e-4, 0, 0]), P) == pytest.approx(1.0 / 3.0)
+    assert nis(before, P, before + step, less) == pytest.approx(expected)
+    assert nis(before, P, before + step - [0, 0, 2 * math.pi], less) == pytest.approx(expected)
+    assert nis(before, P, before + np.array([1e-4, 0, 0]), P) == pytest.approx(1.0 / 3.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,7 +14,18 @@ from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
-from turtlebag.pipeline.localisation.wall_filter import WallFilter
+from turtlebag.pipeline.localisation.wall_filter import FIXED, POSE, WallFilter
+
+
+def offsets(track):
+    """Offset and its standard deviation [m] of each known wall, by patch."""
+    std = np.sqrt(np.diag(track._P)[FIXED:])
+    return {int(p): (o, s) for p, o, s in zip(track._walls, track._x[FIXED:], std, strict=True)}
+
+
+def odometry_errors(track):
+    """Share of distance, share of turn, turn by distance [rad/m] that odometry lacks, and their std."""
+    return track._x[POSE:FIXED].copy(), np.sqrt(np.diag(track._P)[POSE:FIXED])
 
 
 @pytest.mark.slow
@@ -50,10 +61,6 @@ def test_the_wall_filter_finds_the_pose_and_where_the_walls_stand():
         fit_surfaces(grid),
         start,
         np.diag([0.05, 0.05, 0.05]) ** 2,
-        scale=0.03,
-        beam_std=0.012,
-        patch_beams=4.0,
-        offset_std=0.007,
     )
     ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), LIDAR.angles, 3.5)
     for _ in range(10):
@@ -62,8 +69,8 @@ def test_the_wall_filter_finds_the_pose_and_where_the_walls_stand():
     error = T.inverse() @ track.T_map_base
     assert np.hypot(error.x, error.y) < 0.008
     assert abs(float(error.yaw)) < 0.004
-    assert max(abs(offset) for offset, _ in track.offsets.values()) < 0.025
-    assert all(0.0 < std <= 0.0071 for _, std in track.offsets.values())
+    assert max(abs(offset) for offset, _ in offsets(track).values()) < 0.025
+    assert all(0.0 < std <= 0.0071 for _, std in offsets(track).values())
 
 
 def wall_filter(start: SE2) -> WallFilter:
@@ -71,10 +78,6 @@ def wall_filter(start: SE2) -> WallFilter:
         fit_surfaces(l_shaped_room().grid()),
         start,
         np.diag([0.02, 0.02, 0.02]) ** 2,
-        scale=0.03,
-        beam_std=0.012,
-        patch_beams=4.0,
-        offset_std=0.007,
     )
 
 
@@ -95,7 +98,7 @@ def test_the_wall_filter_learns_what_odometry_gets_wrong():
         track.predict(told, (0.0, float(told.x), float(told.yaw)), np.full(3, 1e-3))
         T = T @ step
         track.correct(scanned(T, rng))
-    errors, std = track.odometry_errors
+    errors, std = odometry_errors(track)
     assert np.all(np.abs(errors - [-0.03, 0.04, 0.0]) < np.maximum(3.0 * std, 0.002))
     assert np.all(std < [0.004, 0.004, 0.004])
     error = T.inverse() @ track.T_map_base
@@ -123,18 +126,18 @@ def test_a_slip_where_walls_are_forgotten_leaves_the_others_in_their_place(monke
     track = wall_filter(T)
     for _ in range(10):
         track.correct(ahead(scanned(T, rng)))
-    known = set(track.offsets)
+    known = set(offsets(track))
     slip = SE2.from_xyt(0.08, 0.0, 0.05)
     track.predict(slip, (0.0, 0.08, 0.05), np.full(3, 1e-3))
     T = T @ SE2.from_xyt(0.0, 0.0, 1.8)
     track.predict(SE2.from_xyt(0.0, 0.0, 1.8), (0.0, 0.0, 1.8), np.full(3, 1e-3))
     assert track.correct(ahead(scanned(T, rng))) > 6.0
-    assert known - set(track.offsets)
-    assert set(track.offsets) - known
+    assert known - set(offsets(track))
+    assert set(offsets(track)) - known
     error = T.inverse() @ track.T_map_base
     assert np.hypot(error.x, error.y) < 0.03
     assert abs(float(error.yaw)) < 0.02
-    assert max(abs(offset) for offset, _ in track.offsets.values()) < 0.02
+    assert max(abs(offset) for offset, _ in offsets(track).values()) < 0.02
 
 
 def ahead(points_base: np.ndarray) -> np.ndarray:
@@ -166,7 +169,6 @@ def test_a_covariance_given_in_the_map_is_meant_in_the_map_however_the_grid_lies
     for std in ([1e-3, 0.15, 1e-3], [0.15, 1e-3, 1e-3]):
         track = WallFilter(
             fit_surfaces(grid), SE2.from_xyt(middle[0], middle[1] + 0.05, 0.0), np.diag(std) ** 2,
-            scale=0.1, beam_std=0.012, patch_beams=4.0, offset_std=0.007,
         )  # fmt: skip
         track.correct(points)
         off.append(float(track.T_map_base.y) - middle[1])
