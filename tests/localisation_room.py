@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
@@ -121,3 +122,11 @@ def _path(waypoints: list[tuple[float, float]], v: float = 0.2, w: float = 0.8) 
         ]
         x, y = goal_x, goal_y
     return SE2.from_array(poses)
+
+
+def sampled(field, points_map):
+    """Distance of a field at points (..., 2) of the map, interpolated; max_dist off the field."""
+    xy = (field.T_map_field.inverse() @ np.asarray(points_map, dtype=float)) / field.resolution
+    table, at = field.distance.astype(float), xy.reshape(-1, 2)[:, ::-1].T
+    found = scipy.ndimage.map_coordinates(table, at, order=1, cval=field.max_dist)
+    return found.reshape(xy.shape[:-1])

@@ -1,8 +1,8 @@
 """Likelihood field: how probable a beam's end point is, from its distance to the nearest obstacle.
 
 Thrun, Burgard, Fox: Probabilistic Robotics, section 6.4. Distances are exact (Euclidean distance
-transform) and live at cell CENTRES; between centres they are interpolated, so an obstacle lies where
-its cell's centre lies and nothing is shifted by half a cell.
+transform) and live at cell CENTRES, so an obstacle lies where its cell's centre lies and nothing is
+shifted by half a cell.
 """
 
 from __future__ import annotations
@@ -37,12 +37,6 @@ class DistanceField:
     resolution: float
     max_dist: float
     T_map_field: SE2
-
-    def sample(self, points_map: Array) -> Array:
-        """Interpolated distance at points (..., 2) of the map frame [m]; max_dist off the field."""
-        xy = (self.T_map_field.inverse() @ np.asarray(points_map, dtype=np.float64)) / self.resolution
-        values = bilinear(self.distance, np.ascontiguousarray(xy.reshape(-1, 2)), self.max_dist)
-        return values.reshape(xy.shape[:-1])
 
     def finer(self) -> tuple[FloatGrid, int]:
         """The distance at the centres of cells `factor` times finer, interpolated, and that factor.
@@ -90,24 +84,6 @@ def hit_probability(
     """Beam probability from distance, as ROS amcl: z_hit exp(-d^2 / 2 sigma^2) + z_rand / range_max."""
     d = distance.astype(np.float64)
     return z_hit * np.exp(-0.5 * (d / sigma_hit) ** 2) + z_rand / range_max
-
-
-@njit(cache=True)
-def bilinear(table: FloatGrid, cr: Array, outside: float) -> Array:
-    """Table at fractional (col, row) positions, (n,); `outside` off the table."""
-    rows, cols = table.shape
-    out = np.empty(len(cr))
-    for i in range(len(cr)):
-        gx, gy = cr[i, 0], cr[i, 1]
-        if gx < 0.0 or gy < 0.0 or gx >= cols - 1 or gy >= rows - 1:
-            out[i] = outside
-            continue
-        c, r = int(gx), int(gy)
-        fx, fy = gx - c, gy - r
-        low = table[r, c] + fx * (table[r, c + 1] - table[r, c])
-        high = table[r + 1, c] + fx * (table[r + 1, c + 1] - table[r + 1, c])
-        out[i] = low + fy * (high - low)
-    return out
 
 
 @njit(cache=True)
@@ -164,8 +140,8 @@ class LikelihoodField:
         self._table = np.log(p).astype(np.float32)
         # Padded by max_dist all round, the table's corner is as far from everything as outside is.
         self._outside = float(self._table.min())
-        x, y, yaw = (float(value) for value in field.T_map_corner.xyt)
-        self._frame = (x, y, yaw, factor / field.resolution)
+        *corner, per_metre = field.frame
+        self._frame = (*corner, factor * per_metre)
 
     def weigh(self, poses: Array, beams: Beams) -> Array:
         """Log weights (n,) of poses (n, 3) in the map frame."""

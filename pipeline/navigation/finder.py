@@ -52,7 +52,7 @@ class Finder:
         if lost.state is not State.DRIVE or localiser.updates > 0:
             lost.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
         if lost.state is State.RESTART:
-            localiser.initialise_globally()
+            localiser.amcl.initialise_globally()
         if lost.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
             lost.on(Event.PUSHED, now, localiser.updates)
         if lost.state not in (State.DRIVE, State.COMPARE, State.PUSHED):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Literal
 
 import numpy as np
 
@@ -37,14 +38,14 @@ class Localiser:
         self.scan_poses: list[tuple[int, SE2]] = []
         """(stamp [ns], T_map_base) at each sweep taken in: the run's trajectory."""
 
-    def initialise(self, T_map_base: SE2, T_odom_base: SE2) -> None:
-        """The 2D pose estimate."""
-        self.amcl.initialise(T_map_base, None, T_odom_base)
-        self.T_map_odom = self.amcl.T_map_odom
-
-    def initialise_globally(self) -> None:
-        """Anywhere on the free floor."""
-        self.amcl.initialise_globally()
+    def tell(self, initial_pose: SE2 | Literal["start", "global"] | None, T_odom_base: SE2) -> None:
+        """The 2D pose estimate, or to find out by itself; `start` is where odometry begins, which is true."""
+        if initial_pose == "global":
+            self.amcl.initialise_globally()
+        elif initial_pose is not None:
+            T_map_base = T_odom_base if initial_pose == "start" else initial_pose
+            self.amcl.initialise(T_map_base, None, T_odom_base)
+            self.T_map_odom = self.amcl.T_map_odom
 
     @property
     def glimpses(self) -> list[Glimpse]:

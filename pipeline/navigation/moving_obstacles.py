@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
 from turtlebag.pipeline.navigation.sensing import Sight
@@ -83,15 +83,7 @@ def _bins(points: Array) -> NDArray[np.int64]:
     return np.asarray(np.floor((bearing / (2.0 * np.pi) + 0.5) * BINS), dtype=np.int64) % BINS
 
 
-@njit(cache=True)
 def in_company(points: Array, count: int, reach: float) -> NDArray[np.bool_]:
     """Which points (n, 2) have at least `count` others within reach, (n,) of bool."""
-    n = len(points)
-    out = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        others = -1
-        for j in range(n):
-            dx, dy = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
-            others += dx * dx + dy * dy <= reach * reach
-        out[i] = others >= count
-    return out
+    near = scipy.spatial.cKDTree(points).query_ball_point(points, reach, return_length=True)
+    return np.asarray(near > count)

@@ -8,7 +8,6 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.runlog import RunLog, RunLogBuilder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Trajectory, Twist
-from turtlebag.pipeline.navigation.sensing import OdometryBuffer
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.sim.simulator import Simulator
 
@@ -33,10 +32,8 @@ class RunRecorder:
         self._simulator = simulator
         self._bag = bag
         self._rows = RunLogBuilder()
-        self._scan_stamps: list[int] = []
-        self._scan_truth: list[SE2] = []
-        self._scan_odometry: list[SE2] = []
-        self._odometry = OdometryBuffer()
+        self._truth: list[tuple[int, SE2]] = []
+        self._odometry: list[tuple[int, SE2]] = []
         self._owner = "navigation"
 
     def tick(self, observation: Observation, owner: CommandOwner, command: Twist) -> None:
@@ -48,11 +45,10 @@ class RunRecorder:
         if owner.owner != self._owner:
             self._owner = owner.owner
             self._bag.owner(observation.stamp_ns, owner.owner)
-        self._odometry.add(observation.stamp_ns, observation.odometry.T_odom_base)
         if observation.scan is not None:
-            self._scan_odometry.append(self._odometry.at(observation.scan.stamp_ns))
-            self._scan_stamps.append(observation.scan.stamp_ns)
-            self._scan_truth.append(self._simulator.scan_truth)
+            stamp = observation.scan.stamp_ns
+            self._truth.append((stamp, self._simulator.scan_truth))
+            self._odometry.append((stamp, owner.driver.sensing.odometry.at(stamp)))
         self._rows.append(
             observation.stamp_ns,
             T_world_base=truth.T_world_base,
@@ -73,11 +69,11 @@ class RunRecorder:
 
     def truth(self) -> Trajectory:
         """True base poses at the stamps of the scans."""
-        return trajectory_of(list(zip(self._scan_stamps, self._scan_truth, strict=True)))
+        return trajectory_of(self._truth)
 
     def odometry(self) -> Trajectory:
         """Odometry at the stamps of the scans."""
-        return trajectory_of(list(zip(self._scan_stamps, self._scan_odometry, strict=True)))
+        return trajectory_of(self._odometry)
 
 
 def trajectory_of(samples: list[tuple[int, SE2]]) -> Trajectory:

@@ -181,8 +181,10 @@ def make_driver(
         window = RollingLayer(first.odometry.T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M, m.live)
         tools = make_tools(robot, _mapless(config), window, publisher, seed)
         return NavigationDriver(tools, sensing, sequence), None, sequence
-    localiser = _make_localiser(mission, mission.grid, sensing, publisher)
-    _tell_pose(localiser, request.initial_pose, first)
+    lidar = robot.lidar.spec(config.sim.lidar.turning)
+    amcl = Amcl(mission.grid, lidar, robot.T_base_lidar, config.amcl, stream(request.seed, "amcl"))
+    localiser = Localiser(amcl, sensing.odometry, publisher)
+    localiser.tell(request.initial_pose, first.odometry.T_odom_base)
     publisher.map(first.stamp_ns, mission.grid)
     tools = make_tools(robot, config, LiveLayer(mission.costmap, config.live), publisher, seed)
     wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
@@ -229,27 +231,3 @@ def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     if config.controller == "dwa":
         return Dwa(robot.model, config.dwa, config.pursuit, period)
     return Pursuit(robot.model, config.pursuit, period)
-
-
-def _make_localiser(
-    mission: Mission, grid: OccupancyGrid, sensing: Sensing, publisher: BagWriter
-) -> Localiser:
-    lidar = mission.robot.lidar.spec(mission.config.sim.lidar.turning)
-    rng = stream(mission.request.seed, "amcl")
-    amcl = Amcl(grid, lidar, mission.robot.T_base_lidar, mission.config.amcl, rng)
-    return Localiser(amcl, sensing.odometry, publisher)
-
-
-def _tell_pose(
-    localiser: Localiser, initial_pose: SE2 | Literal["start", "global"] | None, first: Observation
-) -> None:
-    T_odom_base = first.odometry.T_odom_base
-    if initial_pose is None:
-        return
-    if initial_pose == "global":
-        localiser.initialise_globally()
-    elif initial_pose == "start":
-        # Odometry begins at the true start.
-        localiser.initialise(T_odom_base, T_odom_base)
-    else:
-        localiser.initialise(initial_pose, T_odom_base)

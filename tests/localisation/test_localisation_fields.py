@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
+from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -13,7 +13,6 @@ from turtlebag.pipeline.localisation import global_search as search
 from turtlebag.pipeline.localisation.beams import prepare, spread
 from turtlebag.pipeline.localisation.field import (
     LikelihoodField,
-    bilinear,
     distance_field,
     hit_probability,
     sum_over_beams,
@@ -32,23 +31,6 @@ def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):
 def frame_of(field, factor=1):
     x, y, yaw = field.T_map_corner.xyt.tolist()
     return x, y, yaw, factor / field.resolution
-
-
-def test_the_table_is_bilinear_within_its_centres_and_outside_beyond():
-    table = np.random.default_rng(8).random((4, 6)).astype(np.float32)
-    at = np.vstack(
-        [
-            np.random.default_rng(9).uniform(-1.0, [6.5, 4.5], (300, 2)),
-            [[0, 0], [5, 1], [1, 3], [4.999, 2.999]],
-        ]
-    )
-    for (x, y), found in zip(at, bilinear(table, at, 7.0), strict=True):
-        if not (0.0 <= x < 5.0 and 0.0 <= y < 3.0):
-            assert found == 7.0
-            continue
-        c, r = int(x), int(y)
-        wx, wy = np.array([1 - x + c, x - c]), np.array([1 - y + r, y - r])
-        assert found == pytest.approx(wy @ table[r : r + 2, c : c + 2] @ wx, abs=1e-6)
 
 
 def test_beams_ends_are_looked_up_in_the_table_and_outside_counts_as_told():
@@ -160,8 +142,8 @@ def test_a_field_four_times_finer_is_interpolated_between_the_same_centres():
     inner = [(r, c) for r in range(4, rows - 4, 7) for c in range(4, cols - 4, 5)]
     for r, c in inner:
         at = field.T_map_corner @ (np.array([c + 0.5, r + 0.5]) / 4 * field.resolution)
-        assert fine[r, c] == pytest.approx(float(field.sample(at)), abs=1e-5)
-    assert field.sample(field.T_map_corner @ np.array([-1.0, -1.0])) == 1.5
+        assert fine[r, c] == pytest.approx(float(sampled(field, at)), abs=1e-5)
+    assert sampled(field, field.T_map_corner @ np.array([-1.0, -1.0])) == 1.5
 
 
 def test_poses_are_drawn_from_the_free_cells_alone_and_from_all_of_each():
