@@ -23,9 +23,9 @@ from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.wavefront import wave
 
-# Hypotheses differ clearly where so large a share of the beams does; a place that did not help must be
-# bettered by so much, and is not gone to again within so far [m].
-DIFFERENT, MORE, AGAIN_M = 0.1, 1.3, 0.6
+# Hypotheses differ clearly where so large a share of the beams does; places so near [m] to one that did not
+# help are not gone to.
+DIFFERENT, AGAIN_M = 0.1, 0.6
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
 # beside a thing a view changes with every centimetre.
 SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)
@@ -46,7 +46,7 @@ class Disambiguation:
 
     def begin_again(self, now_ns: int) -> None:
         """The time, and the places, for another goal."""
-        self._began_ns, self._threshold = now_ns, DIFFERENT
+        self._began_ns = now_ns
         self._visited: list[Array] = []
         self._runner: GoalRunner | None = None
 
@@ -80,18 +80,11 @@ class Disambiguation:
         costmap, radius = self.tools.live.static, self.tools.model.circumscribed_radius
         for room in ROOMS_M:
             place = nearest_difference(
-                self._aliasing,
-                self._hypotheses.poses,
-                costmap,
-                radius + room,
-                pose,
-                self._threshold,
-                self._visited,
+                self._aliasing, self._hypotheses.poses, costmap, radius + room, pose, self._visited
             )
             if place is not None:
-                self._threshold = MORE * place[1]
                 self._seed += 1
-                return GoalRunner(self.tools, place[0], self._seed)
+                return GoalRunner(self.tools, place, self._seed)
         return None
 
 
@@ -112,10 +105,9 @@ def nearest_difference(
     costmap: Costmap,
     radius: float,
     pose: SE2,
-    least: float,
     visited: Sequence[Array],
-) -> tuple[SE2, float] | None:
-    """The pose nearest along the floor where two hypotheses differ by `least` or more, and by how much.
+) -> SE2 | None:
+    """The pose nearest along the floor where two hypotheses differ clearly.
 
     Only places that a disc of `radius` reaches count, and none about those `visited`.
     """
@@ -135,9 +127,9 @@ def nearest_difference(
         return None
     poses = SE2(np.column_stack([xy, np.full(len(xy), float(pose.yaw))]))
     share = aliasing.differences(hypotheses, poses)
-    length = np.where(share >= least, way[cells[:, 0], cells[:, 1]], np.inf)
+    length = np.where(share >= DIFFERENT, way[cells[:, 0], cells[:, 1]], np.inf)
     best = int(length.argmin())
-    return (poses[best], float(share[best])) if np.isfinite(length[best]) else None
+    return poses[best] if np.isfinite(length[best]) else None
 
 
 def _cell_near(free: Mask, costmap: Costmap, pose: SE2) -> tuple[int, int] | None:

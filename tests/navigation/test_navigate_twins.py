@@ -186,18 +186,18 @@ def test_the_drive_goes_to_the_nearest_place_that_differs_and_not_twice():
     costmap = passable_under_all(costmap_from_grid(grid, CostmapConfig()), [SE2.identity(), TWIN])
     aliasing, both = aliasing_of(grid), [SE2.identity(), TWIN]
     start = SE2.from_xyt(7.0, 1.6, 0.0)
-    place, share = nearest_difference(aliasing, both, costmap, 0.2, start, 0.1, [])
-    assert share >= 0.1
+    place = nearest_difference(aliasing, both, costmap, 0.2, start, [])
+    assert aliasing.differences(both, SE2(place.xyt[None]))[0] >= 0.1
     assert place.x > 7.5
     assert costmap.clearance_at(place.xy) > 0.2
     assert aliasing.differences(both, SE2(start.xyt[None]))[0] < 0.1
     # From the other half the nearest one is the twin's.
-    mirrored = nearest_difference(aliasing, both, costmap, 0.2, TWIN @ start, 0.1, [])
-    assert mirrored[0].x < 4.5
-    other, _ = nearest_difference(aliasing, both, costmap, 0.2, start, 0.1, [place.xy])
+    mirrored = nearest_difference(aliasing, both, costmap, 0.2, TWIN @ start, [])
+    assert mirrored.x < 4.5
+    other = nearest_difference(aliasing, both, costmap, 0.2, start, [place.xy])
     assert np.linalg.norm(other.xy - place.xy) > 0.6
     alike = aliasing_of(room(cupboard=False).grid())
-    assert nearest_difference(alike, both, costmap, 0.2, start, 0.1, []) is None
+    assert nearest_difference(alike, both, costmap, 0.2, start, []) is None
 
 
 def test_a_hypothesis_that_is_left_behind_over_several_scans_is_dropped():
