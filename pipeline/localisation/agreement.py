@@ -15,7 +15,8 @@ NOMINAL_AGREEMENT = 0.8
 LEAST_RANDOM, MOST_RANDOM = 0.25, 0.5
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
-# Agreement below this part of the best so far is worth a second look, so many updates apart.
+# Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a
+# robot that was carried off in the house noticed later and was at its goal after 94 s in place of 71 s.
 FADED, SECOND_LOOK_PAUSE = 0.9, 24
 # A single scan of which the map explains less than this part of the usual share speaks against the estimate.
 CONTRADICTED = 0.7
