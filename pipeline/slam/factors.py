@@ -1,13 +1,9 @@
-"""What the pose graphs of the plane and of space share: the constraint, its noise model, the solver.
-
-With `slam/pose_graph.py` and `slam3d/graph.py` it wraps GTSAM, so that nothing else sees its
-keys, its noise models or its failure modes.
-"""
+"""The constraint of a pose graph, in the plane or in space."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from turtlebag.datasets.se2 import Array
 
@@ -28,24 +24,3 @@ class Constraint:
     information: Array
     kind: Kind
     soft: float = 0.0
-
-
-def noise(constraint: Constraint, floor: Array) -> Any:
-    """GTSAM's noise model of a constraint; `floor` is added to keep its information positive definite."""
-    import gtsam  # takes a quarter of a second, and most runs need no graph
-
-    gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
-    if constraint.soft == 0.0:
-        return gaussian
-    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(constraint.soft)
-    return gtsam.noiseModel.Robust.Create(cauchy, gaussian)
-
-
-def solved(graph: Any, values: Any, iterations: int, tolerance: float) -> Any:
-    """The values that Levenberg-Marquardt ends at; `tolerance` is the relative decrease it stops at."""
-    import gtsam
-
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(iterations)
-    parameters.setRelativeErrorTol(tolerance)
-    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()

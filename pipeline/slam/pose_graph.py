@@ -1,70 +1,102 @@
-"""The pose graph: constraints between key scans, optimised by GTSAM."""
+"""The pose graph of the plane and of space: constraints between key scans, optimised by GTSAM.
+
+Poses of the plane are an `SE2` (n,), those of space matrices (n, 4, 4). Nothing else sees GTSAM's keys, its
+noise models or its failure modes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.factors import Constraint, noise, solved
+from turtlebag.pipeline.slam.factors import Constraint
+
+Poses = TypeVar("Poses", SE2, Array)
 
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
-FLOOR = np.diag([1e-4, 1e-4, 1e-4])
+WEAK = 1e-4
+FLOOR = WEAK * np.eye(3)
+# g2o writes translation before rotation.
+G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 
 
-def optimise(T_map_keys: SE2, constraints: Sequence[Constraint], iterations: int = 30) -> SE2:
+def optimise(T_map_keys: Poses, constraints: Sequence[Constraint], iterations: int = 30) -> Poses:
     """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
-    graph, values = _graph(T_map_keys, constraints), _values(T_map_keys)
-    return _poses(solved(graph, values, iterations, 1e-5), len(T_map_keys))
+    import gtsam  # takes a quarter of a second, and most runs need no graph
 
-
-def mahalanobis(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Array:
-    """Squared Mahalanobis residual of each constraint at the given poses, kernels left out."""
-    if not constraints:
-        return np.zeros(0)
-    i = np.array([c.i for c in constraints])
-    j = np.array([c.j for c in constraints])
-    z = SE2(np.array([c.T_i_j for c in constraints]))
-    e = (z.inverse() @ (T_map_keys[i].inverse() @ T_map_keys[j])).xyt
-    return np.einsum("na,nab,nb->n", e, np.array([c.information for c in constraints]), e)
-
-
-def write_g2o(path: Path, T_map_keys: SE2, constraints: Sequence[Constraint]) -> None:
-    """The graph as g2o text (VERTEX_SE2, EDGE_SE2), without kernels."""
-    lines = [
-        f"VERTEX_SE2 {k} {x:.9f} {y:.9f} {yaw:.9f}" for k, (x, y, yaw) in enumerate(T_map_keys.xyt.tolist())
-    ]
+    if isinstance(T_map_keys, SE2):
+        start, pose = T_map_keys.xyt, lambda xyt: gtsam.Pose2(*xyt)
+        prior, between = gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2
+    else:
+        start, pose = T_map_keys, gtsam.Pose3
+        prior, between = gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
+    graph.add(prior(0, pose(start[0]), held))
     for c in constraints:
-        h = c.information
-        upper = [h[0, 0], h[0, 1], h[0, 2], h[1, 1], h[1, 2], h[2, 2]]
-        numbers = " ".join(f"{value:.9g}" for value in [*c.T_i_j.tolist(), *map(float, upper)])
-        lines.append(f"EDGE_SE2 {c.i} {c.j} {numbers}")
+        graph.add(between(c.i, c.j, pose(c.T_i_j), _noise(c)))
+    for k, T in enumerate(start):
+        values.insert(k, pose(T))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(iterations)
+    parameters.setRelativeErrorTol(1e-5)
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    if isinstance(T_map_keys, SE2):
+        poses = [found.atPose2(k) for k in range(len(start))]
+        return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
+    return np.array([found.atPose3(k).matrix() for k in range(len(start))])
+
+
+def residuals(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
+    """What is left of each constraint at the given poses: (n, 3) x, y, yaw, or (n, 6) rotation first."""
+    i, j = np.array([c.i for c in constraints], int), np.array([c.j for c in constraints], int)
+    measured = np.array([c.T_i_j for c in constraints])
+    if isinstance(T_map_keys, SE2):
+        z = SE2(measured.reshape(-1, 3))
+        return (z.inverse() @ (T_map_keys[i].inverse() @ T_map_keys[j])).xyt
+    left = se3.inverse(measured.reshape(-1, 4, 4)) @ (se3.inverse(T_map_keys[i]) @ T_map_keys[j])
+    return se3.log(left)
+
+
+def mahalanobis(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
+    """Squared Mahalanobis residual of each constraint at the given poses, kernels left out."""
+    e = residuals(T_map_keys, constraints)
+    information = np.array([c.information for c in constraints]).reshape(-1, e.shape[1], e.shape[1])
+    return np.einsum("na,nab,nb->n", e, information, e)
+
+
+def write_g2o(path: Path, T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> None:
+    """The graph as g2o text (VERTEX_SE2, EDGE_SE2; VERTEX_SE3:QUAT, EDGE_SE3:QUAT), without kernels."""
+    kind, poses = ("SE2", T_map_keys.xyt) if isinstance(T_map_keys, SE2) else ("SE3:QUAT", T_map_keys)
+    lines = [f"VERTEX_{kind} {k} {_text(_row(T), '.9f')}" for k, T in enumerate(poses)]
+    for c in constraints:
+        order = G2O_ORDER[len(c.information)]
+        upper = c.information[np.ix_(order, order)][np.triu_indices(len(order))]
+        lines.append(f"EDGE_{kind} {c.i} {c.j} {_text([*_row(c.T_i_j), *upper], '.9g')}")
     path.write_text("\n".join(lines) + "\n")
 
 
-def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Any:
+def _row(T: Array) -> Array:
+    """A pose as g2o writes it: x, y, yaw, or x, y, z and a quaternion."""
+    return T if T.shape == (3,) else np.concatenate([T[:3, 3], se3.quaternions(T)])
+
+
+def _text(values: Any, digits: str) -> str:
+    return " ".join(f"{value:{digits}}" for value in np.asarray(values).tolist())
+
+
+def _noise(constraint: Constraint) -> Any:
+    """GTSAM's noise model of a constraint, with a floor that keeps its information positive definite."""
     import gtsam
 
-    graph = gtsam.NonlinearFactorGraph()
-    fixed = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-6, 1e-6, 1e-6]))
-    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T_map_keys.xyt[0]), fixed))
-    for c in constraints:
-        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise(c, FLOOR)))
-    return graph
-
-
-def _values(T_map_keys: SE2) -> Any:
-    import gtsam
-
-    values = gtsam.Values()
-    for k, (x, y, yaw) in enumerate(T_map_keys.xyt.tolist()):
-        values.insert(k, gtsam.Pose2(x, y, yaw))
-    return values
-
-
-def _poses(values: Any, n: int) -> SE2:
-    poses = [values.atPose2(k) for k in range(n)]
-    return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
+    floor = WEAK * np.eye(len(constraint.information))
+    gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
+    if constraint.soft == 0.0:
+        return gaussian
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(constraint.soft)
+    return gtsam.noiseModel.Robust.Create(cauchy, gaussian)

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam3d.graph import optimise
+from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, around, gathered
 from turtlebag.pipeline.slam3d.open3d_match import MatchConfig, Matcher
 from turtlebag.pipeline.slam3d.refine import observable

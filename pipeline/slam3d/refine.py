@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.cloud_tracking import thinned
-from turtlebag.pipeline.slam3d.graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.surfels import fit
 

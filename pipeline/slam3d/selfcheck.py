@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.pose_graph import residuals
 from turtlebag.pipeline.slam.verdict import Verdict
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
-from turtlebag.pipeline.slam3d.graph import residuals
 
 
 class SelfCheck3dConfig(BaseModel):

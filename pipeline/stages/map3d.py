@@ -14,8 +14,8 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.trajectories import save_tum_3d
+from turtlebag.pipeline.slam.pose_graph import residuals, write_g2o
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
-from turtlebag.pipeline.slam3d.graph import residuals, write_g2o
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
 from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.map_summary import summary, tell_map

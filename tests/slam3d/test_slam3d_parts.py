@@ -11,9 +11,9 @@ from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_loader import open3d
+from turtlebag.pipeline.slam.pose_graph import optimise, residuals, write_g2o
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished, save_ply
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
-from turtlebag.pipeline.slam3d.graph import optimise, residuals, write_g2o
 from turtlebag.pipeline.slam3d.open3d_match import MatchConfig, Matcher
 from turtlebag.pipeline.slam3d.refine import observable
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor, dissimilarity
