@@ -38,29 +38,16 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "everything": {},
     "odometry only": {"sensors": "odometry"},
     "KISS-ICP only": {
-        "tracking": {"surfels": False},
+        "front_end": "kiss_icp",
         "loops": {"enabled": False},
         "refine": {"rounds": 0},
-        "posing": {"enabled": False},
     },
-    "no KISS-ICP": {"tracking": {"kiss": {"enabled": False}}},
-    "front end only": {
-        "loops": {"enabled": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}
-    },
+    "front end only": {"loops": {"enabled": False}, "refine": {"rounds": 0}},
     "no loops": {"loops": {"enabled": False}},
-    "loops without Open3D": {"loops": {"open3d": False}},
     "loops by distance only": {"loops": {"appearance": False}},
     "no joint refinement": {"refine": {"rounds": 0}},
-    "KISS-ICP, loops": {
-        "tracking": {"surfels": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}
-    },
-    "KISS-ICP, loops without Open3D": {
-        "tracking": {"surfels": False},
-        "loops": {"open3d": False},
-        "refine": {"rounds": 0},
-        "posing": {"enabled": False},
-    },
-    "no deskew": {"sweeps": {"deskew": False}},
+    "KISS-ICP, loops": {"front_end": "kiss_icp", "refine": {"rounds": 0}},
+    "no deskew": {"deskew": False},
     "lidar only": {"sensors": "lidar"},
 }  # fmt: skip
 

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.pose_graph import FLOOR
+from turtlebag.pipeline.slam.pose_graph import WEAK
 
 # Steps say too much of their errors: over 3 to 300 m the squared ones come to 0.04 to 0.57 of the covariance
 # that they add up to (six logs with a reference, the mean of each).
 HONEST = 0.25
 # What nothing is known of.
 ANYWHERE = 1e12 * np.eye(3)
+# Where x, y and yaw stand among rotation and translation in space.
+IN_PLANE = [3, 4, 2]
 # True places lie within it in 99 of 100 cases, by the normal distribution in the plane.
 SIGMAS = 3.0
 
@@ -65,7 +67,8 @@ def drift_of(
 ) -> Drift:
     """The drift of keys (n, 3) that steps hold together."""
     n = len(T_map_keys)
-    information = np.zeros((max(n - 1, 0), 3, 3))
+    size = len(steps[0].information) if steps else 3
+    information = np.zeros((max(n - 1, 0), size, size))
     for c in steps:
         if c.j == c.i + 1 < n:
             information[c.i] += c.information
@@ -74,10 +77,13 @@ def drift_of(
 
 
 def covariances(T_map_keys: Array, ends: NDArray[np.int64], information: Sequence[Array] | Array) -> Array:
-    """Information (k, 3, 3) in the frames of keys `ends` (k,) as covariances about the map's origin."""
+    """Information (k, 3, 3), in space (k, 6, 6), in the frames of keys `ends` (k,) as covariances (k, 3, 3)
+    of x, y and yaw about the map's origin."""
     if len(ends) == 0:
         return np.zeros((0, 3, 3))
-    own = HONEST * np.linalg.inv(np.asarray(information) + FLOOR)
+    own = HONEST * np.linalg.inv(np.asarray(information) + WEAK * np.eye(len(information[0])))
+    if len(information[0]) == 6:
+        own = own[:, IN_PLANE][:, :, IN_PLANE]
     x, y, yaw = T_map_keys[ends].T
     moved = np.zeros((len(ends), 3, 3))
     moved[:, 0, 0] = moved[:, 1, 1] = np.cos(yaw)

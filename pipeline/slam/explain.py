@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from turtlebag.datasets import se3
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import write_json
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import Loop
 from turtlebag.pipeline.slam.occupancy import make_grid
-from turtlebag.pipeline.slam.pose_graph import mahalanobis
+from turtlebag.pipeline.slam.pose_graph import mahalanobis, relative
 from turtlebag.pipeline.slam.selfcheck import hypothesis_shares
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult
@@ -27,8 +30,8 @@ def loop_record(result: SlamResult) -> dict[str, Any]:
     session = result.session
     return {
         "keys": result.keys,
-        "loops": [_candidate(loop, result.T_map_keys) for loop in result.loops],
-        "recognised": [_candidate(place, result.T_map_keys) for place in result.recognised],
+        "loops": [candidate(loop, result.T_map_keys) for loop in result.loops],
+        "recognised": [candidate(place, result.T_map_keys) for place in result.recognised],
         "breaks": [
             {"after_scan": before, "before_scan": after, "mended": _mended(session, after)}
             for before, after in session.chain.gaps.tolist()
@@ -41,12 +44,12 @@ def _mended(session: Session, scan: int) -> bool:
     return not bool(session.graph.unbridged[step])
 
 
-def _candidate(found: Loop | Recognised, T_map_keys: SE2) -> dict[str, Any]:
-    """What is told of a candidate and what is left of it at the final poses."""
+def candidate(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, Any]:
+    """What is told of a candidate and what is left of it at the final poses, of the plane or of space."""
     return {
         "i": found.i,
         "j": found.j,
-        "T_j_i": found.T_j_i,
+        "T_j_i": found.T_j_i if found.T_j_i.ndim == 1 else se3.log(found.T_j_i),
         **({"gate_m": found.gate_m} if isinstance(found, Loop) else {}),
         "score": found.score,
         "overlap": found.overlap,
@@ -57,7 +60,13 @@ def _candidate(found: Loop | Recognised, T_map_keys: SE2) -> dict[str, Any]:
     }
 
 
-def _residual(found: Loop | Recognised, T_map_keys: SE2) -> dict[str, float]:
+def _residual(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, float]:
+    if not isinstance(T_map_keys, SE2):
+        off = se3.log(relative(found.T_j_i, relative(T_map_keys[found.j], T_map_keys[found.i])))
+        return {
+            "residual_m": float(np.linalg.norm(off[3:])),
+            "residual_rad": float(np.linalg.norm(off[:3])),
+        }
     measured = SE2(found.T_j_i)
     left = (measured.inverse() @ T_map_keys[found.j].inverse() @ T_map_keys[found.i]).xyt
     return {"residual_m": float(np.hypot(left[0], left[1])), "residual_rad": float(abs(left[2]))}
@@ -73,27 +82,27 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
     write_json(
         folder / "explain.json",
         {
-            "worst_edges": worst_edges(result),
+            "worst_edges": worst_edges(result.T_map_keys, result.constraints),
             "contradicting_places": _contradictions(result),
             "front_end": {
                 "winners": hypothesis_shares(result.track),
                 "mean_overlap": float(result.track.overlap.mean()),
                 "odometry_calibration": vars(result.track.calibration),
             },
-            "moved_by_graph_m": _moved(result),
+            "moved_by_graph_m": moved(result.T_map_keys.xy - result.track.T_track_base.xy[result.keys]),
         },
     )
 
 
-def worst_edges(result: SlamResult) -> list[dict[str, Any]]:
+def worst_edges(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> list[dict[str, Any]]:
     """The constraints that fit the final poses least, worst first."""
-    squared = mahalanobis(result.T_map_keys, result.constraints)
+    squared = mahalanobis(T_map_keys, constraints)
     order = np.argsort(-squared, kind="stable")[:WORST]
     return [
         {
-            "i": result.constraints[k].i,
-            "j": result.constraints[k].j,
-            "kind": result.constraints[k].kind,
+            "i": constraints[k].i,
+            "j": constraints[k].j,
+            "kind": constraints[k].kind,
             "sigmas": float(np.sqrt(max(squared[k], 0.0))),
         }
         for k in order
@@ -109,7 +118,7 @@ def _contradictions(result: SlamResult) -> list[dict[str, Any]]:
     ]
 
 
-def _moved(result: SlamResult) -> dict[str, float]:
-    """How far graph and refinement moved the key scans from where the front end had them."""
-    shift = np.linalg.norm(result.T_map_keys.xy - result.track.T_track_base.xy[result.keys], axis=1)
+def moved(shifts: Array) -> dict[str, float]:
+    """How far graph and refinement shifted the key scans, (n, 2) or (n, 3), from their track."""
+    shift = np.linalg.norm(shifts, axis=1)
     return {"mean": float(shift.mean()), "max": float(shift.max())}

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
@@ -73,9 +74,12 @@ class KissIcp:
 
 
 class LidarOdometry:
-    """KISS-ICP's registration and local map, in the caller's frame; returns up to `max_range` [m]."""
+    """KISS-ICP's registration and local map, in the caller's frame; returns up to `max_range` [m].
 
-    def __init__(self, max_range: float) -> None:
+    Points (n, 2) with poses (3,), or points (n, 3) in space with poses (4, 4).
+    """
+
+    def __init__(self, max_range: float, voxel: float = VOXEL_M) -> None:
         from kiss_icp.config import KISSConfig
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
@@ -84,41 +88,41 @@ class LidarOdometry:
 
         kiss = KISSConfig()
         kiss.data.max_range = max_range
-        kiss.adaptive_threshold.initial_threshold *= VOXEL_M
-        kiss.adaptive_threshold.min_motion_th *= VOXEL_M
+        kiss.adaptive_threshold.initial_threshold *= voxel
+        kiss.adaptive_threshold.min_motion_th *= voxel
         own = kiss.registration
-        self._thinned = voxel_down_sample
-        self._map = VoxelHashMap(VOXEL_M, max_range, kiss.mapping.max_points_per_voxel)
+        self._voxel, self._thinned = voxel, voxel_down_sample
+        self._map = VoxelHashMap(voxel, max_range, kiss.mapping.max_points_per_voxel)
         self._threshold = get_threshold_estimator(kiss)
         self._registration = Registration(
             own.max_num_iterations, own.convergence_criterion, max_num_threads=1
         )
 
     def register(self, points: Array, T_map_guess: Array) -> Array:
-        """Pose (3,) of a scan's points (n, 2) against the local map, started at a guess (3,)."""
+        """Pose of a scan's points against the local map, started at a guess."""
         if self._map.empty() or len(points) < 3:
             return T_map_guess
+        plane = points.shape[1] == 2
+        source = _in_space(points) if plane else self._thinned(points, 1.5 * self._voxel)
         sigma = self._threshold.get_threshold()
         guess = _matrix(T_map_guess)
-        pose = self._registration.align_points_to_map(_flat(points), self._map, guess, 3.0 * sigma, sigma)
+        pose = self._registration.align_points_to_map(source, self._map, guess, 3.0 * sigma, sigma)
         if not np.all(np.isfinite(pose)):
             return T_map_guess
-        plane = [0, 1, 3]
-        return SE2.from_matrix(np.vstack([pose[:2, plane], [0.0, 0.0, 1.0]])).xyt
+        if not plane:
+            return np.asarray(pose)
+        axes = [0, 1, 3]
+        return SE2.from_matrix(np.vstack([pose[:2, axes], [0.0, 0.0, 1.0]])).xyt
 
     def update(self, points: Array, T_map_base: Array, T_map_guess: Array) -> None:
         """Add the scan to the map at its final pose; the guess it started from tunes the threshold."""
         self._threshold.update_model_deviation(np.linalg.inv(_matrix(T_map_guess)) @ _matrix(T_map_base))
-        self._map.update(self._thinned(_flat(points), 0.5 * VOXEL_M), _matrix(T_map_base))
+        self._map.update(self._thinned(_in_space(points), 0.5 * self._voxel), _matrix(T_map_base))
 
 
-def _flat(points: Array) -> Array:
-    return np.column_stack([points, np.zeros(len(points))])
+def _in_space(points: Array) -> Array:
+    return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
 
 
-def _matrix(xyt: Array) -> Array:
-    out = np.eye(4)
-    c, s = np.cos(xyt[2]), np.sin(xyt[2])
-    out[0, 0], out[0, 1], out[1, 0], out[1, 1] = c, -s, s, c
-    out[:2, 3] = xyt[:2]
-    return out
+def _matrix(pose: Array) -> Array:
+    return pose if pose.shape == (4, 4) else se3.lifted(SE2(pose))

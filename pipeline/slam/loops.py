@@ -8,6 +8,7 @@ which the place repeats itself, a loop says nothing; the graph takes each with a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -58,7 +59,7 @@ class LoopConfig(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One candidate and what became of it: key indices, scores, verdict; `T_j_i` is (3,)."""
+    """One candidate and what became of it: key indices, scores, verdict; `T_j_i` is (3,), in space (4, 4)."""
 
     i: int
     j: int
@@ -107,53 +108,42 @@ CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
 PEAK = 0.15
 
 
-class LoopFinder:
-    """The growing graph while loops are searched along the log."""
+class LoopSearch(ABC):
+    """The growing graph while loops are searched along the log, of the plane or of space.
+
+    `poses` (n, 3) are those of the keys, of space as seen from above: drift carries a robot along the floor.
+    """
 
     def __init__(
         self,
-        clouds: Clouds,
-        keys: NDArray[np.int64],
         T_map_keys: SE2,
         steps: Sequence[Constraint],
         config: LoopConfig,
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
     ) -> None:
-        self.clouds, self.keys, self.config, self.part = clouds, keys, config, part
+        self.config, self.part = config, part
         self.poses = T_map_keys.xyt.copy()
         self.steps = list(steps)
         self.loops = list(known)
         self.record: list[Loop] = []
         length = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1) + 0.05
         self.path = np.concatenate([[0.0], np.cumsum(length)])
-        self.matcher = MATCHERS[config.match]()
 
-    def extend(
-        self,
-        clouds: Clouds,
-        keys: NDArray[np.int64],
-        T_track_keys: SE2,
-        steps: Sequence[Constraint],
-        part: NDArray[np.int64],
-    ) -> None:
-        """The log has gone on: all its key scans, where the front end has them, and all steps between.
+    @abstractmethod
+    def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
+        """Align key i with the place around key j, within [m] and [rad] of where it is, and judge it."""
 
-        The poses of key scans known before stay; the new ones follow the last of them.
-        """
-        known = len(self.poses)
-        self.clouds, self.keys, self.part, self.steps = clouds, keys, part, list(steps)
-        move = SE2(self.poses[-1]) @ T_track_keys[known - 1].inverse()
-        self.poses = np.vstack([self.poses, (move @ T_track_keys[np.arange(known, len(keys))]).xyt])
-        length = np.linalg.norm(np.diff(self.poses[known - 1 :, :2], axis=0), axis=1) + 0.05
-        self.path = np.concatenate([self.path, self.path[-1] + np.cumsum(length)])
+    @abstractmethod
+    def _optimise(self, n: int, graph: list[Constraint]) -> None:
+        """Move the first n keys to where a graph has them; the keys still to come follow the last rigidly."""
 
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
         self.drift = drift_of(self.poses, self.steps)
         for i in batch:
-            if i % self.config.every == 0 or i == len(self.keys) - 1:
+            if i % self.config.every == 0 or i == len(self.poses) - 1:
                 loop = self._query(i)
                 if loop is not None:
                     found.append(loop)
@@ -163,13 +153,7 @@ class LoopFinder:
             return
         self.loops += map(self.config.constraint, accepted)
         n = batch.stop
-        graph = [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n]
-        before = self.poses[n - 1].copy()
-        self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
-        # the keys still to come follow the last one rigidly
-        if n < len(self.poses):
-            move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
-            self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
+        self._optimise(n, [c for c in [*self.steps, *self.loops] if max(c.i, c.j) < n])
 
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None when none is near enough."""
@@ -195,6 +179,50 @@ class LoopFinder:
             if tried[-1].accepted or len(tried) == PLACES:
                 break
         return max(tried, key=lambda loop: (loop.accepted, loop.score))
+
+
+class LoopFinder(LoopSearch):
+    """Loops of planar scans."""
+
+    def __init__(
+        self,
+        clouds: Clouds,
+        keys: NDArray[np.int64],
+        T_map_keys: SE2,
+        steps: Sequence[Constraint],
+        config: LoopConfig,
+        part: NDArray[np.int64],
+        known: Sequence[Constraint] = (),
+    ) -> None:
+        super().__init__(T_map_keys, steps, config, part, known)
+        self.clouds, self.keys = clouds, keys
+        self.matcher = MATCHERS[config.match]()
+
+    def extend(
+        self,
+        clouds: Clouds,
+        keys: NDArray[np.int64],
+        T_track_keys: SE2,
+        steps: Sequence[Constraint],
+        part: NDArray[np.int64],
+    ) -> None:
+        """The log has gone on: all its key scans, where the front end has them, and all steps between.
+
+        The poses of key scans known before stay; the new ones follow the last of them.
+        """
+        known = len(self.poses)
+        self.clouds, self.keys, self.part, self.steps = clouds, keys, part, list(steps)
+        move = SE2(self.poses[-1]) @ T_track_keys[known - 1].inverse()
+        self.poses = np.vstack([self.poses, (move @ T_track_keys[np.arange(known, len(keys))]).xyt])
+        length = np.linalg.norm(np.diff(self.poses[known - 1 :, :2], axis=0), axis=1) + 0.05
+        self.path = np.concatenate([self.path, self.path[-1] + np.cumsum(length)])
+
+    def _optimise(self, n: int, graph: list[Constraint]) -> None:
+        before = self.poses[n - 1].copy()
+        self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
+        if n < len(self.poses):
+            move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
+            self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
 
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
         """Search, align and judge key i (with its predecessors) against the place around key j."""

@@ -20,7 +20,6 @@ Poses = TypeVar("Poses", SE2, Array)
 
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 WEAK = 1e-4
-FLOOR = WEAK * np.eye(3)
 # g2o writes translation before rotation.
 G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 
@@ -52,15 +51,23 @@ def optimise(T_map_keys: Poses, constraints: Sequence[Constraint], iterations: i
     return np.array([found.atPose3(k).matrix() for k in range(len(start))])
 
 
+def relative(T_a: Poses, T_b: Poses) -> Poses:
+    """Poses b as seen from poses a."""
+    return T_a.inverse() @ T_b if isinstance(T_a, SE2) else se3.inverse(T_a) @ T_b
+
+
+def vectors(T: SE2 | Array) -> Array:
+    """Small motions as vectors: x, y, yaw (..., 3), or in space rotation and translation (..., 6)."""
+    return T.xyt if isinstance(T, SE2) else se3.log(T)
+
+
 def residuals(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:
-    """What is left of each constraint at the given poses: (n, 3) x, y, yaw, or (n, 6) rotation first."""
+    """What is left of each constraint at the given poses, as `vectors` (n, 3) or (n, 6)."""
     i, j = np.array([c.i for c in constraints], int), np.array([c.j for c in constraints], int)
     measured = np.array([c.T_i_j for c in constraints])
     if isinstance(T_map_keys, SE2):
-        z = SE2(measured.reshape(-1, 3))
-        return (z.inverse() @ (T_map_keys[i].inverse() @ T_map_keys[j])).xyt
-    left = se3.inverse(measured.reshape(-1, 4, 4)) @ (se3.inverse(T_map_keys[i]) @ T_map_keys[j])
-    return se3.log(left)
+        return vectors(relative(SE2(measured.reshape(-1, 3)), relative(T_map_keys[i], T_map_keys[j])))
+    return vectors(relative(measured.reshape(-1, 4, 4), relative(T_map_keys[i], T_map_keys[j])))
 
 
 def mahalanobis(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> Array:

@@ -8,7 +8,7 @@ are linearised again, the gate shrinking, until nothing moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy
@@ -37,7 +37,7 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_icp import match_points
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.pose_graph import Poses, optimise, relative, vectors
 from turtlebag.pipeline.slam.threads import in_parts
 
 # Key scans farther apart than this see too little of the same to be partners [m].
@@ -62,15 +62,33 @@ def refine(
 
     `steps` are the odometry constraints between successive keys, kept in the graph throughout.
     """
-    poses, constraints = T_map_keys, list(steps)
-    for round_ in range(config.rounds):
-        f = round_ / max(config.rounds - 1, 1)
+
+    def matched(poses: SE2, f: float) -> list[Constraint]:
         gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
         sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
         pairs = overlapping_pairs(poses, RADIUS_M, NEIGHBOURS)
-        constraints = [*steps, *pair_constraints(clouds, keys, poses, pairs, gate, sigma)]
+        return pair_constraints(clouds, keys, poses, pairs, gate, sigma)
+
+    return in_rounds(T_map_keys, steps, config.rounds, matched)
+
+
+def in_rounds(
+    T_map_keys: Poses,
+    steps: Sequence[Constraint],
+    rounds: int,
+    matched: Callable[[Poses, float], list[Constraint]],
+) -> tuple[Poses, list[Constraint]]:
+    """Pairs matched at the poses there are and the graph solved, until nothing moves.
+
+    `matched` gives the constraints of a round; its number goes from 0 (the first) to 1 (the last).
+    """
+    poses: Poses = T_map_keys
+    constraints = list(steps)
+    for round_ in range(rounds):
+        f: float = round_ / max(rounds - 1, 1)
+        constraints = [*steps, *matched(poses, f)]
         new = optimise(poses, constraints, iterations=5)
-        moved = np.abs((poses.inverse() @ new).xyt).max()
+        moved = np.abs(vectors(relative(poses, new))).max()
         poses = new
         if f == 1.0 or (moved < 5e-4 and round_ > 2):
             break

@@ -9,6 +9,7 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import (
@@ -21,10 +22,12 @@ from turtlebag.pipeline.slam.align import (
 )
 from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
 from turtlebag.pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
+from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track
 
 ITERATIONS = 5
+NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 # Standard deviation of a pose carried by the key scans [m]; of its yaw half as much [rad].
 CARRIED_M = 0.003
 
@@ -36,24 +39,26 @@ class PosingConfig(BaseModel):
     enabled: bool = Field(default=True, description="align each with the key scans near it")
 
 
-def carried_poses(track: Track, T_map_keys: SE2, gaps: NDArray[np.int64]) -> SE2:
-    """Each scan carried by the key scans before and after it, the correction blended between them.
+def carried_poses(
+    T_track: Poses, keys: NDArray[np.int64], T_map_keys: Poses, gaps: NDArray[np.int64] = NO_GAPS
+) -> Poses:
+    """Each scan of a track carried by the key scans before and after it, the correction blended between them.
 
     Across `gaps` (n, 2), last scan before and first scan after each, nothing is known of the motion: up to
     there the key before alone carries, from there on the key after.
     """
-    keys = track.keys
-    scans = np.arange(len(track.T_track_base))
-    before = np.searchsorted(keys, scans, side="right") - 1
+    scans = np.arange(len(T_track))
+    before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
     after = np.minimum(before + 1, len(keys) - 1)
-    T_track = track.T_track_base
-    from_before = T_map_keys[before] @ (T_track[keys[before]].inverse() @ T_track)
-    from_after = T_map_keys[after] @ (T_track[keys[after]].inverse() @ T_track)
-    fraction = (scans - keys[before]) / np.maximum(keys[after] - keys[before], 1)
+    from_before = T_map_keys[before] @ relative(T_track[keys[before]], T_track)
+    from_after = T_map_keys[after] @ relative(T_track[keys[after]], T_track)
+    fraction = np.maximum(scans - keys[before], 0) / np.maximum(keys[after] - keys[before], 1)
     for last, first in gaps.tolist():
         within = (before == before[last]) & (scans < keys[after[last]])
         fraction[within] = np.clip((scans[within] - last) / (first - last), 0.0, 1.0)
-    return from_before.interpolate(from_after, fraction)
+    if isinstance(from_before, SE2):
+        return from_before.interpolate(from_after, fraction)
+    return se3.interpolate(from_before, from_after, fraction)
 
 
 def pose_all_scans(
@@ -69,7 +74,7 @@ def pose_all_scans(
     Key scans keep their refined poses. `clouds` and `clouds_of` are as in a session, `gaps` as in
     `carried_poses`.
     """
-    carried = carried_poses(track, T_map_keys, gaps)
+    carried = carried_poses(track.T_track_base, track.keys, T_map_keys, gaps)
     if not config.enabled or len(track.keys) < 2:
         return carried, track.overlap
     poses, overlaps = carried.xyt.copy(), track.overlap.copy()

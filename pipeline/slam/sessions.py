@@ -55,8 +55,9 @@ class Session:
 
     def carried(self) -> Track:
         """The track with its poses where the graph has them."""
-        T = carried_poses(self.track, self.graph.T_map_keys, self.chain.gaps)
-        return replace(self.track, T_track_base=T)
+        track = self.track
+        T = carried_poses(track.T_track_base, track.keys, self.graph.T_map_keys, self.chain.gaps)
+        return replace(track, T_track_base=T)
 
     def mended(self) -> Chain:
         """The chain without the breaks that the graph mended."""

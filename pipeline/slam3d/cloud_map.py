@@ -6,51 +6,44 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
-from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.ply import write_ply
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
-FREE_SLOT = np.int64(-1)
 FRINGE = 2.5
 """A voxel with so many times the points of its neighbour is the surface, the neighbour its fringe."""
 LIMIT = 1 << 20
 """Voxels on each side of the origin along an axis."""
 
 
-class CloudMapConfig(BaseModel):
-    """map.ply."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    voxel_m: float | None = Field(default=None, gt=0.0, description="one point each; by default from the log")
-    min_points: int = Field(default=3, ge=1, description="voxels with fewer are noise, or passed by once")
-    outlier_neighbours: int = Field(default=12, gt=0, description="of Open3D's statistical outlier removal")
-    outlier_ratio: float = Field(default=3.0, gt=0.0, description="its width, in standard deviations")
-    max_voxels: int = Field(default=8_000_000, gt=0, description="bounds the memory; the voxel grows beyond")
+MIN_POINTS, NEIGHBOURS, OUTLIER = 3, 12, 3.0
+"""Voxels with fewer points are noise or passed by once; Open3D's statistical outlier removal: its neighbours,
+and its width in standard deviations."""
+AT_ONCE = 2_000_000
+"""Points that wait to be summed."""
+MOST_VOXELS = 8_000_000
+"""Bounds the memory; the voxel grows beyond."""
 
 
 class CloudMap:
     """Voxel means of any number of points, in memory that grows with the map and not with the log."""
 
-    def __init__(self, voxel: float, max_voxels: int) -> None:
+    def __init__(self, voxel: float, max_voxels: int = MOST_VOXELS) -> None:
         self.voxel, self._most = voxel, max_voxels
-        self._count = 0
-        self._keys, self._sums = _table(1 << 16)
+        self._sums = np.zeros((0, 4))
+        self._waiting: list[Array] = []
 
     def add(self, points: Array) -> None:
         """Gather points (n, 3) of the map."""
-        while self._count + len(points) > len(self._keys) // 2:
-            self._grow()
-        self._count += gather(points, np.ones(len(points)), self.voxel, self._keys, self._sums)
-        while self._count > self._most:
-            self._coarsen()
+        self._waiting.append(points)
+        if sum(map(len, self._waiting)) > AT_ONCE:
+            self._gather()
 
     def points(self) -> tuple[Array, Array]:
         """Means (m, 3) of the voxels and their counts (m,), in voxel order."""
-        _, means, counts = self._voxels()
-        return means, counts
+        self._gather()
+        return self._sums[:, :3] / self._sums[:, 3:], self._sums[:, 3]
 
     def surface(self, least: int) -> Array:
         """Means (m, 3) of the voxels with at least so many points that are no fringe of another's.
@@ -58,7 +51,8 @@ class CloudMap:
         Noise carries some points of a surface over the border of a voxel; a voxel beside one with far more
         points, and near to its mean, would be the surface drawn twice.
         """
-        keys, means, counts = self._voxels()
+        means, counts = self.points()
+        keys = self._keys(means)
         fringe = np.zeros(len(keys), dtype=np.bool_)
         for stride in (1, 2 * LIMIT, 4 * LIMIT * LIMIT):
             for step in (-stride, stride):
@@ -67,61 +61,31 @@ class CloudMap:
                 fringe |= (keys[beside] == keys + step) & near & (counts[beside] > FRINGE * counts)
         return means[(counts >= least) & ~fringe]
 
-    def _voxels(self) -> tuple[NDArray[np.int64], Array, Array]:
-        filled = np.flatnonzero(self._keys != FREE_SLOT)
-        order = filled[np.argsort(self._keys[filled], kind="stable")]
-        counts = self._sums[order, 3]
-        return self._keys[order], self._sums[order, :3] / counts[:, None], counts
+    def _gather(self) -> None:
+        """Add what is waiting to the sums over voxels: x, y, z and the count (m, 4)."""
+        waiting = [np.column_stack([points, np.ones(len(points))]) for points in self._waiting]
+        self._sums, self._waiting = self._summed(np.vstack([self._sums, *waiting])), []
+        while len(self._sums) > self._most:
+            self.voxel *= 1.5
+            self._sums = self._summed(self._sums)
 
-    def _grow(self) -> None:
-        means, counts = self.points()
-        self._keys, self._sums = _table(2 * len(self._keys))
-        self._count = gather(means, counts, self.voxel, self._keys, self._sums)
+    def _summed(self, sums: Array) -> Array:
+        keys, voxels = np.unique(self._keys(sums[:, :3] / sums[:, 3:]), return_inverse=True)
+        return np.column_stack([np.bincount(voxels, column, len(keys)) for column in sums.T])
 
-    def _coarsen(self) -> None:
-        means, counts = self.points()
-        self.voxel *= 1.5
-        self._keys, self._sums = _table(len(self._keys))
-        self._count = gather(means, counts, self.voxel, self._keys, self._sums)
-
-
-def _table(slots: int) -> tuple[NDArray[np.int64], Array]:
-    return np.full(slots, FREE_SLOT, dtype=np.int64), np.zeros((slots, 4))
+    def _keys(self, points: Array) -> NDArray[np.int64]:
+        cells = np.clip(np.floor(points / self.voxel) + LIMIT, 0, 2 * LIMIT - 1).astype(np.int64)
+        return np.asarray((cells[:, 0] * 2 * LIMIT + cells[:, 1]) * 2 * LIMIT + cells[:, 2])
 
 
-@njit(cache=True)
-def gather(points: Array, weights: Array, voxel: float, keys: NDArray, sums: Array) -> int:
-    """Add weighted points (n, 3) to a hash table of voxels (open addressing); how many voxels are new.
-
-    keys (slots,) int64, -1 where free; sums (slots, 4) of x, y, z and weight. Slots are a power of two.
-    """
-    mask, new = keys.shape[0] - 1, 0
-    for i in range(points.shape[0]):
-        key = np.int64(0)
-        for a in range(3):
-            cell = int(np.floor(points[i, a] / voxel)) + LIMIT
-            key = key * (2 * LIMIT) + min(max(cell, 0), 2 * LIMIT - 1)
-        h = (key ^ (key >> 29)) * np.int64(0x1E35A7BD1E35A7BD)
-        slot = (h ^ (h >> 32)) & mask
-        while keys[slot] != key and keys[slot] != -1:
-            slot = (slot + 1) & mask
-        if keys[slot] == -1:
-            keys[slot] = key
-            new += 1
-        for a in range(3):
-            sums[slot, a] += weights[i] * points[i, a]
-        sums[slot, 3] += weights[i]
-    return new
-
-
-def finished(cloud: CloudMap, config: CloudMapConfig) -> Array:
+def finished(cloud: CloudMap) -> Array:
     """The points of the map (n, 3) without lone ones (Open3D's statistical outlier removal)."""
-    points = cloud.surface(config.min_points)
-    if len(points) <= config.outlier_neighbours:
+    points = cloud.surface(MIN_POINTS)
+    if len(points) <= NEIGHBOURS:
         return points
     o3d = open3d()
     pointcloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    _, kept = pointcloud.remove_statistical_outlier(config.outlier_neighbours, config.outlier_ratio)
+    _, kept = pointcloud.remove_statistical_outlier(NEIGHBOURS, OUTLIER)
     return points[np.asarray(kept, dtype=np.int64)]
 
 

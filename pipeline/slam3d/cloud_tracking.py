@@ -1,8 +1,8 @@
 """The front end: every cloud against those before it.
 
-KISS-ICP from the odometry's prediction (constant velocity where there is none, and both where they
-disagree), then point-to-plane against the surfels of the last key clouds. A cloud that fits nothing keeps
-its prediction and says so by its small overlap.
+From the odometry's prediction (constant velocity where there is none, and both where they disagree) point to
+plane against the surfels of the last key clouds, or KISS-ICP. A cloud that fits nothing keeps its prediction
+and says so by its small overlap.
 """
 
 from __future__ import annotations
@@ -13,47 +13,32 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D
-from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered
-from turtlebag.pipeline.slam3d.kiss import Kiss3dConfig, LidarOdometry3d
-from turtlebag.pipeline.slam3d.sensor_setup import Setting
-from turtlebag.pipeline.slam3d.surfels import Fit, Prior, Surfels, fit, make_surfels
-from turtlebag.pipeline.slam3d.sweeps import Sweep
+from turtlebag.pipeline.slam.kiss import LidarOdometry
+from turtlebag.pipeline.slam3d.key_clouds import Keys, gathered, thinned
+from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup
+from turtlebag.pipeline.slam3d.surfels import KERNEL_M, LEAST_OVERLAP, Fit, Surfels, fit, make_surfels
+from turtlebag.pipeline.slam3d.sweeps import MAX_RANGE_M, Sweep
 
+FrontEnd3d = Literal["surfels", "kiss_icp", "odometry"]
 LEAST_POINTS = 50
 LONGEST_STEP_S = 1.0
 """Constant velocity is not believed for longer."""
-CLEARLY = 0.02
-"""A pose far from the prediction has to fit better by this share of the points."""
-AT_ONCE = Prior(np.array([0.02, 0.02, 0.1, 0.3, 0.3, 0.03]))
+KEY_VOXELS, KEY_TURN_RAD, WINDOW = 1.5, 0.35, 15
+"""A key cloud is taken after this way or turn; the last ones make the local map."""
+KISS_VOXELS = 1.5
+"""KISS-ICP's voxel, where that is chosen, in voxels of the surfels."""
+KEY_POINTS, FIT_POINTS = 5000, 2500
+"""Points that are kept of a key cloud, and points of any cloud that are aligned."""
+APART = 0.1
+"""Predictions that differ by this [m, rad] are both tried."""
+AT_ONCE = np.array([0.02, 0.02, 0.1, 0.3, 0.3, 0.03])
 """From the prediction: a ground vehicle hardly tilts or lifts between two clouds."""
-IN_TIME = Prior(np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03, 0.01, 0.01, 0.3, 0.15, 0.03, 0.01]))
+IN_TIME = np.array([0.02, 0.02, 0.02, 0.03, 0.03, 0.03, 0.01, 0.01, 0.3, 0.15, 0.03, 0.01])
 """A sweep starts where the last one ended; in it a ground vehicle may turn and brake, hardly tilt."""
-
-
-class Tracking3dConfig(BaseModel):
-    """The front end."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    believe: Literal["clouds", "odometry"] = Field(
-        default="clouds", description="odometry: clouds are laid along it, matched with nothing"
-    )
-    kiss: Kiss3dConfig = Kiss3dConfig()
-    surfels: bool = Field(default=True, description="refine KISS-ICP's pose against surfels")
-    key_voxels: float = Field(default=1.5, gt=0.0, description="a key cloud after this way, in voxels")
-    key_turn_rad: float = Field(default=0.35, gt=0.0, description="or after this turn")
-    key_points: int = Field(default=5000, gt=100, description="points that are kept of a key cloud")
-    fit_points: int = Field(default=2500, gt=100, description="points of a cloud that are aligned")
-    window: int = Field(default=15, gt=0, description="key clouds that make the local map")
-    gate_voxels: float = Field(default=1.0, gt=0.0, description="largest distance to a surfel, in voxels")
-    kernel_m: float = Field(default=0.04, gt=0.0, description="width of the robust weight")
-    min_overlap: float = Field(default=0.35, gt=0.0, le=1.0, description="less: the cloud is lost")
-    disagree_m: float = Field(default=0.1, gt=0.0, description="predictions apart by this are both tried")
-    disagree_rad: float = Field(default=0.1, gt=0.0)
 
 
 @dataclass(eq=False)
@@ -79,13 +64,13 @@ class Track3d:
 class Tracker:
     """The state of the front end along a recording."""
 
-    def __init__(
-        self, recording: Recording3D, setting: Setting, max_range: float, config: Tracking3dConfig
-    ) -> None:
+    def __init__(self, recording: Recording3D, setup: SensorSetup, front_end: FrontEnd3d) -> None:
         n = len(recording)
-        self.config, self.voxel = config, setting.voxel
+        self._front_end, self._voxel = front_end, setup.voxel
         self._seconds = (recording.stamps_ns - recording.stamps_ns[0]) * 1e-9
-        self._kiss = LidarOdometry3d(config.kiss, setting.voxel, max_range)
+        self._kiss = None
+        if front_end == "kiss_icp":
+            self._kiss = LidarOdometry(MAX_RANGE_M, KISS_VOXELS * setup.voxel)
         T_odom = None if recording.T_odom_base is None else se3.lifted(recording.T_odom_base)
         start = np.eye(4) if T_odom is None else T_odom[0]
         self.track = Track3d(
@@ -93,7 +78,7 @@ class Tracker:
             np.zeros(n),
             np.zeros(n, dtype=np.bool_),
             np.zeros((n, 6)),
-            Keys(setting.T_base_lidar[:3, 3].copy()),
+            Keys(setup.T_base_lidar[:3, 3].copy()),
             T_odom=T_odom,
         )
         self._surfels: Surfels | None = None
@@ -107,25 +92,26 @@ class Tracker:
         return self.track
 
     def _add(self, index: int, sweep: Sweep) -> None:
-        track, config = self.track, self.config
+        track = self.track
         guesses = self._guesses(index)
         track.usable[index] = len(sweep.points) >= LEAST_POINTS
         if not track.usable[index]:
             track.T[index] = guesses[0]
             return
         found, guess = self._best(sweep, guesses)
-        lost = found.overlap < config.min_overlap
+        lost = found.overlap < LEAST_OVERLAP
         track.T[index] = guesses[0] if lost else found.T
         track.overlap[index] = found.overlap
         self._note_motion(index, None if lost else found.motion)
         points = sweep.deskewed(self._twist)
-        self._kiss.update(points, track.T[index], guess)
+        if self._kiss is not None:
+            self._kiss.update(points, track.T[index], guess)
         if self._is_key(index):
             self._new_key(index, points, np.zeros((6, 6)) if lost else found.information)
 
     def _best(self, sweep: Sweep, guesses: list[Array]) -> tuple[Fit, Array]:
         """The guess that leads to the better fit, and that fit; its motion is a twist a second."""
-        if self._surfels is None or self.config.believe == "odometry":
+        if self._surfels is None or self._front_end == "odometry":
             return Fit(guesses[0], np.zeros((6, 6)), 1.0, 0.0), guesses[0]
         points = sweep.deskewed(self._twist)
         tried = [(self._registered(sweep, points, guess), guess) for guess in guesses]
@@ -145,26 +131,19 @@ class Tracker:
         return [driven, steady] if self._disagree(driven, steady) else [driven]
 
     def _registered(self, sweep: Sweep, points: Array, guess: Array) -> Fit:
-        config, T = self.config, guess
-        if config.kiss.enabled:
+        if self._kiss is not None:
             T = self._kiss.register(points, guess)
-        if sweep.span is None or not config.surfels:
-            found = self._fit(thinned(points, config.fit_points), T, prior=AT_ONCE)
-            return found if config.surfels else Fit(T, found.information, found.overlap, found.rmse)
-        # Points deskewed by the last sweep's motion mislead where this one's differs: the prediction
-        # leads, and KISS-ICP's answer is tried where it is another one.
-        found = self._fitted_in_time(sweep, sweep.span, guess)
-        if self._disagree(found.T, T):
-            other = self._fitted_in_time(sweep, sweep.span, T)
-            found = other if self._score(other) > self._score(found) + CLEARLY else found
-        return found
+            return replace(self._fit(thinned(points, FIT_POINTS), T), T=T)
+        if sweep.span is not None:
+            return self._fitted_in_time(sweep, sweep.span, guess)
+        return self._fit(thinned(points, FIT_POINTS), guess, prior=AT_ONCE)
 
     def _score(self, found: Fit) -> float:
-        return found.overlap - 0.1 * found.rmse / self.config.kernel_m
+        return found.overlap - 0.1 * found.rmse / KERNEL_M
 
     def _disagree(self, T_a: Array, T_b: Array) -> bool:
         apart = np.abs(se3.log(se3.inverse(T_a) @ T_b))
-        return bool(apart[:3].max() > self.config.disagree_rad or apart[3:].max() > self.config.disagree_m)
+        return bool(apart.max() > APART)
 
     def _fit(self, points: Array, T: Array, **more: Any) -> Fit:
         assert self._surfels is not None
@@ -173,16 +152,15 @@ class Tracker:
             points,
             se3.inverse(self._anchor) @ T,
             origin=self.track.places.origin,
-            gate=self.config.gate_voxels * self.voxel,
-            kernel=self.config.kernel_m,
+            gate=self._voxel,
             **more,
         )
         return replace(found, T=self._anchor @ found.T)
 
     def _fitted_in_time(self, sweep: Sweep, span: tuple[float, float], T: Array) -> Fit:
         """Pose and motion together: without odometry, how the robot turns within a sweep is not known."""
-        config, (start, end) = self.config, span
-        points, when = thinned(sweep.points, config.fit_points), thinned(sweep.when(), config.fit_points)
+        start, end = span
+        points, when = thinned(sweep.points, FIT_POINTS), thinned(sweep.when(), FIT_POINTS)
         found = self._fit(
             points,
             T @ se3.exp(start * self._twist),
@@ -207,24 +185,17 @@ class Tracker:
         if not self.track.keys:
             return True
         since = se3.log(se3.inverse(self.track.T[self.track.keys[-1]]) @ self.track.T[index])
-        config = self.config
         return bool(
-            np.linalg.norm(since[3:]) > config.key_voxels * self.voxel
-            or np.linalg.norm(since[:3]) > config.key_turn_rad
+            np.linalg.norm(since[3:]) > KEY_VOXELS * self._voxel or np.linalg.norm(since[:3]) > KEY_TURN_RAD
         )
 
     def _new_key(self, index: int, points: Array, information: Array) -> None:
         track = self.track
         track.keys.append(index)
-        track.places.clouds.append(thinned(points, self.config.key_points).astype(np.float32))
+        track.places.clouds.append(thinned(points, KEY_POINTS).astype(np.float32))
         track.information.append(information)
-        window = range(max(0, len(track.keys) - self.config.window), len(track.keys))
+        window = range(max(0, len(track.keys) - WINDOW), len(track.keys))
         self._anchor = track.T[index]
         self._surfels = make_surfels(
-            *gathered(track.places, track.T[track.keys], len(track.keys) - 1, window), self.voxel
+            *gathered(track.places, track.T[track.keys], len(track.keys) - 1, window), self._voxel
         )
-
-
-def thinned(values: Array, most: int) -> Array:
-    """About `most` of the values (n, ...), evenly spread."""
-    return np.ascontiguousarray(values[:: max(1, len(values) // most)])

@@ -1,16 +1,21 @@
-"""Key clouds as places: neighbouring key clouds together, as points and as surfels around one of them."""
+"""Key clouds as places: neighbouring key clouds together, as surfels around one of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam3d.surfels import Surfels, make_surfels
+from turtlebag.pipeline.slam3d.surfels import LOOSE, Fit, Surfels, fit, make_surfels
+
+REACH = 3
+"""Keys before and after one that make its place."""
 
 
 @dataclass(eq=False)
@@ -22,6 +27,15 @@ class Keys:
 
     def __len__(self) -> int:
         return len(self.clouds)
+
+    def points(self, key: int, most: int) -> Array:
+        """About so many points (n, 3) of a key."""
+        return thinned(self.clouds[key], most).astype(np.float64)
+
+
+def thinned(values: NDArray[Any], most: int) -> NDArray[Any]:
+    """About `most` of the values (n, ...), evenly spread."""
+    return np.ascontiguousarray(values[:: max(1, len(values) // most)])
 
 
 def gathered(keys: Keys, T_map_keys: Array, anchor: int, members: Iterable[int]) -> tuple[Array, Array]:
@@ -35,25 +49,27 @@ def gathered(keys: Keys, T_map_keys: Array, anchor: int, members: Iterable[int])
     return np.ascontiguousarray(np.vstack(points)), np.ascontiguousarray(np.vstack(views))
 
 
-def around(anchor: int, reach: int, count: int) -> range:
-    """Keys up to `reach` before and after one, in time."""
-    return range(max(0, anchor - reach), min(count, anchor + reach + 1))
-
-
 class Places:
-    """Surfels of each key's surroundings at fixed poses, made when first asked for."""
+    """The surroundings of keys at fixed poses (n, 4, 4); only those of the last one asked for are kept."""
 
-    def __init__(self, keys: Keys, T_map_keys: Array, voxel: float, reach: int) -> None:
-        self._keys, self._T, self._voxel, self._reach = keys, T_map_keys, voxel, reach
-        self._made: dict[int, Surfels] = {}
+    def __init__(self, keys: Keys, T_map_keys: Array, voxel: float) -> None:
+        self._keys, self.T_map_keys, self._voxel = keys, T_map_keys, voxel
+        self._tree = cKDTree(T_map_keys[:, :3, 3])
+        self._last: tuple[int, Surfels] | None = None
 
-    def surfels(self, anchor: int) -> Surfels:
-        """The place of one key, in its frame."""
-        if anchor not in self._made:
-            members = around(anchor, self._reach, len(self._T))
-            self._made[anchor] = make_surfels(*gathered(self._keys, self._T, anchor, members), self._voxel)
-        return self._made[anchor]
+    def nearest(self, T_map: Array) -> int:
+        """The key nearest to a pose (4, 4)."""
+        return int(self._tree.query(T_map[:3, 3])[1])
 
-    def forget(self, anchor: int) -> None:
-        """Free the memory of a place that is not needed again soon."""
-        self._made.pop(anchor, None)
+    def points(self, anchor: int) -> tuple[Array, Array]:
+        """Points of a place in the frame of its key, and where each was seen from."""
+        members = range(max(0, anchor - REACH), min(len(self._keys), anchor + REACH + 1))
+        return gathered(self._keys, self.T_map_keys, anchor, members)
+
+    def fit(self, anchor: int, points: Array, T_guess: Array, gate: float, prior: Array = LOOSE) -> Fit:
+        """Points (n, 3) of a cloud aligned with the place of a key, from where it is seen from there."""
+        if self._last is None or self._last[0] != anchor:
+            self._last = anchor, make_surfels(*self.points(anchor), self._voxel)
+        return fit(
+            self._last[1], points, T_guess, origin=self._keys.origin, gate=gate, prior=prior, iterations=8
+        )

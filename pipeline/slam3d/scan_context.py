@@ -8,6 +8,7 @@ the robot), the sectors' best shift compares them and tells the heading.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from turtlebag.datasets.se2 import Array
@@ -56,7 +57,9 @@ class Contexts:
         self._all = descriptors
         self._ring_keys = np.array([one.mean(axis=1) for one in descriptors]).reshape(-1, RINGS)
 
-    def like(self, index: int, allowed: Array, count: int, most: float) -> list[tuple[int, float]]:
+    def like(
+        self, index: int, allowed: NDArray[np.int64], count: int, most: float
+    ) -> list[tuple[int, float]]:
         """The `count` most similar of the `allowed` places, (index, yaw of ours seen from it), best first;
         none less similar than `most`."""
         if len(allowed) == 0:

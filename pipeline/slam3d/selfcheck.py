@@ -8,30 +8,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import residuals
+from turtlebag.pipeline.slam.selfcheck import APART_KEYS
 from turtlebag.pipeline.slam.verdict import Verdict
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
+from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
 
-
-class SelfCheck3dConfig(BaseModel):
-    """When a map is called doubtful."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    min_overlap: float = Field(default=0.35, gt=0.0, description="of a cloud with those before it, not lost")
-    max_lost: float = Field(default=0.02, gt=0.0, description="share of lost clouds")
-    max_empty: float = Field(default=0.2, gt=0.0, description="share of clouds with too few points")
-    apart_keys: int = Field(default=30, gt=0, description="pairs this far apart in time are a revisit")
-    apart_voxels: float = Field(default=0.5, gt=0.0, description="a revisit that is off by more disagrees")
-    max_disagreeing: float = Field(default=0.05, gt=0.0, description="share of such revisits")
+MOST_LOST, MOST_EMPTY, MOST_DISAGREEING = 0.02, 0.2, 0.05
+"""Shares of clouds that fit nothing, of clouds with too few points, and of revisits that disagree."""
+APART_VOXELS = 0.5
+"""A revisit that is off by more disagrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck3d(Verdict):
-    """Numbers of the check, and what is wrong in words."""
+    """Numbers of the check - places seen twice, clouds - and what is wrong in words."""
 
     revisits: int
     disagreeing: float
@@ -41,13 +35,8 @@ class SelfCheck3d(Verdict):
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """Of the places seen twice and the clouds."""
-        return {
-            "revisits": self.revisits,
-            "disagreeing": self.disagreeing,
-            "lost_scans": self.lost_scans,
-            "empty_scans": self.empty_scans,
-        }
+        """All of it but the reasons."""
+        return {name: value for name, value in vars(self).items() if name != "reasons"}
 
 
 def check_map(
@@ -55,23 +44,20 @@ def check_map(
     T_map_keys: Array,
     constraints: Sequence[Constraint],
     voxel: float,
-    config: SelfCheck3dConfig,
 ) -> SelfCheck3d:
     """Check a finished map."""
     empty = int(np.count_nonzero(~track.usable))
-    lost: NDArray[np.int64] = np.flatnonzero(track.usable & (track.overlap < config.min_overlap))
-    seen = [c for c in constraints if c.kind in ("pair", "loop") and abs(c.j - c.i) >= config.apart_keys]
+    lost: NDArray[np.int64] = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
+    seen = [c for c in constraints if c.kind in ("pair", "loop") and abs(c.j - c.i) >= APART_KEYS]
     left = np.linalg.norm(residuals(T_map_keys, seen)[:, 3:], axis=1)
-    disagreeing = float(np.mean(left > config.apart_voxels * voxel)) if len(left) else 0.0
+    disagreeing = float(np.mean(left > APART_VOXELS * voxel)) if len(left) else 0.0
     reasons = []
-    if empty == len(track.T):
-        reasons.append("no cloud holds enough points to map with")
-    elif empty > config.max_empty * len(track.T):
+    if empty > MOST_EMPTY * len(track.T):
         reasons.append(f"{empty} of {len(track.T)} clouds hold too few points")
-    if len(lost) > config.max_lost * len(track.T):
+    if len(lost) > MOST_LOST * len(track.T):
         reasons.append(f"{len(lost)} clouds fit nothing before them")
     reasons += _broken(track, lost, constraints)
-    if disagreeing > config.max_disagreeing:
+    if disagreeing > MOST_DISAGREEING:
         reasons.append(f"{100 * disagreeing:.0f} % of the revisits disagree")
     return SelfCheck3d(len(seen), disagreeing, len(lost), empty, tuple(reasons))
 

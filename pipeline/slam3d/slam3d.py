@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
@@ -16,21 +16,25 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_closure import Progress
+from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.refine import RefineConfig
+from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress
-from turtlebag.pipeline.slam3d.cloud_map import CloudMap, CloudMapConfig, finished
-from turtlebag.pipeline.slam3d.cloud_poses import Poser, Posing3dConfig, carried_poses
-from turtlebag.pipeline.slam3d.cloud_tracking import Track3d, Tracker, Tracking3dConfig
-from turtlebag.pipeline.slam3d.loops import Loop3d, Loop3dConfig, close_loops
-from turtlebag.pipeline.slam3d.refine import Refine3dConfig, observable, refine
-from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, SelfCheck3dConfig, check_map
-from turtlebag.pipeline.slam3d.sensor_setup import Setting, SettingConfig, find_setting
-from turtlebag.pipeline.slam3d.slices import SliceConfig, SliceGrid
-from turtlebag.pipeline.slam3d.sweeps import Sweep, SweepConfig, Sweeps
+from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
+from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
+from turtlebag.pipeline.slam3d.key_clouds import Places
+from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
+from turtlebag.pipeline.slam3d.refine import refine, reregistered
+from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, check_map
+from turtlebag.pipeline.slam3d.sensor_setup import SensorSetup, find_setup
+from turtlebag.pipeline.slam3d.slices import SLICE_REACH_M, SliceConfig, SliceGrid
+from turtlebag.pipeline.slam3d.surfels import INFLATION, LEAST_OVERLAP, observable
+from turtlebag.pipeline.slam3d.sweeps import Sweep, sweeps_of
 
-STEP_INFLATION = 50.0
-"""The points of a cloud share their errors: a match is worth far less than the sum of its points."""
 HOLD = np.array([0.1, 0.1, 0.2, 0.3, 0.3, 0.3])
 """Standard deviations of a step that nothing measured: it keeps the graph in one piece [rad, m]."""
+MAP_VOXELS = 1.0 / 6.0
+"""The voxel of the map, in voxels of the surfels."""
 
 
 class Slam3dConfig(BaseModel):
@@ -38,15 +42,16 @@ class Slam3dConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
-    sweeps: SweepConfig = SweepConfig()
-    setting: SettingConfig = SettingConfig()
-    tracking: Tracking3dConfig = Tracking3dConfig()
+    front_end: FrontEnd3d = Field(
+        default="surfels", description="what places each cloud: our surfels, KISS-ICP, or the odometry"
+    )
+    deskew: bool = Field(default=True, description="undo the motion within a sweep, where points have times")
+    voxel_m: float | None = Field(
+        default=None, gt=0.0, description="of the surfels, and all lengths follow it; by default from the log"
+    )
     loops: Loop3dConfig = Loop3dConfig()
-    refine: Refine3dConfig = Refine3dConfig()
-    posing: Posing3dConfig = Posing3dConfig()
-    self_check: SelfCheck3dConfig = SelfCheck3dConfig()
+    refine: RefineConfig = RefineConfig(rounds=3)
     slice: SliceConfig = SliceConfig()
-    cloud: CloudMapConfig = CloudMapConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +62,12 @@ class Slam3dResult:
     trajectory: Trajectory
     points: Array
     grid: OccupancyGrid
-    setting: Setting
+    setup: SensorSetup
     track: Track3d
     T_map_keys: Array
     constraints: list[Constraint]
-    loops: list[Loop3d]
+    loops: list[Loop]
+    recognised: list[Loop]
     check: SelfCheck3d
 
     @property
@@ -76,29 +82,31 @@ def run_slam_3d(
     """Map a recording offline, in two passes over its clouds. The map frame starts at the first odometry
     pose (identity without one), z at the base. InputError when there is nothing to map with."""
     recording, config = _with_sensors(recording, config)
-    setting = find_setting(recording, config.setting)
-    voxel, tracker = (
-        setting.voxel,
-        Tracker(recording, setting, config.sweeps.max_range_m, config.tracking),
-    )
-    sweeps = Sweeps(recording, setting.T_base_lidar, config.sweeps)
-    track = tracker.run(_shown(sweeps, progress, "matching clouds", len(recording)))
+    setup = find_setup(recording, config.voxel_m)
+
+    def sweeps(text: str) -> Iterator[tuple[int, Sweep]]:
+        clouds = sweeps_of(recording, setup.T_base_lidar, deskew=config.deskew)
+        steps = progress(range(len(recording)), text, len(recording))
+        return (sweep for _, sweep in zip(steps, clouds, strict=False))
+
+    track = Tracker(recording, setup, config.front_end).run(sweeps("matching clouds"))
     if not track.keys:
         raise InputError(f"{recording.source}: no cloud holds enough points to map with")
     steps = step_constraints(track)
-    T_map_keys, constraints, loops = track.T[track.keys], list(steps), list[Loop3d]()
+    T_keys, constraints, loops, recognised = track.T[track.keys], list(steps), list[Loop](), list[Loop]()
     if config.loops.enabled and len(track.keys) > 2:
-        T_map_keys, closed, loops = close_loops(track.places, T_map_keys, steps, voxel, config.loops)
-        constraints += closed
+        closed, recognised = close_loops(track.places, T_keys, steps, setup.voxel, config.loops)
+        T_keys, loops, constraints = closed.T, closed.record, [*steps, *closed.loops]
     if config.refine.rounds > 0 and len(track.keys) > 2:
         hold = [step for step in steps if step.kind == "odometry"]
-        T_map_keys, constraints = refine(track.places, T_map_keys, hold, voxel, config.refine)
-    shown = _shown(sweeps, progress, "drawing the map", len(recording))
-    T, cloud, grid = _drawn(shown, track, T_map_keys, setting, config)
-    check = check_map(track, T_map_keys, constraints, voxel, config.self_check)
+        T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
+    T = carried_poses(track.T, np.array(track.keys), T_keys)
+    T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)
+    check = check_map(track, T_keys, constraints, setup.voxel)
     trajectory = Trajectory(recording.stamps_ns, se3.planar(T))
-    points = finished(cloud, config.cloud)
-    return Slam3dResult(T, trajectory, points, grid, setting, track, T_map_keys, constraints, loops, check)
+    return Slam3dResult(
+        T, trajectory, finished(cloud), grid, setup, track, T_keys, constraints, loops, recognised, check
+    )
 
 
 def _with_sensors(recording: Recording3D, config: Slam3dConfig) -> tuple[Recording3D, Slam3dConfig]:
@@ -109,18 +117,12 @@ def _with_sensors(recording: Recording3D, config: Slam3dConfig) -> tuple[Recordi
         if recording.T_odom_base is None:
             raise InputError(f"{recording.source}: no odometry to map with")
         off = {
-            "tracking": config.tracking.model_copy(update={"believe": "odometry"}),
+            "front_end": "odometry",
             "loops": config.loops.model_copy(update={"enabled": False}),
             "refine": config.refine.model_copy(update={"rounds": 0}),
-            "posing": config.posing.model_copy(update={"enabled": False}),
         }
         return recording, config.model_copy(update=off)
     return recording, config
-
-
-def _shown(sweeps: Sweeps, progress: Progress, text: str, total: int) -> Iterator[tuple[int, Sweep]]:
-    for _, item in zip(progress(range(total), text, total), sweeps, strict=False):
-        yield item
 
 
 def step_constraints(track: Track3d) -> list[Constraint]:
@@ -131,7 +133,7 @@ def step_constraints(track: Track3d) -> list[Constraint]:
     T, constraints = track.T[track.keys], []
     for k in range(len(track.keys) - 1):
         step = se3.inverse(T[k]) @ T[k + 1]
-        seen = observable(track.information[k + 1]) / STEP_INFLATION
+        seen = observable(track.information[k + 1]) / INFLATION
         constraints.append(Constraint(k, k + 1, step, seen + np.diag(HOLD**-2), "step"))
         if track.T_odom is not None:
             a, b = track.T_odom[track.keys[k]], track.T_odom[track.keys[k + 1]]
@@ -152,32 +154,34 @@ def _odometry(k: int, T: Array) -> Constraint:
 def _drawn(
     sweeps: Iterable[tuple[int, Sweep]],
     track: Track3d,
-    T_map_keys: Array,
-    setting: Setting,
+    T_carried: Array,
+    setup: SensorSetup,
     config: Slam3dConfig,
 ) -> tuple[Array, CloudMap, OccupancyGrid]:
     """The second pass: every cloud's final pose (n, 4, 4), and what it adds to the maps."""
-    T = carried_poses(track, T_map_keys)
-    poser = Poser(track, T_map_keys, setting.voxel, config.posing)
-    cloud = CloudMap(config.cloud.voxel_m or setting.voxel / 6.0, config.cloud.max_voxels)
-    grid = SliceGrid(config.slice, *_extent(track, T_map_keys, config.slice.max_range_m))
+    cloud, T = CloudMap(MAP_VOXELS * setup.voxel), T_carried.copy()
+    places = Places(track.places, T[track.keys], setup.voxel)
+    grid = SliceGrid(config.slice, *_extent(track, T[track.keys]))
     for index, sweep in sweeps:
-        points = sweep.deskewed(track.twists[index])
-        T[index] = poser.pose(index, points)
-        if not track.usable[index] or track.overlap[index] < config.self_check.min_overlap:
+        if not track.usable[index]:
             continue
-        points_map = np.ascontiguousarray(se3.moved(T[index], points))
-        cloud.add(points_map)
-        floor = float(T[index][2, 3]) + setting.floor
-        grid.add(points_map, (T[index] @ setting.T_base_lidar)[:3, 3].copy(), floor)
+        points = sweep.deskewed(track.twists[index])
+        if config.refine.rounds > 0 and index not in track.keys:
+            T[index] = reregistered(places, points, T[index])
+        if track.overlap[index] < LEAST_OVERLAP:
+            continue
+        points = np.ascontiguousarray(se3.moved(T[index], points))
+        cloud.add(points)
+        floor = float(T[index][2, 3]) + setup.floor
+        grid.add(points, (T[index] @ setup.T_base_lidar)[:3, 3].copy(), floor)
     return T, cloud, grid.grid()
 
 
-def _extent(track: Track3d, T_map_keys: Array, reach: float) -> tuple[Array, Array]:
-    """Corners (2,) of what the keys saw within reach [m]."""
+def _extent(track: Track3d, T_map_keys: Array) -> tuple[Array, Array]:
+    """Corners (2,) of what the keys saw within reach of the slice [m]."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for T, cloud in zip(T_map_keys, track.places.clouds, strict=True):
-        near = cloud[np.hypot(cloud[:, 0], cloud[:, 1]) <= reach].astype(np.float64)
+        near = cloud[np.hypot(cloud[:, 0], cloud[:, 1]) <= SLICE_REACH_M].astype(np.float64)
         xy = np.vstack([T[None, :2, 3], se3.moved(T, near)[:, :2]])
         low, high = np.minimum(low, xy.min(axis=0)), np.maximum(high, xy.max(axis=0))
     return low, high

@@ -18,6 +18,9 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.occupancy import MAX_COUNTED, OccupancyConfig, classify, trace, trimmed
 
+SLICE_REACH_M = 20.0
+"""Beams are used up to here."""
+
 
 class SliceConfig(BaseModel):
     """The slice; heights over the floor."""
@@ -25,7 +28,6 @@ class SliceConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     low_m: float = Field(default=0.1, description="the floor and its noise end below this")
     high_m: float = Field(default=0.3, description="what is higher is not in the way")
-    max_range_m: float = Field(default=20.0, gt=0.0, description="beams are used up to here")
     grid: OccupancyConfig = OccupancyConfig()
 
     @model_validator(mode="after")
@@ -55,12 +57,10 @@ class SliceGrid:
         """Count the beams from `origin` (3,) to points (n, 3), all in the map; `floor` is the floor's z."""
         config, resolution = self._config, self._config.grid.resolution_m
         corner = np.array([*(self._corner * resolution), 0.0])
-        band = (floor + config.low_m) / resolution, (floor + config.high_m) / resolution
-        start = (origin - corner) / resolution
-        ends = (points - corner) / resolution
-        most = config.max_range_m / resolution
-        for with_return in (True, False):
-            carve(self._hits, self._misses, ends, start, *band, most, with_return, config.grid.occupied_share)
+        band = (floor + np.array([config.low_m, config.high_m])) / resolution
+        start, ends = (origin - corner) / resolution, (points - corner) / resolution
+        share = config.grid.occupied_share
+        carve(self._hits, self._misses, ends, start, band, SLICE_REACH_M / resolution, share)
 
     def grid(self) -> OccupancyGrid:
         """The grid so far."""
@@ -69,43 +69,28 @@ class SliceGrid:
 
 @njit(cache=True)
 def carve(
-    hits: NDArray,
-    misses: NDArray,
-    ends: Array,
-    start: Array,
-    low: float,
-    high: float,
-    most: float,
-    with_return: bool,
-    share: float,
+    hits: NDArray, misses: NDArray, ends: Array, start: Array, band: Array, most: float, share: float
 ) -> None:
-    """Trace the part within low..high of each beam from start (3,) to ends (n, 3), all in cells.
+    """Trace the part within the band of each beam from start (3,) to ends (n, 3), all in cells.
 
     First the beams that end within the band, then those that only pass through it.
     """
-    for i in range(ends.shape[0]):
-        dx, dy, dz = ends[i, 0] - start[0], ends[i, 1] - start[1], ends[i, 2] - start[2]
-        level = math.hypot(dx, dy)
-        in_band = low <= ends[i, 2] <= high and level <= most
-        if in_band != with_return or level < 1e-6:
-            continue
-        enter, leave = 0.0, min(1.0, most / level)
-        if dz == 0.0:
-            if not low <= start[2] <= high:
+    low, high = band[0], band[1]
+    for with_return in (True, False):
+        for i in range(ends.shape[0]):
+            dx, dy, dz = ends[i, 0] - start[0], ends[i, 1] - start[1], ends[i, 2] - start[2]
+            level = math.hypot(dx, dy)
+            in_band = low <= ends[i, 2] <= high and level <= most
+            if in_band != with_return or level < 1e-6:
                 continue
-        else:
-            a, b = (low - start[2]) / dz, (high - start[2]) / dz
-            enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-        if leave <= enter:
-            continue
-        trace(
-            hits,
-            misses,
-            start[0] + enter * dx,
-            start[1] + enter * dy,
-            dx / level,
-            dy / level,
-            (leave - enter) * level,
-            with_return,
-            share,
-        )
+            enter, leave = 0.0, min(1.0, most / level)
+            if dz == 0.0:
+                if not low <= start[2] <= high:
+                    continue
+            else:
+                a, b = (low - start[2]) / dz, (high - start[2]) / dz
+                enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+            if leave <= enter:
+                continue
+            x, y, length = start[0] + enter * dx, start[1] + enter * dy, (leave - enter) * level
+            trace(hits, misses, x, y, dx / level, dy / level, length, with_return, share)

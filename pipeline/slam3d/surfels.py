@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,7 @@ SETTLED = 5e-5
 """Alignment ends when a step is smaller [rad, m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surfels:
+class Surfels(NamedTuple):
     """Planes (m,) with means and normals (m, 3), towards where they were seen from, and variances across.
 
     cells (nx, ny, nz) int32 holds -1 or a number k: pairs[k] are the surfels of that voxel, -1 for none,
@@ -129,20 +129,15 @@ class Fit:
     motion: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """How far pose (first six) and motion within the sweep (last six) may stray from their guess: standard
-    deviations (12,) [rad, m]. Points share their errors, so their sum counts INFLATION times less."""
-
-    sigmas: Array
-
-    def weights(self) -> Array:
-        """Diagonal (12,) to add to the sum over points."""
-        return np.asarray(INFLATION / self.sigmas**2)
-
-
+KERNEL_M = 0.03
+"""Width of the Geman-McClure weight of a distance."""
+LEAST_OVERLAP = 0.35
+"""A cloud of which less lies on a place does not fit it."""
+BLIND_SHARE = 0.01
+"""A direction with less than this share of the information of the best one is not seen at all."""
 INFLATION = 50.0
-LOOSE = Prior(np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2))
+"""Points share their errors, so their sum counts so many times less."""
+LOOSE = np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3] * 2)
 _NO_SHARE = np.zeros(0)
 
 
@@ -153,30 +148,27 @@ def fit(
     *,
     origin: Array,
     gate: float,
-    kernel: float,
     iterations: int = 12,
-    prior: Prior = LOOSE,
+    prior: Array = LOOSE,
     when: Array = _NO_SHARE,
     motion: Array | None = None,
 ) -> Fit:
     """Point-to-plane alignment of points (n, 3), seen from `origin` (3,), started at `T_guess` (4, 4).
 
-    `gate` is the largest distance to a plane that counts [m], `kernel` the width of the Geman-McClure
-    weight [m]; it starts at the gate and tightens. With `motion` (6,), the guessed motion over a sweep
-    in which the points were taken at `when` (n,) in [0, 1], that is fitted too (continuous time, as in
-    CT-ICP, Dellenbach et al. 2022); pose and result are then those of the sweep's start.
+    `gate` is the largest distance to a plane that counts [m]; the width of the weight starts there and
+    tightens. `prior` (12,) are standard deviations of the guess: of the pose, and of the motion. With
+    `motion` (6,), the guessed motion over a sweep in which the points were taken at `when` (n,) in [0, 1],
+    that is fitted too (continuous time, as in CT-ICP, Dellenbach et al. 2022); pose and result are then
+    those of the sweep's start.
     """
     if len(points) == 0 or len(surfels.means) == 0:
         return Fit(T_guess, np.zeros((6, 6)), 0.0, 0.0, motion)
     T, xi, width = T_guess, motion, gate
-    anchor = prior.weights()[: 6 if motion is None else 12]
+    anchor = (INFLATION / prior**2)[: 6 if motion is None else 12]
     away = np.zeros(len(anchor))
     for iteration in range(iterations):
         still = points if xi is None else deskewed(points, when, np.stack([np.zeros(6), xi]))
-        H, b, overlap, rmse = normal_equations(
-            still, when, origin, T, surfels.cells, surfels.pairs, surfels.low, surfels.voxel, surfels.means,
-            surfels.normals, surfels.variances, gate, width,
-        )  # fmt: skip
+        H, b, overlap, rmse = normal_equations(still, when, origin, T, surfels, gate, width)
         n = len(anchor)
         step: Array = np.asarray(np.linalg.solve(H[:n, :n] + np.diag(anchor), -(b[:n] + anchor * away)))
         # Small steps add up to nearly the tangent vector of their product, and a prior is no ruler.
@@ -184,35 +176,38 @@ def fit(
         T = T @ se3.exp(step[:6])
         if xi is not None:
             xi = xi + step[6:]
-        if float(np.abs(step).max()) < SETTLED and width <= kernel:
+        if float(np.abs(step).max()) < SETTLED and width <= KERNEL_M:
             break
         if iteration >= 1:
-            width = max(kernel, 0.6 * width)
-    T[:3, :3] = _orthonormal(T[:3, :3])
+            width = max(KERNEL_M, 0.6 * width)
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    T[:3, :3] = u @ vt
     return Fit(T, H[:6, :6], overlap, rmse, xi)
 
 
-def _orthonormal(R: Array) -> Array:
-    u, _, vt = np.linalg.svd(R)
-    return np.asarray(u @ vt)
+def observable(information: Array) -> Array:
+    """Information (6, 6) without the directions the surfaces do not hold: along a corridor, say.
+
+    Normals err by some degrees, so a blind direction still gathers a share of the others' information.
+    Rotation and translation are judged apart.
+    """
+    out = information.copy()
+    for block in (slice(0, 3), slice(3, 6)):
+        values, vectors = np.linalg.eigh(information[block, block])
+        for k in np.flatnonzero(values < BLIND_SHARE * values[-1]):
+            keep = np.eye(6)
+            keep[block, block] -= np.outer(vectors[:, k], vectors[:, k])
+            out = keep @ out @ keep
+    return out
 
 
 @njit(cache=True)
-def nearest_surfel(
-    q: Array,
-    o: Array,
-    cells: NDArray,
-    pairs: NDArray,
-    low: Array,
-    voxel: float,
-    means: Array,
-    normals: Array,
-    gate: float,
-) -> int:
+def nearest_surfel(q: Array, o: Array, surfels: Surfels, gate: float) -> int:
     """The surfel nearest to a point (3,) within its voxel and those around; -1 for none within the gate.
 
     Only what faces `o` (3,), from where the point was seen: nobody sees the far side of a wall.
     """
+    cells, pairs, low, voxel, means, normals, _ = surfels
     nx, ny, nz = cells.shape
     x = math.floor((q[0] - low[0]) / voxel)
     y = math.floor((q[1] - low[1]) / voxel)
@@ -242,25 +237,14 @@ def nearest_surfel(
 
 @njit(cache=True)
 def normal_equations(
-    points: Array,
-    when: Array,
-    origin: Array,
-    T: Array,
-    cells: NDArray,
-    pairs: NDArray,
-    low: Array,
-    voxel: float,
-    means: Array,
-    normals: Array,
-    variances: Array,
-    gate: float,
-    width: float,
+    points: Array, when: Array, origin: Array, T: Array, surfels: Surfels, gate: float, width: float
 ) -> tuple[Array, Array, float, float]:
     """Gauss-Newton system H (12, 12), b (12,) of the point-to-plane distances, overlap and weighted RMS.
 
     For T Exp(w, v): d(R p + t) = R (w x p + v), so each row is [p x (R'n), R'n]; a motion over the sweep
     moves a point by its share `when` (n,) of it (second half of the system; empty: no motion).
     """
+    means, normals, variances = surfels.means, surfels.normals, surfels.variances
     H, b = np.zeros((12, 12)), np.zeros(12)
     q, J, o = np.zeros(3), np.zeros(12), np.zeros(3)
     for a in range(3):
@@ -271,7 +255,7 @@ def normal_equations(
         p = points[i]
         for a in range(3):
             q[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
-        s = nearest_surfel(q, o, cells, pairs, low, voxel, means, normals, gate)
+        s = nearest_surfel(q, o, surfels, gate)
         if s < 0:
             continue
         r = 0.0

@@ -9,25 +9,20 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.types import Cloud, Recording3D
+from turtlebag.datasets.types import Recording3D
 
 KNOTS = 9
 """Samples of the odometry over a sweep: 25 ms apart for a lidar of 5 turns a second."""
 
 
-class SweepConfig(BaseModel):
-    """Which points of a cloud are used."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    min_range_m: float = Field(default=0.3, ge=0.0, description="nearer points may be the robot itself")
-    max_range_m: float = Field(default=100.0, gt=0.0, description="farther points are not used")
-    deskew: bool = Field(default=True, description="undo the motion within a sweep, where points have times")
-    most_points: int = Field(default=60_000, gt=0, description="larger clouds are thinned evenly")
+MIN_RANGE_M, MAX_RANGE_M = 0.3, 100.0
+"""Nearer points may be the robot itself, farther ones are not used."""
+MOST_POINTS = 60_000
+"""Larger clouds are thinned evenly."""
 
 
 @njit(cache=True)
@@ -68,42 +63,6 @@ def deskewed(points: Array, when: Array, knots: Array) -> Array:
     return out
 
 
-class Sweeps:
-    """The clouds of a recording in order, filtered and in the base frame."""
-
-    def __init__(self, recording: Recording3D, T_base_lidar: Array, config: SweepConfig) -> None:
-        self._recording, self._T_base_lidar, self._config = recording, T_base_lidar, config
-
-    def __iter__(self) -> Iterator[tuple[int, Sweep]]:
-        for index, cloud in enumerate(self._recording.clouds):
-            yield index, self._sweep(index, cloud)
-
-    def _sweep(self, index: int, cloud: Cloud) -> Sweep:
-        config = self._config
-        squared = np.einsum("ij,ij->i", cloud.points, cloud.points)
-        chosen = np.flatnonzero((squared >= config.min_range_m**2) & (squared <= config.max_range_m**2))
-        chosen = chosen[:: -(-len(chosen) // config.most_points) or 1]
-        points = np.ascontiguousarray(se3.moved(self._T_base_lidar, cloud.points[chosen]))
-        times = cloud.times[chosen] if cloud.times is not None and config.deskew else None
-        if times is None or len(times) == 0 or np.ptp(times) <= 0.0:
-            return Sweep(points, None, 0.0, 0.0, None)
-        start, end = float(times.min()), float(times.max())
-        return Sweep(points, times, start, end, self._odometry_knots(index, start, end))
-
-    def _odometry_knots(self, index: int, start: float, end: float) -> Array | None:
-        """Motion from the stamp on, at KNOTS times between `start` and `end` [s after the stamp]."""
-        odometry = self._recording.odometry
-        if odometry is None:
-            return None
-        stamp = int(self._recording.stamps_ns[index])
-        if not int(odometry.stamps_ns[0]) <= stamp <= int(odometry.stamps_ns[-1]):
-            return None
-        times = np.concatenate([[0.0], np.linspace(start, end, KNOTS)])
-        T = odometry.at(stamp + np.round(times * 1e9).astype(np.int64))
-        relative = T[0].inverse() @ T[1:]
-        return se3.log(se3.lifted(relative))
-
-
 class Sweep:
     """One cloud in the base frame: points (n, 3), and what is needed to deskew them to its stamp."""
 
@@ -133,3 +92,28 @@ class Sweep:
                 return self.points
             knots = np.linspace(self._start, self._end, 2)[:, None] * twist
         return deskewed(self.points, self.when(), knots)
+
+
+def sweeps_of(recording: Recording3D, T_base_lidar: Array, *, deskew: bool) -> Iterator[tuple[int, Sweep]]:
+    """The clouds of a recording in order, filtered and in the base frame, with their numbers."""
+    for index, cloud in enumerate(recording.clouds):
+        squared = np.einsum("ij,ij->i", cloud.points, cloud.points)
+        chosen = np.flatnonzero((squared >= MIN_RANGE_M**2) & (squared <= MAX_RANGE_M**2))
+        chosen = chosen[:: -(-len(chosen) // MOST_POINTS) or 1]
+        points = np.ascontiguousarray(se3.moved(T_base_lidar, cloud.points[chosen]))
+        times = cloud.times[chosen] if cloud.times is not None and deskew else None
+        if times is None or len(times) == 0 or np.ptp(times) <= 0.0:
+            yield index, Sweep(points, None, 0.0, 0.0, None)
+        else:
+            start, end = float(times.min()), float(times.max())
+            yield index, Sweep(points, times, start, end, _knots(recording, index, start, end))
+
+
+def _knots(recording: Recording3D, index: int, start: float, end: float) -> Array | None:
+    """Motion by the odometry from the stamp on, at KNOTS times between `start` and `end` [s after it]."""
+    odometry, stamp = recording.odometry, int(recording.stamps_ns[index])
+    if odometry is None or not int(odometry.stamps_ns[0]) <= stamp <= int(odometry.stamps_ns[-1]):
+        return None
+    times = np.concatenate([[0.0], np.linspace(start, end, KNOTS)])
+    T = odometry.at(stamp + np.round(times * 1e9).astype(np.int64))
+    return se3.log(se3.lifted(T[0].inverse() @ T[1:]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
@@ -18,11 +19,13 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.pose_graph import write_g2o
+from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
 from turtlebag.pipeline.slam.stored import FILE as GRAPH
 from turtlebag.pipeline.slam.stored import load_session, require_same_front_end, save_session
+from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_references import References
-from turtlebag.pipeline.stages.map_summary import summary, tell_map
+from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
 from turtlebag.pipeline.stages.settings import config_text, load_config
 from turtlebag.pipeline.terminal.messages import log_notes, track
 
@@ -71,41 +74,31 @@ def build_map(
     except NoScans as error:
         if not error.clouds:
             raise
-        from turtlebag.pipeline.stages.map3d import build_map_3d
-
         planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
         for option in (option for option, given in planar.items() if given):
             raise InputError(f"{option}: only for 2D scans, and {source} is mapped in 3D") from None
-        return build_map_3d(
-            source, topic, out, references, config, settings, named, explain, force, command, watch
-        )
-    if isinstance(settled, InputError):
-        raise settled
-    resolved = settled
-    notes = [note for one in recordings for note in _notes(one, several=bool(also))]
-    if continued is not None and earlier is not None:
-        notes += require_same_front_end(continued, earlier[1], resolved)
-    log_notes(notes)
-    if earlier is not None:
-        result = continue_slam(earlier[0], recordings, resolved, track)
+        made = map_clouds(source, topic, config, settings, explain=explain)
     else:
-        result = run_slam(recordings[0], resolved, track, more=recordings[1:])
-    recording = result.session.recording
-    read = {note for one in recordings for note in one.notes}
-    log_notes(note for note in recording.notes if note not in read)
-    slam_s = watch.seconds()
-    metrics = {**summary(recording, result), **references.errors(result.trajectory, result.grid)}
+        if isinstance(settled, InputError):
+            raise settled
+        notes = [note for one in recordings for note in _notes(one, several=bool(also))]
+        if continued is not None and earlier is not None:
+            notes += require_same_front_end(continued, earlier[1], settled)
+        log_notes(notes)
+        made = _map_scans(recordings, settled, earlier and earlier[0], explain=explain)
+    slam_s, result = watch.seconds(), made.result
+    errors: dict[str, Any] = dict(references.errors(result.trajectory, result.grid))
+    if "ate_m" in errors:
+        errors |= made.with_truth
+    metrics = {**summary(made.recording, result), **made.metrics, **errors}
     with staged_output(out, force=force) as folder:
         for name in ("map", *([] if named is None else [named])):
             save_map(result.grid, folder, name)
-        save_tum(result.trajectory, folder / "trajectory.tum")
         write_g2o(folder / "graph.g2o", result.T_map_keys, result.constraints)
         write_json(folder / "metrics.json", metrics)
-        (folder / "config.yaml").write_text(config_text(resolved))
-        write_json(folder / "graph.json", loop_record(result))
-        save_session(folder / GRAPH, result.session, resolved)
-        if explain:
-            write_explanation(folder, result, resolved)
+        (folder / "config.yaml").write_text(config_text(made.config))
+        write_json(folder / "graph.json", made.record)
+        made.write(folder)
         write_manifest(
             folder,
             stage="map",
@@ -117,11 +110,33 @@ def build_map(
                 **references.inputs,
             },
             wall_s=watch.seconds(),
-            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(recording) / slam_s, 1)}
-            | {"parts": chosen_parts(resolved)},
+            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
+            | made.manifest,
         )
     tell_map(metrics, out, slam_s)
     return 0
+
+
+def _map_scans(
+    recordings: list[Recording], config: SlamConfig, earlier: Session | None, *, explain: bool
+) -> Mapped:
+    """Map planar scans, all of them or joined to an earlier map."""
+    if earlier is not None:
+        result = continue_slam(earlier, recordings, config, track)
+    else:
+        result = run_slam(recordings[0], config, track, more=recordings[1:])
+    recording = result.session.recording
+    read = {note for one in recordings for note in one.notes}
+    log_notes(note for note in recording.notes if note not in read)
+
+    def write(folder: Path) -> None:
+        save_tum(result.trajectory, folder / "trajectory.tum")
+        save_session(folder / GRAPH, result.session, config)
+        if explain:
+            write_explanation(folder, result, config)
+
+    parts = {"parts": chosen_parts(config)}
+    return Mapped(recording, config, result, loop_record(result), write, manifest=parts)
 
 
 def _require_name(named: str | None) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
@@ -16,6 +18,25 @@ from turtlebag.pipeline.terminal.messages import length, log
 if TYPE_CHECKING:
     from turtlebag.pipeline.slam.slam import SlamResult
     from turtlebag.pipeline.slam3d.slam3d import Slam3dResult
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """What the scans or the point clouds of an input came to.
+
+    `record` is for graph.json, `write` adds the files that only maps of this kind have; `metrics` too, and
+    `with_truth` where the truth is given. `manifest` are entries for the manifest.
+    """
+
+    recording: Recording | Recording3D
+    config: BaseModel
+    result: SlamResult | Slam3dResult
+    record: dict[str, Any]
+    write: Callable[[Path], None]
+    metrics: dict[str, Any] = field(default_factory=dict)
+    with_truth: dict[str, Any] = field(default_factory=dict)
+    manifest: dict[str, Any] = field(default_factory=dict)
+
 
 SHOWN = (".yaml", ".pgm", ".ply", ".tum")
 """What people open; the other files beside them are named in the documentation."""

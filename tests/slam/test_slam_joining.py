@@ -88,7 +88,7 @@ def test_scans_are_carried_by_the_keys_before_and_after_and_across_a_gap_by_one(
         (np.zeros((0, 2), dtype=int), [0, 0.25, 0.5, 0.75, 0, *[k / 6 for k in range(1, 6)], 0]),
         (np.array([[6, 8]]), [0, 0.25, 0.5, 0.75, 0, 0, 0, 0.5, 1, 1, 0]),
     ):
-        found = carried_poses(told, T_map_keys, gaps)
+        found = carried_poses(told.T_track_base, told.keys, T_map_keys, gaps)
         for k in range(11):
             carried = [
                 T_map_keys[q] @ (told.T_track_base[told.keys[q]].inverse() @ told.T_track_base[k])

@@ -244,7 +244,7 @@ def test_explanation_names_every_loop(result):
     record = loop_record(result)
     assert len(record["loops"]) == len(result.loops)
     assert all(loop["residual_m"] < 0.05 for loop in record["loops"] if loop["verdict"] == "accepted")
-    edges = worst_edges(result)
+    edges = worst_edges(result.T_map_keys, result.constraints)
     assert [edge["sigmas"] for edge in edges] == sorted((edge["sigmas"] for edge in edges), reverse=True)
 
 

@@ -10,6 +10,8 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
 from turtlebag.datasets.types import Cloud
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
 from turtlebag.reports.metrics.trajectory import ate
 
@@ -17,10 +19,8 @@ pytestmark = pytest.mark.slow
 
 FEW = Slam3dConfig.model_validate(
     {
-        "tracking": {"fit_points": 1200, "key_points": 3000},
         "loops": {"every": 8},
-        "refine": {"rounds": 2, "neighbours": 3, "points": 600},
-        "posing": {"points": 600},
+        "refine": {"rounds": 2},
     }
 )
 """The whole pipeline, with less work in it."""
@@ -55,6 +55,27 @@ def test_poses_are_right_to_millimetres_where_the_wheels_are_off_by_a_metre(driv
     assert np.abs(mapped.T_map_base[:, 2, 3]).max() < 0.02
     assert mapped.check.good
     assert any(loop.accepted for loop in mapped.loops)
+
+
+def test_a_place_that_drift_has_carried_out_of_reach_is_recognised_by_its_looks(mapped):
+    track, T = mapped.track, mapped.T_map_keys
+    carried = T.copy()
+    carried[41:] = se3.exp(np.array([0.0, 0.0, 0.5, 3.0, 2.0, 0.0])) @ T[41:]
+    known = [1e6 if k != 40 else 0.02 for k in range(len(T) - 1)]
+    steps = [
+        Constraint(k, k + 1, se3.inverse(carried[k]) @ carried[k + 1], weight * np.eye(6), "step")
+        for k, weight in enumerate(known)
+    ]
+    finder, recognised = close_loops(track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=1))
+    assert sum(loop.accepted for loop in recognised) >= 2
+    for loop in (one for one in recognised if one.accepted):
+        assert np.abs(se3.log(loop.T_j_i) - se3.log(se3.inverse(T[loop.j]) @ T[loop.i])).max() < 0.02
+    assert np.abs(se3.log(se3.inverse(T) @ finder.T)).max() < 0.05
+    alone, unrecognised = close_loops(
+        track.places, carried, steps, mapped.setup.voxel, Loop3dConfig(every=1, appearance=False)
+    )
+    assert unrecognised == []
+    assert np.abs(se3.log(se3.inverse(T) @ alone.T)).max() > 1.0
 
 
 def test_the_cloud_lies_on_the_true_surfaces(mapped):
@@ -93,8 +114,8 @@ def test_a_lidar_that_hangs_tilted_where_the_bag_does_not_say_stands_upright_in_
     result = run_slam_3d(
         hung.recording, FEW.model_copy(update={"refine": FEW.refine.model_copy(update={"rounds": 0})})
     )
-    assert result.setting.T_base_lidar[2, 3] == pytest.approx(0.36, abs=0.02)
-    assert "0.3" in result.setting.notes[0]
+    assert result.setup.T_base_lidar[2, 3] == pytest.approx(0.36, abs=0.02)
+    assert "0.3" in result.setup.notes[0]
     assert error(hung, result, align=True)["rmse"] < 0.03
     tilt = np.arccos(np.clip(result.T_map_base[:, 2, 2], -1.0, 1.0))
     assert tilt.max() < 0.05
@@ -137,6 +158,12 @@ def test_a_log_without_points_is_one_clear_line(drive):
     empty = changed(drive, lambda k, cloud: Cloud(cloud.points[:3], cloud.times[:3]))
     with pytest.raises(InputError, match="no cloud holds enough points"):
         run_slam_3d(empty.recording, FEW)
+
+
+def test_kiss_icp_may_place_the_clouds(short):
+    result = run_slam_3d(short.recording, FEW.model_copy(update={"front_end": "kiss_icp"}))
+    odometry = replace(short.truth, poses=short.recording.T_odom_base)
+    assert 0.01 < error(short, result)["rmse"] < ate(odometry, short.truth, align=False)["rmse"]
 
 
 def test_odometry_alone_draws_along_the_wheels(short):
