@@ -37,17 +37,18 @@ def find_floor(points: Array, reach_m: float) -> Floor | None:
     lowest = _lowest(points, reach, reach_m)
     if len(lowest) < 12:
         return None
-    rng = stream(0, "floor")
-    best, most = None, MIN_SHARE * len(lowest)
-    for triple in rng.integers(0, len(lowest), size=(TRIES, 3)):
-        plane = _through(lowest[triple])
-        if plane is None:
-            continue
-        over = lowest @ plane[:3] + plane[3]
-        count = float(np.count_nonzero(np.abs(over) < NEAR_M))
-        if count > most and np.count_nonzero(over < -2.0 * NEAR_M) <= MAX_BELOW * len(lowest):
-            best, most = plane, count
-    return None if best is None else _refined(points, best)
+    corners = lowest[stream(0, "floor").integers(0, len(lowest), size=(TRIES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-6) * np.where(normals[:, 2] < 0.0, -1.0, 1.0)
+    normals /= lengths[:, None]
+    heights = -np.einsum("ij,ij->i", normals, corners[:, 0])
+    over = normals @ lowest.T + heights[:, None]
+    inside = np.count_nonzero(np.abs(over) < NEAR_M, axis=1)
+    below = np.count_nonzero(over < -2.0 * NEAR_M, axis=1)
+    upright = normals[:, 2] >= np.cos(MAX_TILT_RAD)
+    floors = upright & (inside > MIN_SHARE * len(lowest)) & (below <= MAX_BELOW * len(lowest))
+    best = int(np.argmax(np.where(floors, inside, -1)))
+    return _refined(points, np.array([*normals[best], heights[best]])) if floors[best] else None
 
 
 def _lowest(points: Array, reach: Array, reach_m: float) -> Array:
@@ -58,17 +59,6 @@ def _lowest(points: Array, reach: Array, reach_m: float) -> Array:
     )
     order = np.lexsort((points[:, 2], cell))
     return points[order[np.unique(cell[order], return_index=True)[1]]]
-
-
-def _through(corners: Array) -> Array | None:
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    length = np.linalg.norm(normal)
-    if length < 1e-6:
-        return None
-    normal = normal / length * (1.0 if normal[2] >= 0.0 else -1.0)
-    if normal[2] < np.cos(MAX_TILT_RAD):
-        return None
-    return np.array([*normal, -normal @ corners[0]])
 
 
 def _refined(points: Array, plane: Array) -> Floor:

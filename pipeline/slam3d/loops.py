@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency, support
-from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
+from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.pose_graph import optimise
@@ -89,20 +89,8 @@ class CloudLoops(LoopSearch):
 
     def recognised(self) -> list[Loop]:
         """Loops by appearance where drift leaves distance no say; those that agree are accepted."""
-        n, found = len(self.keys), list[Loop]()
         drift = drift_of(self.poses, self.steps)
-        points = [self.places.points(k)[0] for k in range(n)]
-        contexts = Contexts([descriptor(one, CONTEXT_M) for one in points])
-        for i in range(0, n, self.config.every):
-            off = reach(read_at(drift.from_key(i, self.loops)[:i], self.poses[i]))[0]
-            apart = np.linalg.norm(self.poses[:i, :2] - self.poses[i, :2], axis=1)
-            old = self.path[i] - self.path[:i] > self.config.min_path_m
-            far = np.flatnonzero(old & (off > self.config.reach_m) & (apart < off))
-            for j, yaw in contexts.like(i, far, LIKEST, UNLIKE):
-                alike = se3.exp(np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0]))
-                featured = pose_by_features(points[i], points[j], self.voxel, seed=1 + i * n + j)
-                tried = [self._judged(i, j, start, float(off[j])) for start in (alike, featured)]
-                found.append(max(tried, key=lambda loop: (loop.accepted, loop.overlap)))
+        found = self._alike(drift)
         good = [k for k, loop in enumerate(found) if loop.accepted]
         planar = [replace(loop, T_j_i=se3.planar(loop.T_j_i).xyt) for loop in (found[k] for k in good)]
         comparable, agree = consistency(planar, drift, np.inf, INFLATION)
@@ -114,6 +102,27 @@ class CloudLoops(LoopSearch):
             for k in members:
                 found[good[k]] = replace(found[good[k]], verdict=verdict)
             believed += [members] * (verdict == "accepted")
+        return found
+
+    def _alike(self, drift: Drift) -> list[Loop]:
+        """Each key aligned with the places that look like its own, out of the reach of distance."""
+        n, found = len(self.keys), list[Loop]()
+        contexts: Contexts | None = None
+        for i in range(0, n, self.config.every):
+            off = reach(read_at(drift.from_key(i, self.loops)[:i], self.poses[i]))[0]
+            apart = np.linalg.norm(self.poses[:i, :2] - self.poses[i, :2], axis=1)
+            old = self.path[i] - self.path[:i] > self.config.min_path_m
+            far = np.flatnonzero(old & (off > self.config.reach_m) & (apart < off))
+            if len(far) == 0:
+                continue
+            if contexts is None:
+                contexts = Contexts([descriptor(self.places.points(k)[0], CONTEXT_M) for k in range(n)])
+            for j, yaw in contexts.like(i, far, LIKEST, UNLIKE):
+                alike = se3.exp(np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0]))
+                place, there = (self.places.points(k)[0] for k in (i, j))
+                featured = pose_by_features(place, there, self.voxel, seed=1 + i * n + j)
+                tried = [self._judged(i, j, start, float(off[j])) for start in (alike, featured)]
+                found.append(max(tried, key=lambda loop: (loop.accepted, loop.overlap)))
         return found
 
 

@@ -62,8 +62,6 @@ class Contexts:
     ) -> list[tuple[int, float]]:
         """The `count` most similar of the `allowed` places, (index, yaw of ours seen from it), best first;
         none less similar than `most`."""
-        if len(allowed) == 0:
-            return []
         tree = cKDTree(self._ring_keys[allowed])
         near = np.atleast_1d(tree.query(self._ring_keys[index], k=min(10 * count, len(allowed)))[1])
         compared = [(*dissimilarity(self._all[k], self._all[index]), int(k)) for k in allowed[near]]
