@@ -98,7 +98,8 @@ def run_slam_3d(
         closed, recognised = close_loops(track.places, T_keys, steps, setup.voxel, config.loops)
         T_keys, loops, constraints = closed.T, closed.record, [*steps, *closed.loops]
     if config.refine.rounds > 0 and len(track.keys) > 2:
-        hold = [step for step in steps if step.kind == "odometry"]
+        # what was matched from key to key is matched again; loops stay as they were found
+        hold = [c for c in constraints if c.kind != "step"]
         T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
     T = carried_poses(track.T, np.array(track.keys), T_keys)
     T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)
