@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.consistency import agreeing_sets, competing, consistency, support
+from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopSearch
@@ -92,7 +92,7 @@ class CloudLoops(LoopSearch):
         drift = drift_of(self.poses, self.steps)
         found = self._alike(drift)
         good = [k for k, loop in enumerate(found) if loop.accepted]
-        planar = [replace(loop, T_j_i=se3.planar(loop.T_j_i).xyt) for loop in (found[k] for k in good)]
+        planar = [_from_above(found[k]) for k in good]
         comparable, agree = consistency(planar, drift, np.inf, INFLATION)
         believed: list[list[int]] = []
         for members in agreeing_sets(planar, agree & comparable):
@@ -132,10 +132,15 @@ def close_loops(
     """Loops by distance, then by appearance; with any of those by distance again, from there."""
     finder = CloudLoops(keys, T_map_keys, steps, voxel, config.every)
     recognised = finder.recognised() if config.appearance else []
-    known = [loop.constraint(finder.config) for loop in recognised if loop.accepted]
+    known = [finder.config.constraint(loop) for loop in recognised if loop.accepted]
     if known:
         # first without kernels: from far away they would take every loop for an outlier
         firm = [replace(constraint, soft=0.0) for constraint in known]
         start = optimise(finder.T, [*steps, *finder.loops, *firm])
         finder = CloudLoops(keys, start, steps, voxel, config.every, known)
     return finder, recognised
+
+
+def _from_above(loop: Loop) -> Recognised:
+    T_j_i = se3.planar(loop.T_j_i).xyt
+    return Recognised(loop.i, loop.j, T_j_i, loop.score, loop.overlap, 0.0, loop.rmse, loop.information)

@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import NEIGHBOURS
+from turtlebag.pipeline.slam.align import CAUCHY, NEIGHBOURS
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.refine import RefineConfig, in_rounds, overlapping_pairs
 from turtlebag.pipeline.slam3d.key_clouds import REACH, Keys, Places, thinned
@@ -38,7 +38,7 @@ def refine(
             result = places.fit(i, keys.points(j, POINTS), guess, gate)
             if result.overlap >= LEAST_OVERLAP:
                 information = observable(result.information) / INFLATION
-                found.append(Constraint(i, j, result.T, information, "pair", config.soft))
+                found.append(Constraint(i, j, result.T, information, "pair", CAUCHY))
         return found
 
     rough = max(0.7 * voxel, fine := 3.0 * KERNEL_M)
