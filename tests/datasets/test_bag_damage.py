@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -78,18 +79,13 @@ def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(
 
 @pytest.mark.slow
 def test_random_cuts_and_flips_never_give_wrong_data_or_silence(drive, tmp_path):
-    outcomes = campaign(drive, 15, 0, tmp_path)
-    assert len(outcomes) == 6
-    for name, counter in outcomes.items():
-        assert sum(counter.values()) == 15
-        assert not [outcome for outcome in counter if outcome.startswith("BAD")], (name, counter)
-    assert outcomes["mcap flip, recover"] == {"recovered": 15}
-
-
-@pytest.mark.slow
-def test_formats_without_checksums_end_in_data_or_one_error(drive, tmp_path):
-    for counter in bags_damage.other_formats(drive, 6, 0, tmp_path).values():
-        assert not [outcome for outcome in counter if outcome.startswith("BAD")]
+    """Formats without checksums end in data or one error."""
+    counts = Counter(campaign(drive, 10, 0, tmp_path))
+    kinds = {what for what, _ in counts}
+    assert len(kinds) == 10
+    assert all(sum(n for (what, _), n in counts.items() if what == kind) == 10 for kind in kinds)
+    assert not [outcome for outcome in counts if outcome[1].startswith("BAD")]
+    assert counts["mcap flip, recover", "recovered"] == 10
 
 
 def test_recovery_steps_over_a_damaged_chunk(drive, tmp_path):

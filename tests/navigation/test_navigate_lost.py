@@ -55,11 +55,10 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
 
 
 @pytest.mark.slow
-def test_a_robot_told_a_pose_in_a_wall_looks_about_before_it_calls_the_goal_unreachable(arena_map):
+def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(arena_map):
     told = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)
     episode = run(arena_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
-    assert episode.log.state[0] == "plan"
     assert "look" in episode.log.state
     assert episode.metrics["goals"][0]["status"] == "reached"
     assert episode.metrics["goals"][0]["error_m"] < 0.05
