@@ -63,7 +63,7 @@ class NavigationDriver(Driver):
             state = finder.update(observation, examine=not self.sequence.finished)
             if finder.void:
                 self._forget()
-            if state is not State.DRIVE and not (state is State.COMPARE and self.sequence.finished):
+            if state is not State.DRIVE and not self.sequence.finished:
                 return self._find(finder, state, observation, span_ns)
         if sight is not None and T_frame_odom is not None:
             self._see(sight, T_frame_odom, self.tools.live)

@@ -66,6 +66,18 @@ def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(arena_map):
 
 
 @pytest.mark.slow
+def test_a_lost_robot_whose_goals_are_out_of_time_looks_for_itself_no_longer(tmp_path):
+    house = load_world("turtlebot3_house")
+    wrong = save_map(house.rasterize(BURGER.lidar_height), tmp_path, "house")
+    told, goal = SE2.from_xyt(-3.0, 1.0, 0.0), SE2.from_xyt(-3.0, 2.0, 0.0)
+    episode = run(wrong, FaultConfig(), goal=goal, initial_pose=told, timeout_s=8.0)
+    assert "look" in episode.log.state
+    assert episode.metrics["goals"][0]["status"] == "timeout"
+    assert episode.log.state[-2] == "look"
+    assert episode.metrics["time_s"] < 8.5
+
+
+@pytest.mark.slow
 def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
     house = load_world("turtlebot3_house")
     wrong = save_map(house.rasterize(BURGER.lidar_height), tmp_path, "house")
