@@ -70,10 +70,10 @@ map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(W
 navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL MAP OUT, or as record)
 report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
-$(RECORD_DIR)/manifest.json: $(call sources,sim datasets) pipeline/stages/record.py | $(READY)
+$(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeline/stages/record.py | $(READY)
 	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D) $(OR_AGAIN)
 
-$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) pipeline/stages/map.py pipeline/stages/map3d.py | $(READY)
+$(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) $(wildcard pipeline/stages/map*.py) pipeline/stages/settings.py | $(READY)
 	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 
 data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", required=True, metavar="X,Y,YAW", help="start pose, in metres and radians")
     parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="goal pose")
     names = get_args(PlannerName)
-    text = f"OMPL planner: {', '.join(names)} (default: {names[0]})"
+    text = f"OMPL planner: {', '.join(names)} (default: BITstar for a disc, else RRTConnect)"
     parser.add_argument("--planner", choices=names, metavar="P", help=text)
     parser.add_argument("--compare", action="store_true", help="run every planner and compare the paths")
     add_seed(parser, 0)

@@ -17,6 +17,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
 from turtlebag.pipeline.slam.scan_poses import carried_poses
+from turtlebag.pipeline.slam.submaps import windows
 from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain
 
@@ -112,11 +113,14 @@ def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
 def place_of(clouds: Clouds, a: Session, b: Session, config: RecallConfig, loops: LoopConfig) -> SE2 | None:
     """Where session `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`, by place
     recognition: the log of both is broken where they meet. Its beginning is asked first, more of it when
-    that does not tell. None when no place is believed."""
+    that does not tell; one too short for so many submaps as must agree is believed by those it has. None
+    when no place is."""
     n, chain = len(a.track.keys), joined_chain(a.mended(), b.mended(), len(a.recording), broken=True)
     keys = np.concatenate([a.track.keys, b.track.keys + len(a.recording)])
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
     told = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
+    submaps = len(windows(len(keys) - n, b.mended().broken))
+    config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share
         steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]

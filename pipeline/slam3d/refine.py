@@ -25,13 +25,18 @@ CARRIED_GATE_M, CARRIED = 0.1, np.full(12, 0.01)
 def refine(
     keys: Keys, T_map_keys: Array, steps: Sequence[Constraint], voxel: float, config: RefineConfig
 ) -> tuple[Array, list[Constraint]]:
-    """Refined key poses (n, 4, 4) and the constraints of the last round; `steps` hold throughout."""
+    """Refined key poses (n, 4, 4) and the constraints of the last round; `steps` hold throughout.
+
+    A place is made of a key and those up to REACH from it; keys are matched with places that they are no
+    part of, those just beyond their own always: they tie the log together.
+    """
 
     def matched(poses: Array, f: float) -> list[Constraint]:
         gate = rough * (fine / rough) ** f
         places, found = Places(keys, poses, voxel), []
-        pairs = overlapping_pairs(se3.planar(poses), RADIUS_VOXELS * voxel, NEIGHBOURS)
-        apart = pairs[pairs[:, 1] - pairs[:, 0] > REACH]
+        near = overlapping_pairs(se3.planar(poses), RADIUS_VOXELS * voxel, NEIGHBOURS)
+        along = np.arange(max(len(poses) - REACH - 1, 0))[:, None] + [0, REACH + 1]
+        apart = np.unique(np.vstack([near[near[:, 1] - near[:, 0] > REACH], along]), axis=0)
         # either is the place of the other; in order, so that each place is made once
         for i, j in sorted([*apart.tolist(), *apart[:, ::-1].tolist()]):
             guess = se3.inverse(poses[i]) @ poses[j]

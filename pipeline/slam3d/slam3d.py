@@ -22,7 +22,7 @@ from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished
 from turtlebag.pipeline.slam3d.cloud_tracking import FrontEnd3d, Track3d, Tracker
-from turtlebag.pipeline.slam3d.key_clouds import Places
+from turtlebag.pipeline.slam3d.key_clouds import REACH, Places
 from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
 from turtlebag.pipeline.slam3d.refine import refine, reregistered
 from turtlebag.pipeline.slam3d.selfcheck import SelfCheck3d, check_map
@@ -98,8 +98,10 @@ def run_slam_3d(
         closed, recognised = close_loops(track.places, T_keys, steps, setup.voxel, config.loops)
         T_keys, loops, constraints = closed.T, closed.record, [*steps, *closed.loops]
     if config.refine.rounds > 0 and len(track.keys) > 2:
-        # what was matched from key to key is matched again; loops stay as they were found
-        hold = [c for c in constraints if c.kind != "step"]
+        # what was matched from key to key is matched again, where all keys have places that they are no part
+        # of; loops stay as they were found
+        again = len(track.keys) >= 2 * (REACH + 1)
+        hold = [c for c in constraints if c.kind != "step" or not again]
         T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
     T = carried_poses(track.T, np.array(track.keys), T_keys)
     T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)

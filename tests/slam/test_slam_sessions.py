@@ -41,6 +41,16 @@ def test_second_session_joins_the_first_map():
     assert both["rmse"] < 0.01
 
 
+def test_a_second_session_of_three_metres_joins():
+    a = recording(ROOM, FIRST, odometry=drifted(FIRST))
+    few = SECOND[:26]
+    elsewhere = SE2.from_xyt(-4.0, 9.0, -2.2) @ SE2.from_array(few)
+    result = run_slam(a, SlamConfig(), more=[recording(ROOM, few, odometry=elsewhere.xyt, seed=7)])
+    assert np.count_nonzero(result.keys >= 100) < 17
+    off = np.linalg.norm(result.trajectory.poses.xy[100:] - few[:, :2], axis=1)
+    assert off.max() < 0.05
+
+
 def test_odometry_alone_does_not_tell_where_a_second_session_lies():
     a, b = (recording(ROOM, poses[:20], odometry=poses[:20]) for poses in (FIRST, SECOND))
     with pytest.raises(InputError, match="only scans can tell where"):

@@ -9,6 +9,7 @@ from benchmarks.slam3d_drives import ROUND, changed, hung_elsewhere, make_drive,
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
+from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Cloud
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
@@ -98,6 +99,23 @@ def test_the_slice_shows_what_stands_in_the_band_and_is_free_below_tables_and_be
     legs = [(3.6 + 0.8 * (k % 2), 2.6 + 0.8 * (k // 2)) for k in range(4)]
     near = [max(at(x + dx, y + dy) for dx in (-0.05, 0, 0.05) for dy in (-0.05, 0, 0.05)) for x, y in legs]
     assert near == [OCCUPIED] * 4
+
+
+@pytest.mark.parametrize("scans", [6, 8, 11, 14, 17])
+def test_few_keys_are_held_together_by_what_their_clouds_saw(drive, scans):
+    """Wheels a fifth too long: refinement must not leave the way between keys to them."""
+    log, first = drive.recording, slice(0, scans)
+    long = np.array([1.2, 1.2, 1.0])
+    short = replace(
+        log,
+        stamps_ns=log.stamps_ns[first],
+        clouds=tuple(log.clouds)[first],
+        T_odom_base=SE2(log.T_odom_base.xyt[first] * long),
+        odometry=replace(log.odometry, poses=SE2(log.odometry.poses.xyt * long)),
+    )
+    result = run_slam_3d(short, FEW)
+    off = result.trajectory.poses.xy - drive.truth.poses.xy[first]
+    assert np.linalg.norm(off, axis=1).max() < 0.03, len(result.track.keys)
 
 
 def test_the_clouds_alone_are_enough(short):
