@@ -137,6 +137,7 @@ def close_loops(
         # first without kernels: from far away they would take every loop for an outlier
         firm = [replace(constraint, soft=0.0) for constraint in known]
         start = optimise(finder.T, [*steps, *finder.loops, *firm])
+        start = optimise(start, [*steps, *finder.loops, *known])
         finder = CloudLoops(keys, start, steps, voxel, config.every, known)
     return finder, recognised
 

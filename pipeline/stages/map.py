@@ -70,7 +70,7 @@ def build_map(
     watch = Stopwatch()
     earlier = None if continued is None else load_session(continued)
     try:
-        recordings = [_recording(path, (laser, upside_down), topic) for path in (source, *also)]
+        recordings = [_recording(source, (laser, upside_down), topic)]
     except NoScans as error:
         if not error.clouds:
             raise
@@ -81,6 +81,7 @@ def build_map(
     else:
         if isinstance(settled, InputError):
             raise settled
+        recordings += [_recording(path, (laser, upside_down), topic) for path in also]
         notes = [note for one in recordings for note in _notes(one, several=bool(also))]
         if continued is not None and earlier is not None:
             notes += require_same_front_end(continued, earlier[1], settled)
