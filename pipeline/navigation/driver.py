@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
@@ -9,7 +11,7 @@ from turtlebag.pipeline.navigation.sensing import Sensing, Sight
 from turtlebag.planners.live import LiveLayer
 
 
-class Driver:
+class Driver(ABC):
     """A task in closed loop. It never sees the truth."""
 
     def __init__(self, sensing: Sensing) -> None:
@@ -26,13 +28,13 @@ class Driver:
         self._last = Twist()
         self._seen_ns = -(10**9)
 
+    @abstractmethod
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period."""
-        raise NotImplementedError
 
+    @abstractmethod
     def stand_by(self, observation: Observation) -> None:
         """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
-        raise NotImplementedError
 
     def resume(self, last: Twist) -> None:
         """Drive again from the next step on, after the command that someone else gave last."""
