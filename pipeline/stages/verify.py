@@ -136,7 +136,11 @@ def _check_stage(
     for path, value in leaves(stage_metrics(stage)):
         if dict(leaves(metrics)).get(path) != value:
             found.problems.append(f"{name}:{path}: the report and the stage's own metrics differ")
-    done = list(checks(name, metrics, recomputed(stage, group, places)))
+    try:
+        done = list(checks(name, metrics, recomputed(stage, group, places)))
+    except InputError as error:
+        found.problems.append(f"{name}: {error}")
+        return
     left = _unknown(name, metrics, done)
     if left and (anew := again(stage)) is not None:
         if anew.other_bytes:

@@ -155,6 +155,15 @@ def test_a_truth_that_is_not_the_bags_is_named(tree):
 
 
 @pytest.mark.slow
+def test_a_trajectory_of_another_time_is_named(tree):
+    path = tree / "map/trajectory.tum"
+    rows = [line.split() for line in path.read_text().splitlines()]
+    path.write_text("".join(f"{float(row[0]) + 1e6:.9f} {' '.join(row[1:])}\n" for row in rows))
+    rehash(tree / "map", "trajectory.tum")
+    assert any(problem.startswith("room/map: ") for problem in verify(tree / "report", main).problems)
+
+
+@pytest.mark.slow
 def test_the_command_names_what_differs_and_exits_1(tree, capsys):
     assert main(["verify", str(tree / "report")]) == 0
     edit_metrics(tree / "map", lambda m: m["ate_m"].update(rmse=0.001))
