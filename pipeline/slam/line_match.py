@@ -1,4 +1,4 @@
-"""Our own loop matcher: points on the lines of surfaces."""
+"""Our own loop matcher: points on the lines of surfaces, with a second opinion by Open3D's ICP."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.align import Alignment, align
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.loop_match import Limits, Stretch
-from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
+from turtlebag.pipeline.slam.open3d_icp import Open3dMatch, stays_put
 
 
 class LineMatch:
@@ -25,3 +25,9 @@ class LineMatch:
             clouds, query.about, start, place.scans, place.T_about_scans,
             gate=limits.gate, sigma=limits.sigma, iterations=limits.iterations,
         )  # fmt: skip
+
+    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+        """As in `LoopMatch`: whether Open3D's ICP would leave the scan where it is."""
+        if clouds.placed_by(query.about) == "points":
+            return self._points.confirms(clouds, query, place, pose)
+        return stays_put(clouds.of(query.about), place.points(clouds), pose)

@@ -56,3 +56,7 @@ class LoopMatch(Protocol):
         the query's points with a partner, `rmse` their distance [m].
         """
         ...
+
+    def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+        """A second opinion on a pose (3,) that is in doubt."""
+        ...

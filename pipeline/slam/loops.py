@@ -245,6 +245,8 @@ class LoopFinder(LoopSearch):
             verdict = "low overlap"
         elif np.abs(between(fine, found.T_map_base.xyt)).max() > PEAK:
             verdict = "alignment left the peak"
+        elif not self.matcher.confirms(self.clouds, query, place, found.T_map_base.xyt):
+            verdict = "open3d disagrees"
         return Loop(
             i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )

@@ -196,6 +196,8 @@ def _settled(
     )  # fmt: skip
     if blind(information):
         return place_found.judged("blind in one direction")
+    if not matcher.confirms(clouds, middle, there, pose):
+        return place_found.judged("open3d disagrees")
     return place_found
 
 

@@ -18,7 +18,8 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.course import Course, track_log
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
-from turtlebag.pipeline.slam.loop_match import Limits, Stretch
+from turtlebag.pipeline.slam.line_match import LineMatch
+from turtlebag.pipeline.slam.loop_match import Limits, LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops import MATCHERS
 from turtlebag.pipeline.slam.slam import FRONT_ENDS, SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
@@ -221,6 +222,16 @@ def test_loop_matchers_say_the_same_pose_in_the_same_frame(matcher):
     assert np.linalg.eigvalsh(found.information)[0] > 1e3
     still = by.match(clouds, query, place, start, Limits(0.2, 0.05, 0))
     np.testing.assert_allclose(still.T_map_base.xyt, start, atol=1e-12)
+    assert by.confirms(clouds, query, place, true)
+
+
+def test_the_line_matcher_asks_open3d_about_a_pose_in_doubt():
+    poses = around_the_room(60)
+    clouds = make_clouds(recording(ROOM, poses), 30.0)
+    one, other = (Stretch(k, np.array([k]), np.zeros((1, 3))) for k in (12, 8))
+    wrong = (SE2(poses[8]).inverse() @ SE2(poses[12])).xyt + np.array([1.0, 0.4, 0.0])
+    matcher: LoopMatch = LineMatch()
+    assert not matcher.confirms(clouds, one, other, wrong)
 
 
 @pytest.mark.slow
