@@ -2,8 +2,8 @@
 
 Candidates come from distance, within what drift along the graph may have come to (`drift`); each is searched
 exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
-believed only after checks: score, overlap, fit. Along a direction the scans are blind in, or along
-which the place repeats itself, a loop says nothing; the graph takes each with a heavy-tailed kernel.
+believed only after checks: score, overlap, where the search led, a second opinion. Along a direction the
+scans are blind in a loop says nothing; the graph takes each with a heavy-tailed kernel.
 """
 
 from __future__ import annotations
