@@ -61,7 +61,7 @@ class Path(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """Poses of the key scans (n, 3) in the map frame; edges (m, 3): from, to, and 0 for a step, 1 for a loop."""
+    """Poses of the key scans (n, 3) in the map frame; edges (m, 3): from, to, 0 (step) or 1 (loop)."""
 
     nodes: Array
     edges: NDArray[np.int32]
