@@ -201,7 +201,7 @@ def corridors(rng, cells):
 
 @pytest.mark.slow
 def test_a_map_as_large_as_aces_stays_below_200_kb_a_second_while_it_grows():
-    """60 x 60 m, driven at 3.5 m/s with a lidar of 10 m; each scan changes one in fifty cells that it sees."""
+    """60 x 60 m, driven at 3.5 m/s with a lidar of 10 m; each scan changes every 50th cell that it sees."""
     rng = np.random.default_rng(5)
     world = corridors(rng, 1200)
     known = np.full_like(world, -1)

@@ -131,7 +131,8 @@ def test_our_own_page_has_ours(served):
 PATHS = (
     "/../secret.js", "/..%2fsecret.js", "/%2e%2e/secret.js", "/parts/../../secret.js", "/link.js",
     "//secret.js", "/parts/..%2f..%2fsecret.js", "/..%5csecret.js", "/%2fetc%2fpasswd", "/parts", "/parts/",
-    "/notes.txt",    "/parts/main.js%00.css", "/./parts/main.js", "/index.html/../../secret.js", "/" + "a" * 4000,
+    "/notes.txt", "/parts/main.js%00.css", "/./parts/main.js", "/index.html/../../secret.js",
+    "/" + "a" * 4000,
 )  # fmt: skip
 
 
