@@ -13,6 +13,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from tornado.iostream import IOStream
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio import frames as frames_module
 from turtlebag.pipeline.studio import server
 from turtlebag.pipeline.studio.guard import Guard, Rate, is_loopback, listen
 
@@ -311,6 +312,7 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
         return inner()
 
     session.view = noisy
+    monkeypatch.setattr(frames_module, "GRID_BYTES_A_SECOND", 1e9)
     encode = server.Frames.frame
     monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
 
