@@ -23,8 +23,9 @@ class Placed:
     counted by itself (`align.STEP_INFLATION` allows for their shared errors): zero along a direction that it
     was blind in, and nothing of what the odometry said, which the graph adds. `overlap` is the share 0..1 of
     the scan that lies on what was seen before, `known` that where was looked before, `rmse` how far off it
-    lies [m]. `source` says which start won, an index into `track.HYPOTHESES`. Where `sure` is False the scan does not become a key scan. `revised` are
-    the scans before it that are now known better, with their poses (3,); key scans keep theirs.
+    lies [m]. `source` says which start won, an index into `track.HYPOTHESES`. Where `sure` is False the scan
+    does not become a key scan. `revised` are the scans before it that are now known better, with their poses
+    (3,); key scans keep theirs.
     """
 
     T_track_base: Array

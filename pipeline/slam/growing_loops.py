@@ -15,6 +15,9 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig, LoopFinder
 
+# So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
+WAITING = 8
+
 
 class GrowingLoops(LoopFinder):
     """`LoopFinder` of key scans that come one by one; `poses` (n, 3) are those of all of them."""
@@ -45,7 +48,7 @@ class GrowingLoops(LoopFinder):
         self._new += steps
         self._told = np.concatenate([self._told, np.sum([c.information for c in steps], axis=0)[None]])
         self._since_query += 1
-        if self.config.enabled and self._since_query >= self.config.every:
+        if self.config.enabled and self._since_query >= self.config.every and len(self._waiting) < WAITING:
             self._since_query = 0
             self._waiting.append(n)
 
