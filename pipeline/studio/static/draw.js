@@ -1,7 +1,7 @@
 // Painting: one function a layer, from the bottom up.
 
 import { scene } from "./scene.js";
-import { toScreen, toWorld, view } from "./view.js";
+import { flagSize, toScreen, toWorld, view } from "./view.js";
 
 const NAMES = ["ink", "muted", "paper", "rule", "link", "good", "bad", "truth", "odometry", "slam", "estimate", "scan", "loop", "plan"];
 let pen, colour;
@@ -80,14 +80,14 @@ function dots(name, step, size, style) {
 }
 
 function particles() {
-  const points = scene.blobs.particles ?? [], length = 8;
+  const points = scene.blobs.particles ?? [], length = 6;
   pen.beginPath();
   for (let k = 0; k < points.length; k += 3) {
     const [px, py] = toScreen(points[k], points[k + 1]);
     pen.moveTo(px, py);
     pen.lineTo(px + length * Math.cos(points[k + 2]), py - length * Math.sin(points[k + 2]));
   }
-  pen.globalAlpha = 0.45;
+  pen.globalAlpha = 0.3;
   stroke(colour.estimate, 1);
   pen.globalAlpha = 1;
 }
@@ -132,11 +132,14 @@ function body([x, y, yaw], style, alpha) {
   const at = (u, v) => [x + c * u - s * v, y + s * u + c * v];
   const corners = Array.from({ length: outline.length / 2 }, (_, k) => at(outline[2 * k], outline[2 * k + 1]));
   const front = Math.max(...outline.filter((_, k) => k % 2 === 0)) + 8 / view.scale;
+  for (const [line, width] of [[colour.paper, 5], [style, 2]]) {
+    trace(corners, true);
+    stroke(line, width);
+    trace([[x, y], at(front, 0)]);
+    stroke(line, width + 1);
+  }
   trace(corners, true);
   fill(style, alpha);
-  stroke(style, 2);
-  trace([[x, y], at(front, 0)]);
-  stroke(style, 3);
 }
 
 function sectors() {
@@ -157,23 +160,26 @@ function sectors() {
   }
 }
 
-/** A numbered disc with an arrow for the heading. */
-export function flag(x, y, yaw, text, style, { chosen = false, hollow = false } = {}) {
-  const [px, py] = toScreen(x, y);
-  const [dx, dy] = [Math.cos(yaw), -Math.sin(yaw)];
+/** A numbered disc with an arrow for the heading; smaller where the map is. */
+function flag(x, y, yaw, text, style, { chosen = false, hollow = false } = {}) {
+  const [dx, dy] = [Math.cos(yaw), -Math.sin(yaw)], size = flagSize();
+  pen.save();
+  pen.translate(...toScreen(x, y));
+  pen.scale(size, size);
   pen.beginPath();
-  pen.moveTo(px + 9 * dx, py + 9 * dy);
-  pen.lineTo(px + 26 * dx, py + 26 * dy);
-  pen.moveTo(px + 20 * dx - 5 * dy, py + 20 * dy + 5 * dx);
-  pen.lineTo(px + 26 * dx, py + 26 * dy);
-  pen.lineTo(px + 20 * dx + 5 * dy, py + 20 * dy - 5 * dx);
+  pen.moveTo(9 * dx, 9 * dy);
+  pen.lineTo(26 * dx, 26 * dy);
+  pen.moveTo(20 * dx - 5 * dy, 20 * dy + 5 * dx);
+  pen.lineTo(26 * dx, 26 * dy);
+  pen.lineTo(20 * dx + 5 * dy, 20 * dy - 5 * dx);
   stroke(style, 2);
   pen.beginPath();
-  pen.arc(px, py, chosen ? 11 : 9, 0, 2 * Math.PI);
+  pen.arc(0, 0, chosen ? 11 : 9, 0, 2 * Math.PI);
   fill(hollow ? colour.paper : style);
   stroke(style, 2);
   pen.fillStyle = hollow ? style : colour.paper;
-  pen.fillText(text, px, py + 0.5);
+  pen.fillText(text, 0, 0.5);
+  pen.restore();
 }
 
 function goals() {
@@ -257,7 +263,7 @@ export const LAYERS = [
   ["local", "Local trajectory", () => path("local", colour.estimate, 3), true],
   ["waypoints", "Waypoints", null, true],
   ["goals", "Goals", goals, true],
-  ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.3), true],
+  ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.6), true],
 ];
 
 /** What a tool is about to do: an arrow, the robot carried, an outline. */

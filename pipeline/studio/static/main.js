@@ -13,7 +13,7 @@ import { words } from "./words.js";
 
 const stage = byId("stage"), readout = byId("readout");
 const shown = new Set(kept());
-let due = false, cursor = null, copied = "";
+let due = false, fitted = false, cursor = null, copied = "";
 
 function kept() {
   try { return JSON.parse(localStorage.getItem("turtlebag-layers")) ?? first(); } catch { return first(); }
@@ -76,7 +76,7 @@ function chosen(name, tool) {
   for (const other of document.querySelectorAll("[data-tool]")) other.ariaPressed = String(other.dataset.tool === name);
   stage.dataset.tool = name;
   byId("advice").textContent = tool.hint;
-  byId("typed").hidden = byId("type").hidden = !tool.form;
+  byId("typing").hidden = !tool.form;
   byId("typed").value = "";
   byId("typed").placeholder = byId("typed").ariaLabel = tool.form ?? "";
   changed();
@@ -91,8 +91,8 @@ function arrived(header, blobs) {
     const { world } = header, name = document.querySelector("[data-do=map_save]").elements.name;
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
     wanted();
-    if (!view.seen) showAll();
-    view.seen = true;
+    if (!fitted) showAll();
+    fitted = true;
   } else {
     const before = scene.keepouts;
     take(header, blobs);

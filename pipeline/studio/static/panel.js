@@ -69,10 +69,9 @@ export function show(head, deskName) {
 const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
 
 function placeOf({ map, localised, sure, mapping }) {
-  if (mapping) return sure == null ? "on the growing map" : `on the growing map, ${Math.round(100 * sure)} % sure`;
-  if (map == null) return "no map";
-  if (!localised) return "no pose yet";
-  return sure == null ? `on ${map || "the map"}` : `${Math.round(100 * sure)} % sure`;
+  if (sure != null) return `${Math.round(100 * sure)} % of the scan fits`;
+  if (mapping) return "on the growing map";
+  return map == null ? "no map" : localised ? "on the map" : "no pose yet";
 }
 
 function pills(told) {

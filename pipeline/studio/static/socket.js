@@ -14,15 +14,11 @@ export async function decode(buffer) {
   const header = JSON.parse(TEXT.decode(new Uint8Array(buffer, 4, length)));
   const first = (4 + length + 3) & ~3;
   const blobs = {};
-  for (const [k, blob] of (header.blobs ?? []).entries()) {
-    const Type = TYPES[blob.dtype];
-    const count = blob.shape.reduce((a, b) => a * b, 1);
-    if (blob.zip) {
-      const end = blob.size ? first + blob.at + blob.size : first + (header.blobs[k + 1]?.at ?? buffer.byteLength - first);
-      blobs[blob.name] = new Type(await inflated(new Uint8Array(buffer, first + blob.at, end - first - blob.at)), 0, count);
-    } else {
-      blobs[blob.name] = new Type(buffer, first + blob.at, count);
-    }
+  for (const { name, dtype, shape, at, zip, size } of header.blobs ?? []) {
+    const count = shape.reduce((a, b) => a * b, 1);
+    blobs[name] = zip
+      ? new TYPES[dtype](await inflated(new Uint8Array(buffer, first + at, size)))
+      : new TYPES[dtype](buffer, first + at, count);
   }
   return { header, blobs };
 }

@@ -1,7 +1,7 @@
 // Tools for the map: what a press, a drag, a release or typed numbers mean with each of them.
 
 import { scene } from "./scene.js";
-import { toScreen } from "./view.js";
+import { flagSize, toScreen } from "./view.js";
 import { numbers, round3, words } from "./words.js";
 
 const NEAR = 14;
@@ -52,7 +52,7 @@ const TOOLS = {
     form: "x, y, heading",
     press(desk, at, pixel) {
       const { list } = desk.waypoints;
-      const tip = ([x, y, yaw]) => toScreen(x, y).map((value, k) => value + 26 * (k ? -Math.sin(yaw) : Math.cos(yaw)));
+      const tip = ([x, y, yaw]) => toScreen(x, y).map((value, k) => value + 26 * flagSize() * (k ? -Math.sin(yaw) : Math.cos(yaw)));
       this.turning = list.findIndex(({ pose }) => Math.hypot(tip(pose)[0] - pixel[0], tip(pose)[1] - pixel[1]) < 9);
       this.moving = this.turning < 0 ? list.findIndex(({ pose }) => near(pose, pixel)) : -1;
       this.from = at;

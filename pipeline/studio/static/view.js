@@ -11,6 +11,9 @@ export const toWorld = (px, py) => [
   view.y - (py - view.height / 2) / view.scale,
 ];
 
+/** How large discs and arrows of poses are drawn: their arrow is 26 pixels times this long. */
+export const flagSize = () => Math.min(Math.max(view.scale / 50, 0.7), 1);
+
 /** Zoom about a place of the screen, which stays where it is. */
 export function zoom(factor, px = view.width / 2, py = view.height / 2) {
   const [x, y] = toWorld(px, py);
@@ -27,7 +30,8 @@ export function pan(dx, dy) {
 }
 
 /** Show all of these places [x, y]. */
-export function fit(places, margin = 48) {
+export function fit(places) {
+  const margin = Math.min(48, 0.08 * view.height);
   const xs = places.map(([x]) => x), ys = places.map(([, y]) => y);
   const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
   const across = Math.max(view.width - 2 * margin, 80) / Math.max(x1 - x0, 0.5);
