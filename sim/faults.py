@@ -53,15 +53,17 @@ class FaultConfig(BaseModel):
 
 
 class Faults:
-    """Stands between the robot and whoever drives it."""
+    """Stands between the robot and whoever drives it, from control step `first` on."""
 
-    def __init__(self, config: FaultConfig, rng: np.random.Generator, control_hz: int) -> None:
+    def __init__(
+        self, config: FaultConfig, rng: np.random.Generator, control_hz: int, first: int = 0
+    ) -> None:
         self._config, self._rng = config, rng
         self._commands = deque([Twist()] * round(config.command_delay * control_hz))
         self._scan_steps = round(config.scan_delay * control_hz)
         self._scans: deque[tuple[int, Scan, SE2]] = deque()
         self._control_hz = control_hz
-        self._kidnaps = deque(config.kidnap)
+        self._kidnaps = deque(kidnap for kidnap in config.kidnap if kidnap[0] * control_hz >= first)
         self._angles: tuple[float, float] | None = None
         self._in_vain = [0.0, 0.0]
 

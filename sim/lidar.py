@@ -57,17 +57,19 @@ class Lidar:
         self, solids: Sequence[Solid], robot: RobotSpec, config: LidarConfig, rng: np.random.Generator
     ) -> None:
         self.spec: LidarSpec = robot.lidar.spec(config.turning, config.rate_hz)
-        self._config, self._rng = config, rng
-        self._outlines = sections(
-            [solid for solid in solids if solid.crosses(robot.lidar_height)], robot.lidar_height
-        )
-        returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
-        self._returns = returns if config.reflectivity and returns.min() < 1.0 else None
+        self._config, self._rng, self._height = config, rng, robot.lidar_height
+        self.surround(solids)
         self._unit = LidarUnit(config.errors or LidarErrors(), rng) if config.noise == "sensor" else None
         self._T_base_lidar = robot.T_base_lidar.xyt
         n = self.spec.n_beams
         self._movers: list[tuple[Array, Array]] = []
         self._sweep: Array = np.arange(n, dtype=np.float64) * (self.spec.time_increment / self.spec.scan_time)
+
+    def surround(self, solids: Sequence[Solid]) -> None:
+        """From now on it stands among these solids."""
+        self._outlines = sections([s for s in solids if s.crosses(self._height)], self._height)
+        returns = np.concatenate([self._outlines.segment_return, self._outlines.circle_return, [1.0]])
+        self._returns = returns if self._config.reflectivity and returns.min() < 1.0 else None
 
     def turn(self) -> tuple[float, float]:
         """Begin a turn of the head: its share of the nominal time, and how late it is stamped [s]."""

@@ -31,9 +31,13 @@ class Lidar3d:
         self._share: Array = np.asarray(np.arange(mount.n_azimuths) / mount.n_azimuths, dtype=np.float64)
         low, high = np.deg2rad(mount.elevation_deg)
         self._elevations: Array = np.linspace(low, high, mount.n_rings)
-        self._scene = Scene(solids)
+        self.surround(solids)
         self._movers: list[Sequence[Array]] = []
         self._moving = [Scene([solid]) for solid in moving]
+
+    def surround(self, solids: Sequence[Solid]) -> None:
+        """From now on it stands among these solids."""
+        self._scene = Scene(solids)
 
     def turn(self) -> tuple[float, float]:
         """Begin a turn: its share of the nominal time, and how late it is stamped [s]."""

@@ -35,15 +35,15 @@ class Head(Protocol):
 class Sweep:
     """Collects the poses of the control steps and measures whenever a turn is complete.
 
-    The first turn begins at step 0, each further one where the last one ended.
+    The first turn begins at step `first`, each further one where the last one ended.
     """
 
-    def __init__(self, lidar: Head, steps: int, control_hz: int) -> None:
+    def __init__(self, lidar: Head, steps: int, control_hz: int, first: int = 0) -> None:
         self._lidar, self._steps, self._hz = lidar, steps, control_hz
         self._poses: list[Array] = []
-        self._first = 0
+        self._first = first
         self._carried = False
-        self._begin_turn(0.0)
+        self._begin_turn(float(first))
 
     def steps_before(self, step: int) -> int:
         """How many whole control steps of the turn under way were over at this one."""

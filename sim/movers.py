@@ -47,7 +47,7 @@ class MovingSolid:
     def __init__(
         self, mover: Mover, standing: Sections, robot_radius: float, rng: np.random.Generator
     ) -> None:
-        self.mover, self._standing, self._rng = mover, standing, rng
+        self.mover, self.standing, self._rng = mover, standing, rng
         self._reach = mover.radius + robot_radius + YIELD_M
         self.position = np.array(mover.path[0], dtype=np.float64)
         self.velocity = np.zeros(2)
@@ -101,7 +101,7 @@ class MovingSolid:
         x_min, x_max, y_min, y_max = self.mover.area
         for _ in range(16):
             new = self.position + left * np.array([math.cos(self._heading), math.sin(self._heading)])
-            room = distance_to_point(new[0], new[1], self._standing.segments, self._standing.circles)
+            room = distance_to_point(new[0], new[1], self.standing.segments, self.standing.circles)
             inside = x_min <= new[0] <= x_max and y_min <= new[1] <= y_max
             if inside and room > self.mover.radius + WANDER_MARGIN_M:
                 return new

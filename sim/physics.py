@@ -50,6 +50,7 @@ class Physics:
         control_dt: float,
     ) -> None:
         self._solids, self._n_standing = [*standing, *moving], len(standing)
+        self._n_own = len(self._solids)
         self._robot, self._config, self._dt = robot, config, control_dt
         self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
@@ -77,9 +78,10 @@ class Physics:
     def reset(self, T_world_base: SE2, moving_xy: Sequence[Array] = ()) -> None:
         """Build everything anew with the robot at a pose, and let it settle on its wheels.
 
-        `moving_xy` says where the moving solids stand meanwhile, (2,) each.
+        `moving_xy` says where the moving solids stand meanwhile, (2,) each. What was dropped is gone.
         """
         client = self._client
+        del self._solids[self._n_own :]
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
@@ -164,6 +166,11 @@ class Physics:
         )
         speed = [float(velocity[0]), float(velocity[1]), 0.0]
         bullet.resetBaseVelocity(body, speed, [0.0, 0.0, 0.0], physicsClientId=self._client)
+
+    def drop(self, solid: Solid) -> None:
+        """One more standing solid; its number follows on those of all others."""
+        self._solid_of[create_body(solid, self._client)] = len(self._solids)
+        self._solids.append(solid)
 
     def put_down(self, T_world_base: SE2) -> None:
         """Set the robot down elsewhere, at rest; its wheels keep their angles."""

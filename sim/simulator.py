@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Literal
 
@@ -22,7 +22,7 @@ from turtlebag.sim.movers import MovingSolid, outlines
 from turtlebag.sim.physics import Physics, PhysicsConfig
 from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
 from turtlebag.sim.robots import LidarErrors, RobotSpec, check_rate
-from turtlebag.sim.shapes import Sections, contains
+from turtlebag.sim.shapes import Sections, Solid, contains, sections
 from turtlebag.sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
 from turtlebag.sim.world import World
 
@@ -32,6 +32,8 @@ OUTSIDE_M = 5.0
 """How far outside the world's bounds a robot may be put down."""
 REALISTIC_SLIP = {"slip": 0.001, "turn_slip": 0.005}
 """Metres after a metre and radians after a radian: assumed, for a hard floor and rubber tyres."""
+DROP_ROOM_M = 0.02
+"""What is dropped must lie this far from the robot."""
 CONTACT_REACH_M = 0.05
 """Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
 
@@ -106,9 +108,6 @@ class Simulator:
         self.world, self.robot, self.seed = world, robot, seed
         self.config = (config or SimConfig()).resolved(robot)
         self._solids = world.shapes
-        self._standing = self._touchable = world.touchable(robot.height)
-        everything = [*self._solids, *(mover.solid for mover in world.movers)]
-        self._visible = [solid.crosses(robot.lidar_height) for solid in everything]
         self._footprint = robot.model.footprint
         self._radius = robot.model.circumscribed_radius
         rate = self.config.lidar.rate_hz or robot.lidar.rate_hz
@@ -135,19 +134,23 @@ class Simulator:
         """Give the physics client back."""
         self._physics.close()
 
-    def reset(self, T_world_base: SE2 | None = None) -> Observation:
-        """Put the robot down (default: the world's spawn) at time 0; odometry starts at that pose.
+    def reset(self, T_world_base: SE2 | None = None, step: int = 0) -> Observation:
+        """Put the robot down (default: the world's spawn) at control step `step`; odometry starts there.
 
-        InputError when the pose overlaps a solid.
+        What was dropped is gone. InputError when the pose overlaps a solid.
         """
         start = self.world.spawn if T_world_base is None else T_world_base
+        self._dropped: list[Solid] = []
+        self._standing = self._touchable = self.world.touchable(self.robot.height)
+        everything = [*self._solids, *(mover.solid for mover in self.world.movers)]
+        self._visible = [solid.crosses(self.robot.lidar_height) for solid in everything]
         self._check_free(start)
         for kidnap in self.config.faults.kidnap:
             self._check_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
         dt = 1.0 / CONTROL_HZ
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
-        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ)
+        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ, step)
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
@@ -156,8 +159,8 @@ class Simulator:
             moving = [mover.solid for mover in self.world.movers]
             self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"), moving)
             self._steps_per_cloud = round(CONTROL_HZ / mount.rate_hz)
-            self._sweep3d = Sweep(self._lidar3d, self._steps_per_cloud, CONTROL_HZ)
-        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ)
+            self._sweep3d = Sweep(self._lidar3d, self._steps_per_cloud, CONTROL_HZ, step)
+        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ, step)
         self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
         self._motors = Motors(self.robot, calibration, dt)
         self._odometry = WheelOdometry(self.robot, calibration, start, dt)
@@ -166,7 +169,7 @@ class Simulator:
             for number, mover in enumerate(self.world.movers)
         ]
         self._physics.reset(start, [one.position for one in self._moving])
-        self._step = 0
+        self._step = step
         self._place_movers()
         self._touched = self._physics.touched()
         self._scan_truth = start
@@ -198,6 +201,31 @@ class Simulator:
     def scan_truth(self) -> SE2:
         """True base pose at the stamp of the scan that was delivered last."""
         return self._scan_truth
+
+    def carry(self, T_world_base: SE2) -> None:
+        """Carry the robot elsewhere, between two steps; InputError when it cannot stand there."""
+        self._check_free(T_world_base, "pose")
+        self._put_down(T_world_base)
+        self._truth: Truth = replace(self._truth, T_world_base=T_world_base)
+
+    def drop(self, solid: Solid) -> None:
+        """Put one more solid on the floor; InputError when it would touch the robot."""
+        segments, circles = solid.outline(0.0, self.robot.height)
+        footprint = self._truth.T_world_base @ self._footprint
+        inside = solid.inside(solid.z_min, self._truth.T_world_base.xy[None])[0]
+        if inside or distance_to_outlines(footprint, segments, circles) < DROP_ROOM_M:
+            x, y = solid.center
+            raise InputError(f"{solid.name} {x:g}, {y:g}: would touch the robot; drop it farther away")
+        self._physics.drop(solid)
+        self._dropped.append(solid)
+        self._visible.append(solid.crosses(self.robot.lidar_height))
+        self._standing = self._standing + sections([solid], 0.0, self.robot.height)
+        for one in self._moving:
+            one.standing = self._standing
+        self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
+        for lidar in (self._lidar, self._lidar3d):
+            if lidar is not None:
+                lidar.surround([*self._solids, *self._dropped])
 
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
@@ -283,7 +311,7 @@ class Simulator:
             raise InputError(f"{what} {x:g}, {y:g}: outside of world {self.world.name}")
         footprint = start @ self._footprint
         standing = self._standing
-        solids = self.world.below(self.robot.height)
+        solids = [*self.world.below(self.robot.height), *self._dropped]
         if (
             not np.isfinite(start.yaw)
             or distance_to_outlines(footprint, standing.segments, standing.circles) == 0.0

@@ -22,7 +22,8 @@ MAY_IMPORT = {
     "pipeline/terminal": ["datasets", "sim"],
     "pipeline/navigation": [*BELOW, "pipeline/slam", "pipeline/localisation", "pipeline/terminal"],
 }
-MAY_IMPORT["pipeline/stages"] = [*MAY_IMPORT, "pipeline/slam3d"]
+MAY_IMPORT["pipeline/studio"] = [*MAY_IMPORT]
+MAY_IMPORT["pipeline/stages"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/campaign"] = [*MAY_IMPORT]
 MAY_IMPORT["pipeline/setup"] = [*BELOW, "pipeline/stages", "pipeline/navigation", "pipeline/terminal"]
 MAY_IMPORT["pipeline/cli"] = [*MAY_IMPORT]

@@ -120,9 +120,9 @@ def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection
 class _TrueWheels(Simulator):
     """Odometry without error."""
 
-    def reset(self, T_world_base: SE2 | None = None) -> Observation:
+    def reset(self, T_world_base: SE2 | None = None, step: int = 0) -> Observation:
         """As ever, with true odometry."""
-        return self._true(super().reset(T_world_base))
+        return self._true(super().reset(T_world_base, step))
 
     def step(self, command: Twist) -> Observation:
         """As ever, with true odometry."""

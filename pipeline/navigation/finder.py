@@ -35,7 +35,9 @@ class Finder:
         """The drive that decides between pose hypotheses, while there are any."""
         self.void = False
         """Whether this tick has shown that what was planned and seen before was by a wrong pose."""
-        self._aliasing, self._tools, self._guard, self._wiggle = aliasing, tools, guard, wiggle
+        self.tools = tools
+        """What it drives with."""
+        self._aliasing, self._guard, self._wiggle = aliasing, guard, wiggle
         self._sureness = _Sureness()
         self._T_map_odom: SE2 | None = None
 
@@ -67,6 +69,14 @@ class Finder:
             self._guard.interrupted()
         return lost.state
 
+    def told(self, state: State) -> None:
+        """A person has told the localiser a pose, or to search for one: all doubts before are over."""
+        self.lost, self.comparison = Lost(self.lost.config, state), None
+        self._sureness = _Sureness(self.localiser.amcl.searches)
+        self._T_map_odom = self.localiser.T_map_odom
+        self._wiggle = Wiggle(self._wiggle.config)
+        self._guard.interrupted()
+
     def doubt(self, now_ns: int) -> None:
         """Something else speaks for being lost: look about at once."""
         self.lost.on(Event.DOUBTED, now_ns, self.localiser.updates)
@@ -79,7 +89,7 @@ class Finder:
     def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
         """The command while it is lost: no map is used, nothing seen is touched."""
         now, state, T_odom_base = observation.stamp_ns, self.lost.state, observation.odometry.T_odom_base
-        controller = self._tools.controller
+        controller = self.tools.controller
         if state is State.ROAM and sensing.sight is not None:
             new = observation.scan is not None
             return controller.ramp(self._guard.command(sensing.sight, T_odom_base, last, new_sweep=new), last)
@@ -93,7 +103,7 @@ class Finder:
             self._wiggle = Wiggle(self._wiggle.config)
         if turn is None:
             return controller.brake(last)
-        factor = self._tools.monitor.limit(turn, sensing.points_base(T_odom_base))
+        factor = self.tools.monitor.limit(turn, sensing.points_base(T_odom_base))
         return controller.ramp(Twist(0.0, turn.w * factor), last)
 
     def compare(self, tick: Tick) -> Twist | None:
@@ -104,7 +114,7 @@ class Finder:
             if left is not None:
                 self.void = True
                 self._settle(left, tick.now_ns)
-                return self._tools.controller.brake(tick.last)
+                return self.tools.controller.brake(tick.last)
         return self.comparison.command(tick, self.lost.config.tell_apart)
 
     def _jumped(self, T_odom_base: SE2) -> bool:
@@ -126,7 +136,7 @@ class Finder:
         if self._sureness.doubtful(localiser, T_map_odom, glimpses[-1].T_odom_base):
             found = self._aliasing.find(glimpses, T_map_odom)
             if len(found) > 1:
-                self.comparison = Disambiguation(self._aliasing, found, self._tools, now_ns)
+                self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
                 self.lost.on(Event.ALIKE, now_ns, localiser.updates)
             else:
@@ -148,10 +158,10 @@ class Finder:
 class _Sureness:
     """Whether to compare an estimate with other places: it comes from a search, or is not where it was."""
 
-    def __init__(self) -> None:
+    def __init__(self, searches: int = 0) -> None:
         self.doubted = False
         """Whether the robot has been lost since it last knew where it is."""
-        self.searches = 0
+        self.searches = searches
         """Searches over the whole map whose result has been examined."""
         self._updates = self._sure = 0
         self._sure_of = SE2.identity()

@@ -6,6 +6,7 @@ Without a localiser (mapless goals) it trusts odometry: goals and costmap are in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
@@ -77,6 +78,24 @@ class NavigationDriver(Driver):
         if self._pursuit is None or goal is not self._pursuit.goal:
             self._pursuit = _Pursuit(goal)
         return self._pursue(self._pursuit, observation, T_frame_odom @ observation.odometry.T_odom_base)
+
+    def begin(self, sequence: GoalSequence) -> None:
+        """Other goals from the next step on; what it knows of its place stays."""
+        self.sequence, self._pursuit, self.finished = sequence, None, False
+
+    def told(self, T_map_base: SE2 | Literal["global"], T_odom_base: SE2) -> None:
+        """A person says where the robot is, or to find out: what was seen by another pose is void."""
+        assert self.finder is not None
+        self.finder.localiser.tell(T_map_base, T_odom_base)
+        self.finder.told(State.WIGGLE if T_map_base == "global" else State.DRIVE)
+        self._forget()
+
+    def use(self, tools: Tools) -> None:
+        """Other tools from the next step on: the costmap has changed, say."""
+        self.tools = tools
+        if self.finder is not None:
+            self.finder.tools = tools
+        self._forget_route()
 
     def stand_by(self, observation: Observation) -> None:
         """Localise and look on while someone else drives; the goal's clock stands."""

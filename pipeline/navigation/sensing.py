@@ -68,6 +68,7 @@ class Sensing:
         """How long no scan has come [s]."""
         self._T_base_lidar = T_base_lidar
         self._heard_ns: int | None = None
+        self._last_ns: int | None = None
 
     @property
     def blind(self) -> bool:
@@ -75,8 +76,13 @@ class Sensing:
         return self.silent_s > SILENT_S
 
     def observe(self, observation: Observation) -> Sight | None:
-        """Take in an observation; the new sweep when it brought one."""
-        odometry = observation.odometry
+        """Take in an observation; the new sweep when it brought one.
+
+        Of two drivers that share it, the second to show it the same observation is told the same.
+        """
+        if observation.stamp_ns == self._last_ns:
+            return None if observation.scan is None else self.sight
+        self._last_ns, odometry = observation.stamp_ns, observation.odometry
         self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
         if observation.scan is not None or self._heard_ns is None:
             self._heard_ns = observation.stamp_ns

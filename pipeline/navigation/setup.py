@@ -7,43 +7,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Observation
-from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
-from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.navigation.explore import ExploreDriver
-from turtlebag.pipeline.navigation.finder import Finder
-from turtlebag.pipeline.navigation.goal_runner import Tools
-from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.drivers import (
+    Kit,
+    make_avoider,
+    make_explorer,
+    make_mapless,
+    make_navigator,
+)
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.pipeline.navigation.lost import Lost, State
-from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.takeover import load_script
-from turtlebag.planners.control.dwa import Dwa
-from turtlebag.planners.control.interface import Controller
-from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
-from turtlebag.planners.live import LiveLayer
-from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
-from turtlebag.planners.tasks.wiggle import Wiggle
 from turtlebag.sim.robots import RobotSpec
-from turtlebag.sim.simulator import CONTROL_HZ
 
 Task = Literal["goal", "patrol", "avoid", "explore"]
 TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid", "explore")
@@ -51,9 +39,6 @@ DEFAULT_DURATION_S = 60.0
 DEFAULT_EXPLORE_S = 1800.0
 MAX_SIMULATED_S = 4 * 3600.0
 MAX_LAPS = 1000
-# Without a map: cells of the window, and how far off its centre the robot may be; there is always something
-# new to see, so plans are made often, and keep farther off.
-WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_REPLAN_S, MAPLESS_INFLATION_M = 0.05, 1.0, 0.3, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +98,9 @@ def prepare(
     if request.map_path is None:
         raise InputError(f"--task {request.task}: needs --map MAP.yaml")
     grid = load_map(request.map_path)
-    _require_walls(grid, request)
+    require_walls(grid, request.map_path)
+    if request.initial_pose == "global":
+        require_floor(grid, request.map_path)
     outlines = keepout if request.keepout is None else request.keepout
     costmap = costmap_from_grid(grid, config.costmap, [*outlines, *places.keepout])
     if isinstance(request.initial_pose, SE2):
@@ -124,12 +111,16 @@ def prepare(
     return Mission(request, _with_options(config, request), robot, grid, costmap, places.waypoints)
 
 
-def _require_walls(grid: OccupancyGrid, request: Request) -> None:
+def require_walls(grid: OccupancyGrid, path: Path) -> None:
     """InputError when the robot could not find itself on the map."""
     if not (grid.cells >= OCCUPIED).any():
-        raise InputError(f"{request.map_path}: has no occupied cell, so no scan can be compared with it")
-    if request.initial_pose == "global" and not (grid.cells == FREE).any():
-        raise InputError(f"{request.map_path}: has no free cell, so there is nowhere to search for the robot")
+        raise InputError(f"{path}: has no occupied cell, so no scan can be compared with it")
+
+
+def require_floor(grid: OccupancyGrid, path: Path) -> None:
+    """InputError when the robot could not be searched for on the map."""
+    if not (grid.cells == FREE).any():
+        raise InputError(f"{path}: has no free cell, so there is nowhere to search for the robot")
 
 
 def _places(request: Request) -> WaypointFile:
@@ -163,71 +154,18 @@ def make_driver(
 ) -> Made:
     """The driver of a mission, the localiser it uses and the goals it works through."""
     request, config, robot = mission.request, mission.config, mission.robot
-    sensing = Sensing(robot.T_base_lidar)
+    kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
     if request.task == "avoid":
-        duration = request.duration_s or DEFAULT_DURATION_S
-        return AvoidDriver(config.avoid, robot.model, sensing, duration, say), None, None
-    seed = int(stream(request.seed, "plan").integers(2**31))
+        return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None
     if request.task == "explore":
-        explore = config.explore
-        checked = config.model_copy(update={"goal_checker": explore.checker})
-        tools = make_tools(robot, checked, LiveLayer(nothing_known(), config.live), publisher, seed)
-        online = OnlineMap(robot.T_base_lidar, explore.slam)
-        duration = request.duration_s or DEFAULT_EXPLORE_S
-        return ExploreDriver(explore, sensing, online, tools, duration), None, None
-    sequence = GoalSequence(mission.waypoints, config.sequence)
+        online = OnlineMap(robot.T_base_lidar, config.explore.slam)
+        return make_explorer(kit, online, request.duration_s or DEFAULT_EXPLORE_S), None, None
+    sequence, T_odom_base = GoalSequence(mission.waypoints, config.sequence), first.odometry.T_odom_base
     if mission.grid is None or mission.costmap is None:
-        m = config.mapless
-        window = RollingLayer(first.odometry.T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M, m.live)
-        tools = make_tools(robot, _mapless(config), window, publisher, seed)
-        return NavigationDriver(tools, sensing, sequence), None, sequence
-    lidar = robot.lidar.spec(config.sim.lidar.turning)
-    amcl = Amcl(mission.grid, lidar, robot.T_base_lidar, config.amcl, stream(request.seed, "amcl"))
-    localiser = Localiser(amcl, sensing.odometry, publisher)
-    localiser.tell(request.initial_pose, first.odometry.T_odom_base)
-    publisher.map(first.stamp_ns, mission.grid)
-    tools = make_tools(robot, config, LiveLayer(mission.costmap, config.live), publisher, seed)
+        return make_mapless(kit, T_odom_base, sequence), None, sequence
     wiggles = request.initial_pose is not None and (request.wiggle or request.initial_pose == "global")
-    lost = Lost(config.relocalise, State.WIGGLE if wiggles else State.DRIVE)
-    aliasing = Aliasing(localiser.amcl.search, stream(request.seed, "rivals"))
-    guard, wiggle = Guard(robot.model, config.avoid), Wiggle(config.wiggle)
-    finder = Finder(lost, localiser, aliasing, tools, guard, wiggle)
-    return NavigationDriver(tools, sensing, sequence, finder), localiser, sequence
-
-
-def _mapless(config: NavigateConfig) -> NavigateConfig:
-    """The configuration with the section `mapless` in force."""
-    m = config.mapless
-    plan = {"replan_period": MAPLESS_REPLAN_S, "inflation_radius": MAPLESS_INFLATION_M}
-    own = {"controller": m.controller, "recovery": m.recovery, "plan": config.plan.model_copy(update=plan)}
-    return config.model_copy(update=own)
-
-
-def nothing_known() -> Costmap:
-    """A costmap of one cell, for before anything was mapped."""
-    return Costmap(np.zeros((1, 1), dtype=np.bool_), 1.0, SE2.identity())
-
-
-def make_tools(
-    robot: RobotSpec, config: NavigateConfig, live: LiveLayer, publisher: BagWriter, seed: int
-) -> Tools:
-    """Controller and monitor for a robot, on a costmap with live obstacles; `seed` is that of the plans."""
-    return Tools(
-        model=robot.model,
-        controller=make_controller(robot, config),
-        monitor=CollisionMonitor(robot.model, config.monitor),
-        live=live,
-        plan=config.plan,
-        checker=config.goal_checker,
-        recovery=config.recovery,
-        publisher=publisher,
-        seed=seed,
-    )
-
-
-def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
-    """The local controller that the configuration names."""
-    period = 1.0 / CONTROL_HZ
-    if config.controller == "dwa":
-        return Dwa(robot.model, config.dwa, config.pursuit, period)
-    return Pursuit(robot.model, config.pursuit, period)
+    state = State.WIGGLE if wiggles else State.DRIVE
+    driver, localiser = make_navigator(kit, mission.grid, mission.costmap, sequence, state)
+    localiser.tell(request.initial_pose, T_odom_base)
+    publisher.map(first.stamp_ns, mission.grid)
+    return driver, localiser, sequence

@@ -23,7 +23,7 @@ class SequenceConfig(BaseModel):
     timeout: Seconds = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""
     pause: Seconds = 1.0
-    """After each goal reached."""
+    """After each goal reached that has no wait of its own."""
     laps: int = Field(default=1, ge=1)
     closed: bool = False
     """Whether a lap ends at its first waypoint again."""
@@ -119,7 +119,9 @@ class GoalSequence:
         waypoint = self._queue[self.index]
         self.outcomes.append(GoalOutcome(self.index, waypoint, status, reason, self._started_ns, now_ns))
         self._active, self._postponed_ns = False, 0
-        pause = self.config.pause if status == "reached" else 0.0
+        pause = 0.0
+        if status == "reached":
+            pause = self.config.pause if waypoint.wait is None else waypoint.wait
         self._resume_ns = now_ns + round(pause * 1e9)
         last = self.index + 1 == len(self._queue)
         if last and self.config.retry_missed and not self._retried:

@@ -16,19 +16,22 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.yaml_files import parsed
 
 KEYS = {"waypoints", "keepout"}
-ENTRY_KEYS = ("x", "y", "yaw", "quaternion")
+MOST_WAIT_S = 3600.0
+ENTRY_KEYS = ("x", "y", "yaw", "quaternion", "wait")
 
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
     """One entry: a pose in the map frame, or the reason why it is none.
 
-    `written` holds the x, y, yaw found in the file, NaN where a number is missing.
+    `written` holds the x, y, yaw found in the file, NaN where a number is missing. `wait` is how long to
+    stay there [s]; None: as long as the patrol's configuration says.
     """
 
     T_map_goal: SE2 | None
     reason: str = ""
     written: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    wait: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +99,12 @@ def parse_waypoint(entry: Any) -> Waypoint:
             return Waypoint(None, f"{name} is missing", written)
         if not math.isfinite(value):
             return Waypoint(None, f"{name} is not a finite number", written)
+    wait = None if entry.get("wait") is None else _number(entry["wait"])
+    if wait is not None and not 0.0 <= wait <= MOST_WAIT_S:
+        reason = reason or f"wait must be 0 to {MOST_WAIT_S:g} s"
     if reason:
         return Waypoint(None, reason, written)
-    return Waypoint(SE2.from_xyt(x, y, yaw), "", written)
+    return Waypoint(SE2.from_xyt(x, y, yaw), "", written, wait)
 
 
 def _number(value: Any) -> float:

@@ -7,23 +7,21 @@ import pytest
 
 from turtlebag.datasets.grid import FREE
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.explore import ExploreConfig, ExploreDriver
+from turtlebag.pipeline.navigation.drivers import Kit, make_explorer
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
-from turtlebag.pipeline.navigation.setup import make_tools, nothing_known
-from turtlebag.planners.live import LiveLayer
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
 
 def explorer(duration_s, **replaced):
-    robot, explore = load_robot("burger"), ExploreConfig()
-    config = NavigateConfig(goal_checker=explore.checker)
-    tools = make_tools(robot, config, LiveLayer(nothing_known(), config.live), NoBag(), 1)
-    online, sensing = OnlineMap(robot.T_base_lidar, explore.slam), Sensing(robot.T_base_lidar)
-    return robot, ExploreDriver(explore, sensing, online, dataclasses.replace(tools, **replaced), duration_s)
+    robot, config = load_robot("burger"), NavigateConfig()
+    kit = Kit(robot, config, 1, Sensing(robot.T_base_lidar), NoBag())
+    driver = make_explorer(kit, OnlineMap(robot.T_base_lidar, config.explore.slam), duration_s)
+    driver._tools = dataclasses.replace(driver._tools, **replaced)
+    return robot, driver
 
 
 @pytest.mark.slow

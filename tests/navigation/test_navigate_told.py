@@ -83,7 +83,7 @@ def test_a_line_comes_when_a_goal_is_set_and_when_it_ends():
         ["goal 1 of 3: reached after 6.0 s, 2.0 cm off"],
         [],
         [
-            "goal 2 of 3: rejected: unknown key ywa (known: x, y, yaw, quaternion)",
+            "goal 2 of 3: rejected: unknown key ywa (known: x, y, yaw, quaternion, wait)",
             "goal 3 of 3: heading to (2, 0)",
         ],
         [],

@@ -1,0 +1,118 @@
+"""Making drivers: what each of them needs, put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
+from turtlebag.pipeline.navigation.avoid import AvoidDriver
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.finder import Finder
+from turtlebag.pipeline.navigation.goal_runner import Tools
+from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.localiser import Localiser
+from turtlebag.pipeline.navigation.lost import Lost, State
+from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.planners.control.dwa import Dwa
+from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.control.pursuit import Pursuit
+from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.rolling import RollingLayer
+from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.wiggle import Wiggle
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import CONTROL_HZ
+
+# Without a map: cells of the window, and how far off its centre the robot may be; there is always something
+# new to see, so plans are made often, and keep farther off.
+WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_REPLAN_S, MAPLESS_INFLATION_M = 0.05, 1.0, 0.3, 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Kit:
+    """What every driver of a run is made of. `config.sim` is resolved for the robot."""
+
+    robot: RobotSpec
+    config: NavigateConfig
+    seed: int
+    sensing: Sensing
+    publisher: BagWriter
+
+    def tools(self, live: LiveLayer, config: NavigateConfig | None = None) -> Tools:
+        """Controller and monitor, on a costmap with live obstacles; `config` in place of the kit's own."""
+        config, model = config or self.config, self.robot.model
+        return Tools(
+            model=model,
+            controller=make_controller(self.robot, config),
+            monitor=CollisionMonitor(model, config.monitor),
+            live=live,
+            plan=config.plan,
+            checker=config.goal_checker,
+            recovery=config.recovery,
+            publisher=self.publisher,
+            seed=int(stream(self.seed, "plan").integers(2**31)),
+        )
+
+
+def make_navigator(
+    kit: Kit, grid: OccupancyGrid, costmap: Costmap, sequence: GoalSequence, state: State = State.DRIVE
+) -> tuple[NavigationDriver, Localiser]:
+    """A driver on a map and its localiser, which was told no pose yet."""
+    config, robot = kit.config, kit.robot
+    lidar = robot.lidar.spec(config.sim.lidar.turning)
+    amcl = Amcl(grid, lidar, robot.T_base_lidar, config.amcl, stream(kit.seed, "amcl"))
+    localiser = Localiser(amcl, kit.sensing.odometry, kit.publisher)
+    tools = kit.tools(LiveLayer(costmap, config.live))
+    aliasing = Aliasing(amcl.search, stream(kit.seed, "rivals"))
+    guard, wiggle = Guard(robot.model, config.avoid), Wiggle(config.wiggle)
+    finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, guard, wiggle)
+    return NavigationDriver(tools, kit.sensing, sequence, finder), localiser
+
+
+def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
+    """A driver by odometry and what is seen alone; goals are in the odometry frame."""
+    m = kit.config.mapless
+    plan = {"replan_period": MAPLESS_REPLAN_S, "inflation_radius": MAPLESS_INFLATION_M}
+    own = {"controller": m.controller, "recovery": m.recovery}
+    config = kit.config.model_copy(update={**own, "plan": kit.config.plan.model_copy(update=plan)})
+    window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M, m.live)
+    return NavigationDriver(kit.tools(window, config), kit.sensing, sequence)
+
+
+def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
+    """A driver that maps what it can reach, until a stamp at the latest [s]."""
+    explore = kit.config.explore
+    config = kit.config.model_copy(update={"goal_checker": explore.checker})
+    tools = kit.tools(LiveLayer(nothing_known(), config.live), config)
+    return ExploreDriver(explore, kit.sensing, online, tools, end_s)
+
+
+def make_avoider(kit: Kit, end_s: float, say: Callable[[str], None]) -> AvoidDriver:
+    """A driver that touches nothing, until a stamp [s]; `say` is told each decision."""
+    return AvoidDriver(kit.config.avoid, kit.robot.model, kit.sensing, end_s, say)
+
+
+def nothing_known() -> Costmap:
+    """A costmap of one cell, for before anything was mapped."""
+    return Costmap(np.zeros((1, 1), dtype=np.bool_), 1.0, SE2.identity())
+
+
+def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
+    """The local controller that the configuration names."""
+    period = 1.0 / CONTROL_HZ
+    if config.controller == "dwa":
+        return Dwa(robot.model, config.dwa, config.pursuit, period)
+    return Pursuit(robot.model, config.pursuit, period)

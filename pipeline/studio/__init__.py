@@ -1,0 +1,1 @@
+"""The studio: a robot that a person drives, maps with and sends about, input by input."""

@@ -1,0 +1,192 @@
+"""Views as binary messages: to each client what has changed since what it was sent last.
+
+A message is the length of its header (uint32, little-endian), the header as JSON, padding to 4 bytes, and
+the blobs, each at a multiple of 4 bytes from the first. The header says what they are.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.studio.tiles import GridTiles
+from turtlebag.pipeline.studio.view import Scene, View
+from turtlebag.pipeline.terminal.keyboard import STEP_V, STEP_W
+
+COLUMNS = {"scan": 2, "particles": 3, "plan": 2, "local": 2, "boxes": 4}
+"""Blobs that are sent whole when they change: what one row holds."""
+PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost"}
+"""Blobs that grow at their end, and the layers that they are shown by."""
+GRIDS = {"map": 255, "costmap": 0}
+"""Blobs of tiles, and the value of cells that are not sent because a client takes it for granted."""
+QUICK = 1
+"""zlib's fastest level; 384 x 384 cells take a millisecond, and higher levels save little."""
+
+
+class Message:
+    """A header and blobs, put together."""
+
+    def __init__(self, kind: str, **header: Any) -> None:
+        self.header: dict[str, Any] = {"kind": kind, **header, "blobs": []}
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def add(self, name: str, values: NDArray, dtype: str = "f4", *, zipped: bool = False) -> None:
+        """Add an array as `dtype`: f4, i4 or u1, little-endian; `zipped`: as raw deflate."""
+        data = np.ascontiguousarray(values, dtype=f"<{dtype}").tobytes()
+        blob = {"name": name, "dtype": dtype, "shape": list(values.shape), "at": self._size}
+        if zipped:
+            squeeze = zlib.compressobj(QUICK, zlib.DEFLATED, -zlib.MAX_WBITS)
+            data = squeeze.compress(data) + squeeze.flush()
+            blob |= {"zip": True, "size": len(data)}
+        self.header["blobs"].append(blob)
+        padding = -len(data) % 4
+        self._parts += [data, bytes(padding)]
+        self._size += len(data) + padding
+
+    def encoded(self) -> bytes:
+        """The message as bytes."""
+        header = json.dumps(self.header, separators=(",", ":"), allow_nan=False).encode()
+        return b"".join([struct.pack("<I", len(header)), header, bytes(-len(header) % 4), *self._parts])
+
+
+def hello(scene: Scene, *, maps: tuple[str, ...], driver: bool) -> bytes:
+    """What a client is told first: what stays the same. `driver`: whether it is the one that drives."""
+    message = Message(
+        "hello",
+        world=scene.world,
+        robot=scene.robot,
+        seed=scene.seed,
+        control_hz=scene.control_hz,
+        limits={"max_v": scene.max_v, "max_w": scene.max_w},
+        bounds=list(scene.bounds),
+        maps=list(maps),
+        step_v=STEP_V,
+        step_w=STEP_W,
+        driver=driver,
+    )
+    message.add("outline", scene.outline)
+    message.add("world_segments", scene.world_segments.reshape(-1, 4))
+    message.add("world_circles", scene.world_circles.reshape(-1, 3))
+    return message.encoded()
+
+
+def bye(reason: str) -> bytes:
+    """The last message, which says why it is the last."""
+    return Message("bye", reason=reason).encoded()
+
+
+class Frames:
+    """What one client was sent, and so what it lacks. `layers` are those it wants, None for all."""
+
+    def __init__(self) -> None:
+        self.layers: frozenset[str] | None = None
+        self._sent: dict[str, Any] = {}
+        self._paths: dict[str, tuple[int, int]] = {}
+        self._grids = {name: GridTiles(blank) for name, blank in GRIDS.items()}
+        self._event = 0
+        self._first = True
+
+    def frame(self, view: View, told: Mapping[str, Any]) -> bytes:
+        """The message that brings the client to `view`; `told` is put in its header as it is."""
+        message = Message("frame", **words(view), **told)
+        self._news(message, view)
+        for name, columns in COLUMNS.items():
+            if self._changed(name, value := getattr(view, name)):
+                message.add(name, np.zeros((0, columns)) if value is None else value)
+        for name, layer in PATHS.items():
+            if self._wanted(layer):
+                self._path(message, name, view)
+        if self._changed("graph", view.graph):
+            nodes, edges = (np.zeros((0, 3)), np.zeros((0, 3))) if view.graph is None else view.graph
+            message.add("graph_nodes", nodes)
+            message.add("graph_edges", edges, "i4")
+        if self._changed("keepout", view.keepout):
+            message.header["keepout_sizes"] = [len(outline) for outline in view.keepout]
+            message.add("keepout", np.concatenate([np.zeros((0, 2)), *view.keepout]))
+        for name, tiles in self._grids.items():
+            if self._changed(name, getattr(view, name)):
+                where, cells = tiles.changed(getattr(view, name))
+                message.header.setdefault("grids", {})[name] = where
+                message.add(f"{name}_tiles", cells, "u1", zipped=True)
+        self._first = False
+        return message.encoded()
+
+    def _news(self, message: Message, view: View) -> None:
+        """Events since the last frame, and waypoints that were loaded since."""
+        message.header["events"] = [
+            [round(event.t, 3), event.text, event.level] for event in view.events if event.number > self._event
+        ]
+        self._event = view.events[-1].number if view.events else 0
+        # A page that comes back has its own list, which may have been edited since.
+        if self._is_new("waypoints", view.loaded_waypoints) and not self._first and view.loaded_waypoints:
+            message.header["waypoints"] = [list(place) for place in view.loaded_waypoints]
+
+    def _path(self, message: Message, name: str, view: View) -> None:
+        version, points = getattr(view, name)
+        was, count = self._paths.get(name, (None, 0))
+        if version != was or count > len(points):
+            count = 0
+        elif count == len(points):
+            return
+        message.header.setdefault("append", {})[name] = count
+        message.add(name, points[count:].reshape(-1, 2))
+        self._paths[name] = version, len(points)
+
+    def _wanted(self, layer: str) -> bool:
+        return self.layers is None or layer in self.layers
+
+    def _changed(self, name: str, value: object) -> bool:
+        """Whether to send it: it is wanted, and another object than was sent last. Then it counts as sent."""
+        return self._wanted(name) and self._is_new(name, value)
+
+    def _is_new(self, name: str, value: object) -> bool:
+        known = self._sent.get(name)
+        self._sent[name] = value
+        return value is not known
+
+
+def words(view: View) -> dict[str, Any]:
+    """What of a view goes into the header of every frame."""
+    return {
+        "t": round(view.stamp_ns * 1e-9, 4),
+        "owner": view.owner,
+        "cmd": list(view.command),
+        "task": view.task,
+        "state": view.state,
+        "recording": view.recording,
+        "mapping": view.mapping,
+        "map": view.map_name,
+        "maps": list(view.maps),
+        "waypoint_files": list(view.waypoint_files),
+        "localised": view.localised,
+        "sure": view.sure,
+        "lost": view.lost,
+        "pose": _xyt(view.T_map_base),
+        "odom_pose": _xyt(view.T_odom_base),
+        "true_pose": _xyt(view.T_world_base),
+        "goals": [mark._asdict() for mark in view.goals],
+        "goal_index": view.goal_index,
+        "goal": None if view.goal is None else list(view.goal),
+        "sectors": None if view.sectors is None else _finite(view.sectors._asdict()),
+    }
+
+
+def _xyt(pose: SE2) -> list[float]:
+    return [round(value, 4) for value in pose.xyt.tolist()]
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """JSON knows no infinity: it becomes null."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }

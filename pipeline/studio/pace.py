@@ -1,0 +1,203 @@
+"""Runs a session against the wall clock, in a thread of its own.
+
+The session belongs to that thread: whatever is asked of it goes through one queue, and what comes back is a
+view, which nobody changes. So nothing is locked, and the event loop answers while the session computes.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio.inputs import Drive, Driving, Input, Stop
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.view import View
+
+HEARTBEAT_S = 0.5
+"""A robot that is driven by hand stops when nobody has asked for its speed for so long."""
+FRAME_S = 0.1
+IDLE_S = 0.05
+"""How long the thread waits at most before it looks at the clock again."""
+LATE_S = 0.25
+"""So far behind its pace a session gives up catching up."""
+log = logging.getLogger("turtlebag")
+
+
+@dataclass(frozen=True)
+class Gait:
+    """How the simulated time passes: `factor` of the wall's, `asked` for (0: as fast as it goes)."""
+
+    factor: float
+    asked: float
+    paused: bool
+
+
+Refused = Callable[[str], None]
+
+
+class Pace:
+    """The thread. `show` is called in it with each view that `want_view` asked for."""
+
+    def __init__(self, session: Session, show: Callable[[View, Gait], None]) -> None:
+        self._session, self._show = session, show
+        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="session")
+        self._wanted = threading.Event()
+        self._over = False
+        self._asked, self._paused, self._steps = 1.0, False, 0
+        self._due = self._shown = 0.0
+        self._ticks: deque[tuple[float, int]] = deque()
+        self._drive: Drive | None = None
+        self._driven = 0.0
+        self.failure: BaseException | None = None
+        """What ended the thread, if not its `end`."""
+
+    def start(self) -> None:
+        """Let the simulated time pass."""
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it does; not, once the session has ended or failed."""
+        return self._thread.is_alive()
+
+    def end(self) -> None:
+        """Stop after the tick that is being computed; returns when the session is the caller's again."""
+        self._todo.put(self._finish)
+        self._thread.join()
+
+    # What follows is called by the event loop.
+
+    def ask(self, entry: Input, refused: Refused) -> None:
+        """Have an input applied before the next tick; `refused` is told, in the thread, why it was not."""
+        at = time.monotonic()
+        self._todo.put(lambda: self._take(entry, at, refused))
+
+    def pause(self, paused: bool) -> None:
+        """Let the simulated time stand still, or go on."""
+        self._todo.put(lambda: self._pause(paused))
+
+    def step(self) -> None:
+        """One tick while the time stands still."""
+        self._todo.put(self._step)
+
+    def speed(self, factor: float) -> None:
+        """Simulated seconds a second; 0: as many as there can be."""
+        self._todo.put(lambda: self._speed(factor))
+
+    def want_view(self) -> None:
+        """Have the next view shown that is due; until then, none is made."""
+        self._wanted.set()
+
+    # What follows runs in the thread.
+
+    def _run(self) -> None:
+        try:
+            self._due = time.monotonic()
+            while not self._over and not self._session.ended:
+                self._do_what_is_asked()
+                self._stop_unless_driven()
+                if not self._over and self._may_tick():
+                    self._session.tick()
+                    self._count()
+                self._show_if_wanted()
+            self._show(self._session.view(), self._gait())
+        except BaseException as error:
+            self.failure = error
+
+    def _do_what_is_asked(self) -> None:
+        """All that is in the queue; when the next tick is not due, wait for it there."""
+        wait = self._wait_s()
+        while True:
+            try:
+                deed = self._todo.get(timeout=wait) if wait > 0.0 else self._todo.get_nowait()
+            except queue.Empty:
+                return
+            deed()
+            wait = 0.0
+
+    def _wait_s(self) -> float:
+        if self._steps:
+            return 0.0
+        if self._paused:
+            return IDLE_S
+        return 0.0 if self._asked == 0.0 else min(self._due - time.monotonic(), IDLE_S)
+
+    def _may_tick(self) -> bool:
+        """Whether the next tick is due; if so, when the one after it will be."""
+        if self._paused:
+            self._steps, step = max(self._steps - 1, 0), self._steps
+            return step > 0
+        if self._asked == 0.0:
+            return True
+        now = time.monotonic()
+        if now < self._due:
+            return False
+        self._due += self._session.period_ns * 1e-9 / self._asked
+        if now - self._due > LATE_S:
+            self._due = now
+        return True
+
+    def _take(self, entry: Input, at: float, refused: Refused) -> None:
+        """An input of the page. A speed that is asked for again only says that somebody is there."""
+        if isinstance(entry, Drive):
+            self._driven = at
+            if entry == self._drive:
+                return
+        self._apply(entry, refused)
+
+    def _apply(self, entry: Input, refused: Refused) -> None:
+        """The one way by which anything reaches the session; what it refuses, it does not record."""
+        try:
+            done = self._session.apply(entry)
+        except InputError as error:
+            log.debug("refused: %s", error)
+            refused(str(error))
+            return
+        log.debug("%.3f s: %s", self._session.stamp_ns * 1e-9, done)
+        if isinstance(entry, Driving) or entry.do in ("reset", "end"):
+            self._drive = entry if isinstance(entry, Drive) else None
+
+    def _stop_unless_driven(self) -> None:
+        if self._drive is not None and time.monotonic() - self._driven > HEARTBEAT_S:
+            self._apply(Stop(), log.warning)
+
+    def _pause(self, paused: bool) -> None:
+        self._paused, self._steps, self._due = paused, 0, time.monotonic()
+        self._ticks.clear()
+
+    def _step(self) -> None:
+        self._steps += self._paused
+
+    def _speed(self, factor: float) -> None:
+        self._asked, self._due = factor, time.monotonic()
+        self._ticks.clear()
+
+    def _finish(self) -> None:
+        self._over = True
+
+    def _count(self) -> None:
+        now = time.monotonic()
+        self._ticks.append((now, self._session.stamp_ns))
+        while now - self._ticks[0][0] > 1.0 and len(self._ticks) > 2:
+            self._ticks.popleft()
+
+    def _gait(self) -> Gait:
+        factor = 0.0
+        if not self._paused and len(self._ticks) > 1:
+            (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
+            factor = (last - first) * 1e-9 / max(now - begun, 1e-6)
+        return Gait(round(factor, 2), self._asked, self._paused)
+
+    def _show_if_wanted(self) -> None:
+        now = time.monotonic()
+        if self._wanted.is_set() and now - self._shown >= FRAME_S:
+            self._wanted.clear()
+            self._shown = now
+            self._show(self._session.view(), self._gait())

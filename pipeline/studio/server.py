@@ -1,0 +1,246 @@
+"""The studio's server: pages and sockets in the event loop, the session in the thread of its pace."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.web import Application
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio.controls import (
+    Control,
+    Layers,
+    Malformed,
+    Pause,
+    Resume,
+    Speed,
+    Step,
+    TakeControl,
+    parse_message,
+)
+from turtlebag.pipeline.studio.frames import Frames, bye, hello
+from turtlebag.pipeline.studio.guard import Guard, Guarded, Page, Part, Rate, page_files
+from turtlebag.pipeline.studio.inputs import Input
+from turtlebag.pipeline.studio.pace import Gait, Pace
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.view import View
+
+PAGE = Path(__file__).parent / "static"
+MOST_VIEWERS = 16
+MESSAGES_A_SECOND = 60
+HELD_BYTES = 256 * 1024
+"""What the system keeps of frames for a client that is slow to read: beyond that, frames are dropped."""
+GIANT_BYTES = 1024 * 1024
+"""A message larger than this is not even read to its end."""
+PING_S = 20.0
+"""A client that does not answer for so long is gone."""
+IDLE_S = 30.0
+REFUSED, TRY_LATER = 1008, 1013
+WATCHING = "You are watching. Take control to do that."
+
+
+class Studio:
+    """A session, those who watch it, and the one of them who drives. Lives in the event loop's thread."""
+
+    def __init__(self, session: Session) -> None:
+        self._scene = session.scene
+        self._loop = IOLoop.current()
+        self._pace = Pace(session, self._show)
+        self._viewers: list[Viewer] = []
+        self._driver: Viewer | None = None
+        self._maps: tuple[str, ...] = ()
+
+    def start(self) -> None:
+        """Let the simulated time pass."""
+        self._pace.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it still does."""
+        return self._pace.running
+
+    async def end(self, reason: str) -> None:
+        """Stop the time, tell everybody why, and close; raises what went wrong in the session, if anything."""
+        await asyncio.to_thread(self._pace.end)
+        for viewer in list(self._viewers):
+            viewer.part(1001, reason)
+        patience = self._loop.time() + 1.0
+        while self._viewers and self._loop.time() < patience:
+            await asyncio.sleep(0.02)
+        if self._pace.failure is not None:
+            raise self._pace.failure
+
+    def join(self, viewer: Viewer) -> None:
+        """Somebody has opened the page; who comes while nobody drives, drives."""
+        if len(self._viewers) >= MOST_VIEWERS:
+            viewer.part(TRY_LATER, f"{MOST_VIEWERS} pages are open already: close one")
+            return
+        self._viewers.append(viewer)
+        self._driver = self._driver or viewer
+        viewer.send(hello(self._scene, maps=self._maps, driver=self._driver is viewer))
+        self._pace.want_view()
+
+    def leave(self, viewer: Viewer) -> None:
+        """A page was closed. Nobody drives in its place until somebody takes control."""
+        if viewer in self._viewers:
+            self._viewers.remove(viewer)
+        if viewer is self._driver:
+            self._driver = None
+
+    def take(self, viewer: Viewer, asked: Control | Input) -> None:
+        """What a viewer asks for: what to send, anyone may; all else is for the one who drives."""
+        if isinstance(asked, Layers):
+            viewer.frames.layers = frozenset(asked.layers)
+        elif isinstance(asked, TakeControl):
+            self._driver = viewer
+        elif viewer is not self._driver:
+            viewer.error = WATCHING
+        elif isinstance(asked, Pause | Resume):
+            self._pace.pause(isinstance(asked, Pause))
+        elif isinstance(asked, Step):
+            self._pace.step()
+        elif isinstance(asked, Speed):
+            self._pace.speed(asked.factor)
+        else:
+            self._pace.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
+
+    def _show(self, view: View, gait: Gait) -> None:
+        """Called in the session's thread."""
+        self._loop.add_callback(self._send, view, gait)
+
+    def _send(self, view: View, gait: Gait) -> None:
+        self._maps = view.maps
+        for viewer in list(self._viewers):
+            viewer.show(view, gait, driver=viewer is self._driver)
+        if self._viewers:
+            self._pace.want_view()
+
+
+class Viewer(Guarded, WebSocketHandler):
+    """The socket of one page."""
+
+    studio: Studio
+
+    def initialize(self, studio: Studio) -> None:
+        """Called by tornado for each connection."""
+        self.studio, self.frames = studio, Frames()
+        self.error: str | None = None
+        self._rate = Rate(MESSAGES_A_SECOND)
+        self._written: asyncio.Future[None] | None = None
+        self._parted = False
+
+    def check_origin(self, origin: str) -> bool:
+        """The guard looked at it before: see `prepare`."""
+        return True
+
+    def open(self) -> None:
+        """The page listens."""
+        self.set_nodelay(True)
+        assert self.ws_connection is not None
+        self.ws_connection.stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, HELD_BYTES)
+        self.studio.join(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Something is asked for; who talks too fast or makes no sense is sent away."""
+        if self._parted:
+            return
+        try:
+            if self._rate.exceeded():
+                raise Malformed(f"at most {MESSAGES_A_SECOND} messages a second")
+            self.studio.take(self, parse_message(message))
+        except Malformed as error:
+            self.part(REFUSED, str(error))
+        except InputError as error:
+            self.error = str(error)
+
+    def on_close(self) -> None:
+        """The page is gone."""
+        self.studio.leave(self)
+
+    def show(self, view: View, gait: Gait, *, driver: bool) -> None:
+        """Send what is new in a view, unless the frame before is still under way: then this one is dropped."""
+        if self._parted or (self._written is not None and not self._written.done()):
+            return
+        told = {"factor": gait.factor, "asked": gait.asked, "paused": gait.paused, "driver": driver}
+        self.send(self.frames.frame(view, {**told, "error": self.error}))
+        self.error = None
+
+    def refuse(self, said: str) -> None:
+        """The session has refused what this page asked for last."""
+        self.error = said
+
+    def part(self, code: int, reason: str) -> None:
+        """Say why, and close."""
+        self._parted = True
+        self.send(bye(reason))
+        self.close(code, reason[:120])
+
+    def send(self, message: bytes) -> None:
+        """Hand a message to the system; `_written` is done when it has all of it."""
+        try:
+            self._written = self.write_message(message, binary=True)
+        except WebSocketClosedError:
+            return
+        # A page that closes meanwhile is no error.
+        self._written.add_done_callback(lambda written: written.cancelled() or written.exception())
+
+
+def application(studio: Studio, guard: Guard) -> Application:
+    """The page, its parts and the socket; everything else is not found, by the same rules."""
+    return Application(
+        [("/", Page), ("/socket", Viewer, {"studio": studio}), (r"/(.+)", Part)],
+        default_handler_class=Guarded,
+        guard=guard,
+        files=page_files(PAGE),
+        log_function=lambda handler: None,
+        websocket_max_message_size=GIANT_BYTES,
+        websocket_ping_interval=PING_S,
+        websocket_ping_timeout=PING_S,
+    )
+
+
+def serve(
+    session: Session,
+    guard: Guard,
+    sockets: Sequence[socket.socket],
+    *,
+    interrupted: Sequence[int],
+    ready: Callable[[], None],
+) -> None:
+    """Run a session for those who open its page, until it ends or something is in `interrupted`.
+
+    `ready` is called when the page can be opened. Raises what went wrong in the session.
+    """
+    asyncio.run(_serve(session, guard, sockets, interrupted, ready))
+
+
+async def _serve(
+    session: Session,
+    guard: Guard,
+    sockets: Sequence[socket.socket],
+    interrupted: Sequence[int],
+    ready: Callable[[], None],
+) -> None:
+    studio = Studio(session)
+    server = HTTPServer(
+        application(studio, guard),
+        max_header_size=16 * 1024,
+        max_body_size=0,
+        idle_connection_timeout=IDLE_S,
+    )
+    server.add_sockets(sockets)
+    studio.start()
+    ready()
+    while studio.running and not interrupted:
+        await asyncio.sleep(0.05)
+    server.stop()
+    try:
+        await studio.end("the studio was stopped" if interrupted else "the session has ended")
+    finally:
+        await server.close_all_connections()

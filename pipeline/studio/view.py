@@ -1,0 +1,220 @@
+"""What there is to draw of a session at one instant.
+
+Nothing in a view is changed afterwards: an array, layer or tuple that is the same object as in the view
+before has not changed, and one that has changed is another object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.planners.costmap import Costmap
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.world import World
+
+Level = Literal["info", "warning", "error"]
+LETHAL, INSCRIBED, FADING = 254, 253, 10.0
+"""Costs as in costmap_2d: of a cell that stops the robot, of one its disc may not enter, and how fast they
+fade beyond that [1/m]."""
+
+
+class Event(NamedTuple):
+    """A line of the event log; events are numbered from 1 on."""
+
+    number: int
+    t: float
+    text: str
+    level: Level
+
+
+class GoalMark(NamedTuple):
+    """A goal in the map frame and what became of it: `waiting`, `active`, or a status of metrics.json."""
+
+    x: float
+    y: float
+    yaw: float
+    status: str
+
+
+class SectorMarks(NamedTuple):
+    """The three sectors of the scan, least range in metres (inf: nothing), and what was decided by them."""
+
+    left: float
+    front: float
+    right: float
+    decision: str
+
+
+class Path(NamedTuple):
+    """Points (n, 2) in the map frame. While `version` stays, points are only added at the end."""
+
+    version: int
+    points: Array
+
+
+class Graph(NamedTuple):
+    """Poses of the key scans (n, 3) in the map frame; edges (m, 3): from, to, 0 (step) or 1 (loop)."""
+
+    nodes: Array
+    edges: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class MapLayer:
+    """An occupancy grid as it is drawn."""
+
+    grid: OccupancyGrid
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell [m]."""
+        return self.grid.resolution
+
+    @property
+    def origin(self) -> SE2:
+        """Outer corner of cell (0, 0) in the map frame."""
+        return self.grid.T_map_grid
+
+    @cached_property
+    def cells(self) -> NDArray[np.uint8]:
+        """(rows, cols), row 0 lowest: 0 free to 100 occupied, 255 unknown."""
+        return np.ascontiguousarray(self.grid.cells).view(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class CostLayer:
+    """A costmap as it is drawn; its costs are worked out when they are asked for."""
+
+    costmap: Costmap
+    T_map_odom: SE2
+    """The costmap's frame in the map frame: another only without a map, where it is odometry's."""
+    inscribed_radius: float
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell [m]."""
+        return self.costmap.resolution
+
+    @cached_property
+    def origin(self) -> SE2:
+        """Outer corner of cell (0, 0) in the map frame."""
+        return self.T_map_odom @ self.costmap.T_map_grid
+
+    @cached_property
+    def cells(self) -> NDArray[np.uint8]:
+        """(rows, cols), row 0 lowest: 0 free to 254 lethal."""
+        beyond = self.costmap.clearance - self.inscribed_radius
+        costs = np.where(
+            beyond <= 0.0, INSCRIBED, (INSCRIBED - 1) * np.exp(-FADING * np.maximum(beyond, 0.0))
+        )
+        return np.where(self.costmap.lethal, LETHAL, costs).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What stays the same for a whole session."""
+
+    world: str
+    robot: str
+    seed: int
+    control_hz: int
+    max_v: float
+    max_w: float
+    bounds: tuple[float, float, float, float]
+    """x_min, y_min, x_max, y_max of the world [m]."""
+    outline: Array
+    """Of the robot, (k, 2) in the base frame."""
+    world_segments: Array
+    """Of everything the robot can touch: (n, 4) x0, y0, x1, y1."""
+    world_circles: Array
+    """(m, 3) x, y, radius."""
+
+    @staticmethod
+    def of(world: World, robot: RobotSpec, seed: int) -> Scene:
+        """The scene of a robot in a world."""
+        x_min, x_max, y_min, y_max = world.bounds
+        solid, limits = world.touchable(robot.height), robot.limits
+        return Scene(
+            world=world.name,
+            robot=robot.name,
+            seed=seed,
+            control_hz=CONTROL_HZ,
+            max_v=limits.max_v,
+            max_w=limits.max_w,
+            bounds=(x_min, y_min, x_max, y_max),
+            outline=robot.model.footprint,
+            world_segments=solid.segments,
+            world_circles=solid.circles,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A session now; everything is in the map frame unless its name says otherwise."""
+
+    stamp_ns: int
+    ended: bool
+    """Whether the session is over."""
+    owner: str
+    """Whose commands the robot gets: `navigation` or `teleop`."""
+    command: tuple[float, float]
+    """v, w [m/s, rad/s] of the last tick."""
+    task: str
+    """What is being done: `goal`, `patrol`, `avoid`, `explore`, `wiggle`, or empty."""
+    state: str
+    """In a word or two what goes on in it."""
+    recording: str | None
+    """Name of the bag that is open."""
+    mapping: bool
+    map_name: str | None
+    """Name of the map that is loaded; empty for the one the session was started with."""
+    maps: tuple[str, ...]
+    """Names of the maps that can be loaded; empty for the one the session was started with."""
+    waypoint_files: tuple[str, ...]
+    loaded_waypoints: tuple[tuple[float, float, float, float | None], ...] | None
+    """x, y, yaw and wait of each waypoint that was loaded last; None before."""
+    localised: bool
+    """Whether there is a pose on a map."""
+    sure: float | None
+    """Share of the scans that the map explains, 0 to 1."""
+    lost: str | None
+    """Why the robot does not trust its pose; None when it does."""
+    T_map_base: SE2
+    T_odom_base: SE2
+    T_world_base: SE2
+    """The truth, for the ghost alone."""
+    goals: tuple[GoalMark, ...]
+    goal_index: int
+    """Of the goal that is pursued, -1 for none."""
+    goal: tuple[float, float, float] | None
+    """The goal that is pursued."""
+    sectors: SectorMarks | None
+    events: tuple[Event, ...]
+    """The last ones, oldest first."""
+    scan: Array | None
+    """Where beams of the newest sweep ended, (n, 2)."""
+    particles: Array | None
+    """(n, 3)."""
+    plan: Array | None
+    """The global path, (n, 2)."""
+    local: Array | None
+    """Where the present command leads, (n, 2)."""
+    odom_path: Path
+    slam_path: Path
+    """Where the robot took itself to be."""
+    true_path: Path
+    graph: Graph | None
+    boxes: Array
+    """Boxes that were dropped: (n, 4) x, y of the middle, length along x, width along y."""
+    keepout: tuple[Array, ...]
+    """Outlines (k, 2) that are kept out of."""
+    map: MapLayer | None
+    costmap: CostLayer | None
