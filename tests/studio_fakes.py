@@ -1,0 +1,140 @@
+"""A session that simulates next to nothing, and a server of it in a thread."""
+
+import asyncio
+import threading
+import time
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
+from turtlebag.pipeline.studio.inputs import Drive, End, SetGoal, Stop
+from turtlebag.pipeline.studio.server import serve
+from turtlebag.pipeline.studio.view import Event, MapLayer, Path, Scene, View
+
+PERIOD_NS = 33_333_333
+SCENE = Scene(
+    world="fake",
+    robot="burger",
+    seed=3,
+    control_hz=30,
+    max_v=0.22,
+    max_w=2.84,
+    bounds=(-1.0, -2.0, 3.0, 4.0),
+    outline=np.array([[0.1, 0.1], [-0.1, 0.1], [-0.1, -0.1], [0.1, -0.1]]),
+    world_segments=np.array([[0.0, 0.0, 1.0, 1.0]]),
+    world_circles=np.zeros((0, 3)),
+)
+
+
+def view(**given):
+    """A view of nothing much, but for what is given."""
+    nothing = Path(0, np.zeros((0, 2)))
+    return View(
+        **dict.fromkeys(
+            ("recording", "map_name", "loaded_waypoints", "sure", "lost", "goal", "sectors", "scan", "particles")
+        )
+        | dict.fromkeys(("plan", "local", "graph", "map", "costmap"))
+        | dict.fromkeys(("T_map_base", "T_odom_base", "T_world_base"), SE2.identity())
+        | dict.fromkeys(("odom_path", "slam_path", "true_path"), nothing)
+        | dict.fromkeys(("maps", "waypoint_files", "goals", "events", "keepout"), ())
+        | dict.fromkeys(("ended", "mapping", "localised"), False)
+        | {"stamp_ns": 0, "owner": "navigation", "command": (0.0, 0.0), "task": "", "state": ""}
+        | {"goal_index": -1, "boxes": np.zeros((0, 4))}
+        | given
+    )
+
+
+class FakeSession:
+    """Goes at the speed that is asked for, without any simulator; goals are refused."""
+
+    scene = SCENE
+    period_ns = PERIOD_NS
+
+    def __init__(self, tick_s=0.0, cells=None):
+        self.stamp_ns, self.ended = 0, False
+        self.applied, self.threads = [], set()
+        self._tick_s, self._drive = tick_s, Drive()
+        self._map = None if cells is None else MapLayer(OccupancyGrid(cells, 0.05))
+        self._points, self._events = [(0.0, 0.0)], []
+        self.broken = None
+
+    def apply(self, entry):
+        self.threads.add(threading.get_ident())
+        if isinstance(entry, SetGoal):
+            raise InputError("goal: there is no map to plan on")
+        self.applied.append((self.stamp_ns, entry))
+        self._drive = entry if isinstance(entry, Drive) else Drive() if isinstance(entry, Stop) else self._drive
+        self.ended = isinstance(entry, End)
+        self._events.append(Event(len(self._events) + 1, self.stamp_ns * 1e-9, entry.do, "info"))
+        return entry.do
+
+    def tick(self):
+        if self.broken is not None:
+            raise self.broken
+        end = time.perf_counter() + self._tick_s
+        while time.perf_counter() < end:
+            pass
+        self.stamp_ns += PERIOD_NS
+        x, y = self._points[-1]
+        self._points.append((x + self._drive.v * PERIOD_NS * 1e-9, y))
+
+    def view(self):
+        self.threads.add(threading.get_ident())
+        points = np.array(self._points)
+        return view(
+            stamp_ns=self.stamp_ns,
+            ended=self.ended,
+            owner="teleop" if self._drive.v else "navigation",
+            command=(self._drive.v, self._drive.w),
+            T_map_base=SE2.from_xyt(*points[-1].tolist(), 0.0),
+            slam_path=Path(0, points),
+            events=tuple(self._events),
+            map=self._map,
+        )
+
+
+class Served:
+    """A server of a session, in a thread; leaving the block stops it as Ctrl-C does."""
+
+    def __init__(self, session, host=LOOPBACK):
+        self.session, self.failure = session, None
+        sockets = listen(host, 0)
+        self.guard = Guard(new_token(), host, sockets[0].getsockname()[1])
+        self._interrupted, ready = [], threading.Event()
+
+        def run():
+            try:
+                serve(session, self.guard, sockets, interrupted=self._interrupted, ready=ready.set)
+            except BaseException as error:
+                self.failure = error
+
+        self.thread = threading.Thread(target=run)
+        self.thread.start()
+        assert ready.wait(10.0)
+
+    @property
+    def url(self):
+        return self.guard.url
+
+    @property
+    def place(self):
+        return f"http://{LOOPBACK}:{self.guard.port}"
+
+    def stop(self):
+        self._interrupted.append(2)
+        self.thread.join(20.0)
+        assert not self.thread.is_alive()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+
+def run(coroutine):
+    """What a coroutine returns, if it does within half a minute."""
+    return asyncio.run(asyncio.wait_for(coroutine, 30.0))
