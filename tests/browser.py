@@ -145,9 +145,7 @@ class Browser:
         )
         for _ in range(times):
             for kind in ("keyDown", "keyUp"):
-                self.call(
-                    "Input.dispatchKeyEvent", type=kind, key=key, text=text, windowsVirtualKeyCode=code
-                )
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, text=text, windowsVirtualKeyCode=code)
 
     def picture(self):
         """What the window shows, as a PNG."""

@@ -144,7 +144,7 @@ document.addEventListener("click", ({ target, detail }) => {
   else if (name && sure && armed !== pressed) arm(pressed);
   else if (name) task({ do: name });
   // The keys are to drive after a click, not to press the button again.
-  if (detail > 0 && pressed.tagName === "BUTTON" && pressed.type !== "submit") stage.focus({ preventScroll: true });
+  if (detail > 0 && pressed.tagName === "BUTTON" && !pressed.form) stage.focus({ preventScroll: true });
 });
 
 function arm(pressed) {
