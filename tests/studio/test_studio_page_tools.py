@@ -72,6 +72,15 @@ def test_pose_and_goal_are_drawn_by_press_drag_release(page, session):
     assert page.evaluate("document.getElementById('stage').dataset.tool") == "view"
 
 
+def test_a_task_gets_the_robot_from_the_hand_that_drove_it(page, session):
+    page.key("w", 5)
+    until(lambda: session.asked("drive"))
+    click(page, "[data-do=avoid]")
+    until(lambda: session.asked("avoid"))
+    time.sleep(0.5)
+    assert [entry.do for _, entry in session.applied[-2:]] == ["release", "avoid"]
+
+
 def test_poses_can_be_typed(page, session):
     for key, do, text in (
         ("p", "pose_estimate", "1, 2, 0.5"),

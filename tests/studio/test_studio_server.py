@@ -31,11 +31,7 @@ def test_a_page_is_told_what_stays_and_then_ten_times_a_second_what_changed(serv
     async def watch():
         client = await Client.open(served.url)
         picture = await client.until(lambda p: p.head)
-        assert (picture.hello["world"], picture.hello["robot"], picture.hello["seed"]) == (
-            "fake",
-            "burger",
-            3,
-        )
+        assert (picture.hello["world"], picture.hello["robot"], picture.hello["seed"]) == ("fake", "burger", 3)
         assert picture.hello["limits"] == {"max_v": 0.22, "max_w": 2.84}
         assert picture.hello["driver"]
         assert picture.head["driver"]

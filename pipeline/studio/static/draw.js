@@ -144,7 +144,7 @@ function body([x, y, yaw], style, alpha) {
 
 function sectors() {
   const told = scene.head.sectors, pose = scene.head.pose;
-  if (!told || !pose) return;
+  if (!told?.decision || !pose) return;
   const tint = (d) => (d < 0.5 ? colour.bad : d < 1 ? colour.loop : colour.good);
   for (const [name, middle] of [["front", 0], ["left", Math.PI / 2], ["right", -Math.PI / 2]]) {
     const distance = told[name], shown = Math.min(distance ?? 3.5, 3.5), angle = -(pose[2] + middle);

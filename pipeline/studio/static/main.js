@@ -11,6 +11,7 @@ import { fit, pan, toWorld, view, zoom } from "./view.js";
 import { Waypoints } from "./waypoints.js";
 import { words } from "./words.js";
 
+const MOVES = ["goal", "patrol", "avoid", "explore", "wiggle"];
 const stage = byId("stage"), readout = byId("readout");
 const shown = new Set(kept());
 let due = false, fitted = false, cursor = null, copied = "";
@@ -42,16 +43,12 @@ function read() {
   if (readout.value !== (copied || place)) readout.value = copied || place;
 }
 
+/** Send an input. What makes the robot move by itself hands it over first: a hand on the keys goes before any task. */
 function send(message) {
   refuse("");
+  if (MOVES.includes(message.do)) drive.release();
   if (!connection.send(message)) refuse("Not connected: nothing was sent.");
   return true;
-}
-
-/** A task takes over from the keys. */
-function task(message) {
-  drive.forget();
-  return send(message);
 }
 
 async function copy(place) {
@@ -69,7 +66,7 @@ const drive = new Drive((message) => connection.send(message), (v, w) => {
   byId("cmd").textContent = `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`;
 });
 const waypoints = new Waypoints(byId("waypoints"), changed, refuse);
-const desk = new Desk({ send, task, copy, waypoints, size: () => Number(byId("size").value), chosen });
+const desk = new Desk({ send, copy, waypoints, size: () => Number(byId("size").value), chosen });
 const connection = new Connection(arrived, told);
 
 function chosen(name, tool) {
@@ -142,7 +139,7 @@ document.addEventListener("click", ({ target, detail }) => {
   if (tool) desk.choose(desk.name === tool ? "view" : tool);
   else if (key) drive.press(key);
   else if (name && sure && armed !== pressed) arm(pressed);
-  else if (name) task({ do: name });
+  else if (name) send({ do: name });
   // The keys are to drive after a click, not to press the button again.
   if (detail > 0 && pressed.tagName === "BUTTON" && !pressed.form) stage.focus({ preventScroll: true });
 });
@@ -176,7 +173,7 @@ const presses = {
   step: () => send({ do: "step" }),
   mapping: () => send({ do: scene.head.mapping ? "map_stop" : "map_start" }),
   patrol: () => waypoints.list.length
-    ? task({ do: "patrol", waypoints: waypoints.list, laps: Number(byId("laps").value) })
+    ? send({ do: "patrol", waypoints: waypoints.list, laps: Number(byId("laps").value) })
     : refuse("No waypoints yet: choose Waypoint and click the map, or load a file."),
   clear: () => waypoints.replace([]),
   take: () => send({ do: "take_control" }),

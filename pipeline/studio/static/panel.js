@@ -15,13 +15,14 @@ const text = (id, words) => put(byId(id), "textContent", words);
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
 /** What to do first, or next. */
-function advice({ map, mapping, localised, lost, task, goals, cmd, t }) {
+function advice({ map, mapping, localised, lost, task, goals, cmd }) {
   if (task) return "";
-  if (mapping) return t && cmd?.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is whole.";
+  if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is whole.";
+  if (map == null && scene.grids.map?.w > 1) return "Save the map and load it: then the robot can find its place on it and go where you point.";
   if (map == null) return "No map yet. Start mapping, then drive with W A S D.";
   if (!localised) return "Where is the robot? Choose Pose, press where it stands and drag to where it looks.";
-  if (lost) return `The robot may be lost: ${lost}. Give it a pose, or let it search the whole map.`;
-  return goals?.length ? "" : "Choose Goal, press on the map and drag for the heading; or click waypoints and patrol.";
+  if (lost) return `Not sure of its place: ${lost}. Wiggle, or give it a better pose.`;
+  return goals.length ? "" : "Choose Goal, press on the map and drag for the heading; or click waypoints and patrol.";
 }
 
 function options(select, names, empty) {
@@ -43,7 +44,7 @@ export function show(head, deskName) {
   put(byId("pause"), "textContent", head.paused ? "Resume" : "Pause");
   put(byId("pause"), "ariaPressed", String(head.paused));
   if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
-  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.owner === "teleop", "hand", "By hand"], [head.lost, "bad", "Lost?"]]);
+  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.owner === "teleop", "hand", "By hand"], [head.lost, "bad", "Not sure"]]);
   text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
   put(byId("mapping").dataset, "on", String(head.mapping));
   const bag = byId("bag");
@@ -87,8 +88,8 @@ function pills(told) {
 }
 
 function sectors(told) {
-  put(byId("sectors"), "hidden", !told);
-  if (!told) return;
+  put(byId("sectors"), "hidden", !told?.decision);
+  if (!told?.decision) return;
   const far = (distance) => distance == null ? "free" : `${distance.toFixed(2)} m`;
   text("sectors", `Left ${far(told.left)}, front ${far(told.front)}, right ${far(told.right)}: ${told.decision}`);
 }

@@ -41,7 +41,7 @@ export class Connection {
         const { header, blobs } = await decode(data);
         if (header.kind === "bye") reason = header.reason;
         else this.take(header, blobs);
-      });
+      }).catch((error) => console.error(error));
     };
     socket.onopen = () => { this.wait = 500; this.tell(true, ""); };
     socket.onclose = () => queue.finally(() => {

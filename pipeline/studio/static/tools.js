@@ -36,7 +36,7 @@ const TOOLS = {
     hint: "2D Pose Estimate: press where the robot is, drag to where it looks, release.",
   },
   goal: {
-    ...arrow((desk, pose) => pose && desk.task({ do: "goal", pose }), ahead),
+    ...arrow((desk, pose) => pose && desk.send({ do: "goal", pose }), ahead),
     hint: "2D Nav Goal: press where it should go, drag to where it should look, release.",
   },
   point: {
@@ -128,7 +128,7 @@ export const KEYS = { v: "view", p: "pose", g: "goal", n: "waypoint", c: "point"
 
 /** The tool in hand and what it is doing: `doing` is what draw.js sketches. */
 export class Desk {
-  /** `helpers`: send, task (send, and hand the robot over), copy, size, waypoints, chosen (told the tool). */
+  /** `helpers`: send, copy, size (of a box), waypoints, chosen (told the tool). */
   constructor(helpers) {
     Object.assign(this, helpers, { doing: {}, name: "view", busy: false });
   }
