@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +49,46 @@ class RunLog:
 
     def save(self, path: Path) -> None:
         """Write CSV; numbers with 6 decimals, NaN as an empty field."""
+        with path.open("w", newline="") as file:
+            write_header(file)
+            self.write_rows(file)
+
+    def write_rows(self, file: TextIO) -> None:
+        """Append the rows to a file that begins with the header."""
         poses = (self.T_world_base.xyt, self.T_map_base.xyt, self.T_odom_base.xyt)
         numbers = np.column_stack([*poses, self.v, self.w, self.clearance_m]).tolist()
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for k, row in enumerate(numbers):
-                texts = ["" if value != value else f"{value:.6f}" for value in row]
-                flags = (int(self.contact_visible[k]), int(self.contact_low[k]))
-                writer.writerow(
-                    [int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k], self.owner[k]]
-                )
+        writer = csv.writer(file, lineterminator="\n")
+        for k, row in enumerate(numbers):
+            texts = ["" if value != value else f"{value:.6f}" for value in row]
+            flags = (int(self.contact_visible[k]), int(self.contact_low[k]))
+            writer.writerow(
+                [int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k], self.owner[k]]
+            )
+
+    @staticmethod
+    def joined(parts: Sequence[RunLog]) -> RunLog:
+        """Logs that follow on one another as one; at least one."""
+
+        def together(name: str) -> NDArray[Any]:
+            return np.concatenate([getattr(part, name) for part in parts])
+
+        def poses(name: str) -> SE2:
+            return SE2(np.concatenate([getattr(part, name).xyt for part in parts]))
+
+        return RunLog(
+            t_ns=together("t_ns"),
+            T_world_base=poses("T_world_base"),
+            T_map_base=poses("T_map_base"),
+            T_odom_base=poses("T_odom_base"),
+            v=together("v"),
+            w=together("w"),
+            clearance_m=together("clearance_m"),
+            contact_visible=together("contact_visible"),
+            contact_low=together("contact_low"),
+            goal_index=together("goal_index"),
+            state=[word for part in parts for word in part.state],
+            owner=[word for part in parts for word in part.owner],
+        )
 
     @staticmethod
     def load(path: Path) -> RunLog:
@@ -80,6 +111,11 @@ class RunLog:
                 except ValueError:
                     raise InputError(f"{path}, line {number}: not a row of a run log") from None
         return builder.build()
+
+
+def write_header(file: TextIO) -> None:
+    """The first line of a run log."""
+    csv.writer(file, lineterminator="\n").writerow(COLUMNS)
 
 
 class RunLogBuilder:

@@ -74,6 +74,11 @@ def load_model(model: type[Model], path: Path) -> Model:
     return checked(model, read_mapping(path), where=str(path))
 
 
+def config_text(config: BaseModel) -> str:
+    """A resolved configuration as YAML: what is saved beside an output, and hashed."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+
+
 def find_named(name_or_path: str, folder: Path, kind: str) -> Path:
     """File of a built-in `kind` by name, or the file itself by path; InputError lists the known names."""
     if name_or_path.endswith((".yaml", ".yml")) or "/" in name_or_path:

@@ -71,6 +71,12 @@ def load_world(name_or_path: str) -> World:
     )
 
 
+def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
+    """World and robot as a manifest's inputs, as far as they are files of the user's own."""
+    named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
+    return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+
+
 def _generated(where: str, name: str, settings: str) -> World:
     """World of a generator: settings are `SEED` and then `key=number` for its own parameters."""
     if name not in GENERATORS:

@@ -9,13 +9,14 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.parts import PARTS
 from turtlebag.pipeline.campaign.truth_for_parts import true_drive, true_steps, with_sensors, with_truth
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.stages.map_references import References
-from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import track
 from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.reports.stages import Stage, load_stage

@@ -17,11 +17,11 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, write_json, write_manifest
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, Case, campaign_path, cases, load_campaign
 from turtlebag.pipeline.campaign.case import ROW, SHARED, Row, Run, throw_away
 from turtlebag.pipeline.campaign.engine import run_cases
 from turtlebag.pipeline.campaign.table import write_parquet
-from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import log, track
 from turtlebag.reports.campaign import compare_pairs, summarise
 from turtlebag.reports.campaign_page import Study, draw_campaign, render_campaign

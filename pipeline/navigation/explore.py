@@ -44,7 +44,7 @@ class ExploreDriver(Driver):
     ) -> None:
         super().__init__(sensing)
         self.online = online
-        self._config, self._tools = config, tools
+        self._config, self.tools = config, tools
         self._end_ns = round(duration_s * 1e9)
         self._bumps = BumpMemory(tools.model)
         self._runner: GoalRunner | None = None
@@ -78,7 +78,7 @@ class ExploreDriver(Driver):
             if self._runner is None:
                 return self._finish(observation)
         if sight is not None:
-            self._see(sight, self.online.T_map_odom, self._tools.live)
+            self._see(sight, self.online.T_map_odom, self.tools.live)
         return self._pursue(self._runner, observation)
 
     def stand_by(self, observation: Observation) -> None:
@@ -106,30 +106,30 @@ class ExploreDriver(Driver):
         if wanted is None:
             return None
         self.state = "back_off"
-        factor = self._tools.monitor.limit(wanted, self.sensing.points_base(T_odom_base))
-        self._last = self._tools.controller.ramp(Twist(wanted.v * factor, 0.0), self._last)
+        factor = self.tools.monitor.limit(wanted, self.sensing.points_base(T_odom_base))
+        self._last = self.tools.controller.ramp(Twist(wanted.v * factor, 0.0), self._last)
         return self._last
 
     def _choose(self, observation: Observation) -> None:
         """Map, and pick the place to look from; no runner when there is none."""
-        now, grid, publisher = observation.stamp_ns, self.online.update(), self._tools.publisher
+        now, grid, publisher = observation.stamp_ns, self.online.update(), self.tools.publisher
         self._mapped_ns, self._runner = now, None
         publisher.map(now, grid)
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
         costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config.costmap), now)
-        radius = self._tools.model.circumscribed_radius + MARGIN_M
+        radius = self.tools.model.circumscribed_radius + MARGIN_M
         goal = next_view(grid, costmap, self.estimate, radius, self._spent, self._config.frontier)
         if goal is None:
             return
         self.goal_index += 1
         publisher.goal(now, goal)
-        live = LiveLayer(costmap, self._tools.live.config)
-        self._tools = dataclasses.replace(self._tools, live=live)
+        live = LiveLayer(costmap, self.tools.live.config)
+        self.tools = dataclasses.replace(self.tools, live=live)
         if self.sensing.sight is not None:
             self._seen_ns = -(10**9)
-            self._see(self.sensing.sight, self.online.T_map_odom, self._tools.live)
-        self._runner = GoalRunner(self._tools, goal, self._tools.seed + 1_000_000 * self.goal_index)
+            self._see(self.sensing.sight, self.online.T_map_odom, self.tools.live)
+        self._runner = GoalRunner(self.tools, goal, self.tools.seed + 1_000_000 * self.goal_index)
 
     def _pursue(self, runner: GoalRunner, observation: Observation) -> Twist:
         assert self.estimate is not None
@@ -142,12 +142,12 @@ class ExploreDriver(Driver):
 
     def _finish(self, observation: Observation) -> Twist:
         if self.state != "done":
-            self._tools.publisher.map(observation.stamp_ns, self.online.finish())
+            self.tools.publisher.map(observation.stamp_ns, self.online.finish())
         self.state = "done"
         return self._stop(observation)
 
     def _stop(self, observation: Observation) -> Twist:
         """Brake; the run is over when it was done and the robot stands."""
-        self._last = self._tools.controller.brake(self._last)
+        self._last = self.tools.controller.brake(self._last)
         self.finished = self.state == "done" and abs(observation.odometry.twist.v) < 1e-3
         return self._last

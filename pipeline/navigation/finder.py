@@ -73,9 +73,13 @@ class Finder:
         """A person has told the localiser a pose, or to search for one: all doubts before are over."""
         self.lost, self.comparison = Lost(self.lost.config, state), None
         self._sureness = _Sureness(self.localiser.amcl.searches)
-        self._T_map_odom = self.localiser.T_map_odom
+        self.accept()
         self._wiggle = Wiggle(self._wiggle.config)
         self._guard.interrupted()
+
+    def accept(self) -> None:
+        """How the estimate has moved until now is no reason for doubt."""
+        self._T_map_odom = self.localiser.T_map_odom
 
     def doubt(self, now_ns: int) -> None:
         """Something else speaks for being lost: look about at once."""

@@ -82,6 +82,8 @@ class NavigationDriver(Driver):
     def begin(self, sequence: GoalSequence) -> None:
         """Other goals from the next step on; what it knows of its place stays."""
         self.sequence, self._pursuit, self.finished = sequence, None, False
+        if self.finder is not None:
+            self.finder.accept()
 
     def told(self, T_map_base: SE2 | Literal["global"], T_odom_base: SE2) -> None:
         """A person says where the robot is, or to find out: what was seen by another pose is void."""

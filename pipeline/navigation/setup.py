@@ -39,6 +39,8 @@ DEFAULT_DURATION_S = 60.0
 DEFAULT_EXPLORE_S = 1800.0
 MAX_SIMULATED_S = 4 * 3600.0
 MAX_LAPS = 1000
+SINGLE_GOAL = {"initial_wait": 0.0, "timeout": 600.0}
+"""Of a sequence's configuration, what is other for a goal that is not one of many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +138,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     """Command-line options over the configuration; a single goal has no wait before it."""
     changes: dict[str, float | int] = {}
     if request.task == "goal":
-        changes["initial_wait"] = 0.0
-        changes["timeout"] = 600.0
+        changes.update(SINGLE_GOAL)
     if request.timeout_s is not None:
         changes["timeout"] = request.timeout_s
     if request.laps is not None:

@@ -28,9 +28,9 @@ class News:
         self._heading, self._told = -1, 0
         self._owner, self._touched = "navigation", False
 
-    def begin(self, opening: str) -> None:
+    def begin(self) -> None:
         """Another task begins."""
-        self._opening, self._heading, self._told, self._touched = opening, -1, 0, False
+        self._heading, self._told, self._touched = -1, 0, False
 
     def tick(self, stamp_ns: int, owner: CommandOwner, sequence: GoalSequence | None, truth: Truth) -> None:
         """One control period, after it was decided what to do."""

@@ -20,12 +20,12 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Recording, Trajectory, seconds
-from turtlebag.datasets.yaml_files import read_mapping
+from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
-from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.reports.metrics.navigation import localisation_errors
 

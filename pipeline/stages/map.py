@@ -17,6 +17,7 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.sessions import Session
@@ -26,7 +27,7 @@ from turtlebag.pipeline.slam.stored import load_session, require_same_front_end,
 from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
-from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import log_notes, track
 
 TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")

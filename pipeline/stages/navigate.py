@@ -13,19 +13,19 @@ from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
 from turtlebag.datasets.trajectories import save_tum
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Request, prepare
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import Source, script_text
-from turtlebag.pipeline.stages.record import deferred_interrupt, own_files, save_truth
-from turtlebag.pipeline.stages.settings import config_text
+from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
-from turtlebag.sim.worlds import load_world
+from turtlebag.sim.worlds import load_world, own_files
 
 
 def navigate(

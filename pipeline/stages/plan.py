@@ -14,8 +14,8 @@ from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.pose_check import require_free
-from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint

@@ -18,16 +18,16 @@ from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, wr
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.replay import is_recording, load_commands
-from turtlebag.pipeline.stages.settings import config_text
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.driver import Stuck
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
 from turtlebag.sim.simulator import SimConfig, Simulator, Truth
 from turtlebag.sim.teleop import commands, load_script, script_names
 from turtlebag.sim.world import World
-from turtlebag.sim.worlds import load_world
+from turtlebag.sim.worlds import load_world, own_files
 
 
 class RecordOptions(BaseModel):
@@ -47,12 +47,6 @@ class RecordConfig(BaseModel):
     seed: int
     start: tuple[float, float, float] | None = None
     sim: SimConfig = SimConfig()
-
-
-def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
-    """World and robot as a manifest's inputs, as far as they are files of the user's own."""
-    named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
-    return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
 
 
 def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel
 
 from turtlebag.datasets.errors import InputError
@@ -21,11 +20,6 @@ def load_config(model: type[Model], path: Path | None = None, settings: Sequence
     for setting in settings:
         _apply(data, setting)
     return checked(model, data, where=str(path) if path is not None else "--set")
-
-
-def config_text(config: BaseModel) -> str:
-    """The resolved configuration as YAML: what is saved beside an output, and hashed."""
-    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
 
 
 def _apply(data: dict[str, Any], setting: str) -> None:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from turtlebag.pipeline.studio.session import Session, StudioSetup
-from turtlebag.pipeline.terminal.messages import say
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.output_rules import check_free
+from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.navigation.takeover import Script
+from turtlebag.pipeline.stages.record import deferred_interrupt
+from turtlebag.pipeline.studio.inputs import Deed, Drive, End, Release
+from turtlebag.pipeline.studio.journal import load_session
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.setup import StudioSetup, setup_of
+from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 
 
 @contextmanager
@@ -18,12 +29,39 @@ def studio_output(
     force: bool = False,
     command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
+    session_file: Path | None = None,
 ) -> Iterator[Session]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
-    InputError, with nothing written, for unknown names, unreadable maps and an `out` that is taken.
+    A session that did not end within the block ends there. `say` takes the lines of the event log,
+    `session_file` is the one that is driven again. InputError, with nothing written, for unknown names,
+    unreadable maps and an `out` that is taken.
     """
-    raise NotImplementedError
+    check_free(out, force=force, kind="folder")
+    timer = Stopwatch()
+    files = {**setup.files, **({} if session_file is None else {"session": session_file})}
+    with staged_output(out, force=force, inputs=files.values(), save_bag=True) as folder:
+        with Session(setup, folder, say) as session:
+            yield session
+        save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
+        write_json(folder / "metrics.json", session.metrics())
+        (folder / "config.yaml").write_text(config_text(setup.config))
+        wall_s, simulated_s = timer.seconds(), session.stamp_ns * 1e-9
+        write_manifest(
+            folder,
+            stage="studio",
+            command=command_line,
+            inputs=files,
+            seed=setup.seed,
+            wall_s=wall_s,
+            extra={
+                "world": setup.arena.name,
+                "robot": setup.spec.name,
+                "out": str(out),
+                "realtime_factor": round(simulated_s / max(wall_s, 1e-9), 2),
+            },
+        )
+    log.info(f"{simulated_s:.1f} simulated seconds -> {out}")
 
 
 def replay(
@@ -34,5 +72,41 @@ def replay(
     command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
 ) -> int:
-    """Drive a session again, to the same bytes; returns the exit code."""
-    raise NotImplementedError
+    """Drive a session again, to the same bytes; returns the exit code.
+
+    One whose file does not say that it ended was killed: it ends with the last line of the file.
+    InputError, with nothing written, when it cannot be driven again.
+    """
+    check_free(out, force=force, kind="folder")
+    recorded = load_session(session_file)
+    setup = setup_of(recorded.header, session_file)
+    deeds, script = deque(recorded.deeds), Script(recorded.script)
+    with (
+        deferred_interrupt() as interrupted,
+        studio_output(
+            setup, out, force=force, command_line=command_line, say=say, session_file=session_file
+        ) as session,
+        simulated_time(recorded.until_ns * 1e-9) as clock,
+    ):
+        while not session.ended:
+            now = session.stamp_ns
+            while deeds and deeds[0][0] <= now:
+                _apply(session, deeds.popleft()[1], session_file)
+            asked = script.asked(now)
+            if session.ended:
+                break
+            session.apply(Release() if asked is None else Drive(v=asked.v, w=asked.w))
+            if interrupted or (not deeds and now >= recorded.until_ns):
+                session.apply(End())
+            session.tick()
+            clock(now, "")
+    if interrupted:
+        log.warning("interrupted; the session so far is kept")
+    return 128 + interrupted[0] if interrupted else 0
+
+
+def _apply(session: Session, deed: Deed, session_file: Path) -> None:
+    try:
+        session.apply(deed)
+    except InputError as error:
+        raise InputError(f"{session_file}: at {session.stamp_ns * 1e-9:g} s: {error}") from None

@@ -3,64 +3,227 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
-from turtlebag.pipeline.studio.inputs import Input
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import sha256_text
+from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.navigation.recorder import NoBag
+from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.deeds import DEEDS, map_load
+from turtlebag.pipeline.studio.diary import Diary
+from turtlebag.pipeline.studio.journal import FILE, Journal
+from turtlebag.pipeline.studio.onlooker import EventLog, Trail
+from turtlebag.pipeline.studio.run import Room, Run
+from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.shelf import Shelf
+from turtlebag.pipeline.studio.tee import Tee
 from turtlebag.pipeline.studio.view import Scene, View
-from turtlebag.sim.simulator import SimConfig
-
-
-@dataclass(frozen=True, eq=False)
-class StudioSetup:
-    """What a session starts with: names or files of world and robot, a seed, and a map if there is one."""
-
-    world: str
-    robot: str | None = None
-    seed: int = 0
-    map_path: Path | None = None
-    sim: SimConfig = field(default_factory=SimConfig)
+from turtlebag.sim.robots import static_transforms
+from turtlebag.sim.simulator import CONTROL_HZ, Simulator
 
 
 class Session:
     """A context manager: it owns a simulator and, while one is recorded, a bag."""
 
-    def __init__(self, setup: StudioSetup, folder: Path, say: Callable[[str], None]) -> None:
-        """`folder` is where everything is written; `say` is told each line of the event log."""
-        raise NotImplementedError
+    period_ns = round(1e9 / CONTROL_HZ)
+    """From a tick to the next [ns]."""
 
-    scene: Scene
+    def __init__(self, setup: StudioSetup, folder: Path, say: Callable[[str], None]) -> None:
+        """`folder` is where everything is written; `say` is told each line of the event log.
+
+        InputError for unknown names and a map that cannot be used.
+        """
+        self.setup, self._folder = setup, folder
+        self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
+        header = setup.header()
+        simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
+        self._room = Room(
+            setup=setup,
+            simulator=simulator,
+            shelf=Shelf(folder, setup.map_path),
+            diary=Diary(folder, simulator),
+            events=EventLog(say),
+            tee=Tee(),
+            tasks=[],
+            trails={name: Trail() for name in ("odom", "slam", "true")},
+        )
+        self._step = 0
+        self._run = self._started()
+        self._journal = Journal(folder / FILE, header)
+        self._bag: tuple[str, BagWriter] | None = None
+        self._last_view: View | None = None
+        self.ended = False
+        """Whether it was asked to end."""
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     @property
     def stamp_ns(self) -> int:
         """Simulated time [ns]."""
-        raise NotImplementedError
+        return self._run.stamp_ns
 
     @property
-    def period_ns(self) -> int:
-        """From a tick to the next [ns]."""
-        raise NotImplementedError
+    def working(self) -> bool:
+        """Whether a task is under way."""
+        return self._run.pilot.task is not None
 
-    @property
-    def ended(self) -> bool:
-        """Whether it was asked to end."""
-        raise NotImplementedError
-
-    def apply(self, entry: Input) -> str:
+    def apply(self, entry: inputs.Input) -> str:
         """Do what is asked for at this instant, before the tick; returns a line for the event log.
 
-        InputError, with nothing changed, when that cannot be done.
+        It stands in the log already, and is empty where there is nothing to tell. InputError, with nothing
+        changed, when that cannot be done.
         """
-        raise NotImplementedError
+        if self.ended:
+            raise InputError(f"{entry.do}: the session is over")
+        if isinstance(entry, inputs.Driving):
+            return self._drive(entry)
+        try:
+            line = self._done(entry)
+        except OSError as error:
+            raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
+        self._journal.deed(self.stamp_ns, entry)
+        if line:
+            self._run.say(line)
+        return line
 
     def tick(self) -> None:
-        """One control period."""
-        raise NotImplementedError
+        """One control period; nothing once the session is over."""
+        if self.ended:
+            return
+        self._journal.tick(self.stamp_ns, self._run.hands.command)
+        self._run.tick()
+        self._step += 1
+
+    def metrics(self) -> dict[str, Any]:
+        """How long it lasted [s], and the metrics of each task."""
+        return {"task": "studio", "time_s": round(self.stamp_ns * 1e-9, 6), "tasks": self._room.tasks}
+
+    def close(self) -> None:
+        """Finish all files; closing twice is harmless."""
+        if not self.ended:
+            self.apply(inputs.End())
+        self._journal.close()
+        self._room.diary.close()
+        self._room.simulator.close()
+
+    def _started(self) -> Run:
+        """A run at the spawn, on the map that was given."""
+        run = Run(self._room, self._step)
+        if self.setup.map_path is not None:
+            map_load(run, inputs.MapLoad())
+        return run
+
+    def _drive(self, entry: inputs.Driving) -> str:
+        hands = self._run.hands
+        if isinstance(entry, inputs.Release):
+            hands.command = None
+        else:
+            hands.command = Twist(entry.v, entry.w) if isinstance(entry, inputs.Drive) else Twist()
+        return ""
+
+    def _done(self, deed: inputs.Deed) -> str:
+        if isinstance(deed, inputs.Record):
+            return self._record(deed.name)
+        if isinstance(deed, inputs.RecordStop):
+            if self._bag is None:
+                raise InputError("record_stop: nothing is being recorded")
+            return self._record_stop()
+        if isinstance(deed, inputs.Reset):
+            self._finish("ended: reset")
+            self._run = self._started()
+            return "reset: the robot is back at its start"
+        if isinstance(deed, inputs.End):
+            self._finish("ended with the session")
+            self.ended = True
+            return "the session is over"
+        return DEEDS[type(deed)](self._run, deed)
+
+    def _finish(self, why: str) -> None:
+        self._run.end_task(why)
+        if self._bag is not None:
+            self._run.say(self._record_stop())
+
+    def _record(self, name: str) -> str:
+        if self._bag is not None:
+            raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
+        setup, tee = self.setup, self._room.tee
+        custom = {
+            "seed": str(setup.seed),
+            "config_sha256": sha256_text(config_text(setup.config)),
+            "world": setup.arena.name,
+            "task": "studio",
+        }
+        bag = BagWriter(self._folder / "bags" / name, custom=custom)
+        self._bag, tee.bag = (name, bag), bag
+        bag.static_transforms(self.stamp_ns, static_transforms(setup.spec))
+        if tee.grid is not None:
+            bag.map(self.stamp_ns, tee.grid)
+        if self._run.owner.owner == "teleop":
+            bag.owner(self.stamp_ns, "teleop")
+        return f"recording {name}"
+
+    def _record_stop(self) -> str:
+        assert self._bag is not None
+        name, bag = self._bag
+        bag.close()
+        self._bag, self._room.tee.bag = None, NoBag()
+        return f"bag {name} recorded"
 
     def view(self) -> View:
         """What there is to draw now."""
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Finish all files."""
-        raise NotImplementedError
+        run, room = self._run, self._room
+        pilot, look, truth = run.pilot, run.onlooker, room.simulator.truth
+        task = pilot.task
+        sequence = None if task is None else task.sequence
+        goal = None
+        if sequence is not None and sequence.goal is not None:
+            goal = sequence.waypoint.written
+        localiser = pilot.localiser
+        return View(
+            stamp_ns=run.stamp_ns,
+            ended=self.ended,
+            owner=run.owner.owner,
+            command=(run.command.v, run.command.w),
+            task="" if task is None else task.kind,
+            state=run.doing,
+            recording=None if self._bag is None else self._bag[0],
+            mapping=pilot.mapping,
+            map_name=run.map_name,
+            maps=room.shelf.maps,
+            waypoint_files=room.shelf.waypoint_files,
+            loaded_waypoints=run.waypoints,
+            localised=pilot.localised,
+            sure=localiser.amcl.agreement if localiser is not None and pilot.localised else None,
+            lost=look.lost(),
+            T_map_base=run.T_map_base,
+            T_odom_base=run.observation.odometry.T_odom_base,
+            T_world_base=truth.T_world_base,
+            goals=look.goals(run.shown),
+            goal_index=pilot.goal_index,
+            goal=goal,
+            sectors=look.sectors(),
+            events=room.events.events,
+            scan=look.scan(),
+            particles=look.particles(),
+            plan=look.plan(room.tee.path),
+            local=look.local(run.T_map_base, run.command),
+            odom_path=room.trails["odom"].path,
+            slam_path=room.trails["slam"].path,
+            true_path=room.trails["true"].path,
+            graph=None,
+            boxes=run.boxes,
+            keepout=run.keepout,
+            map=look.map(room.tee.grid),
+            costmap=look.costmap(),
+        )

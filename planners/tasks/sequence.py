@@ -53,7 +53,7 @@ class GoalSequence:
 
     def __init__(self, waypoints: Sequence[Waypoint], config: SequenceConfig) -> None:
         self.config = config
-        lap = list(waypoints)
+        self._lap, lap = tuple(waypoints), list(waypoints)
         if config.closed and len(lap) > 1:
             self._queue = [lap[0], *([*lap[1:], lap[0]] * config.laps)]
         else:
@@ -75,6 +75,11 @@ class GoalSequence:
     def total(self) -> int:
         """How many goals there are, laps and second tries counted."""
         return len(self._queue)
+
+    @property
+    def lap(self) -> tuple[Waypoint, ...]:
+        """The waypoints as they were given."""
+        return self._lap
 
     @property
     def waypoint(self) -> Waypoint:

@@ -4,9 +4,9 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.yaml_files import read_mapping
+from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.stages.settings import config_text, load_config
+from turtlebag.pipeline.stages.settings import load_config
 
 
 class Inner(BaseModel):

@@ -20,7 +20,7 @@ def explorer(duration_s, **replaced):
     robot, config = load_robot("burger"), NavigateConfig()
     kit = Kit(robot, config, 1, Sensing(robot.T_base_lidar), NoBag())
     driver = make_explorer(kit, OnlineMap(robot.T_base_lidar, config.explore.slam), duration_s)
-    driver._tools = dataclasses.replace(driver._tools, **replaced)
+    driver.tools = dataclasses.replace(driver.tools, **replaced)
     return robot, driver
 
 

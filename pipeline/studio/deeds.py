@@ -1,0 +1,236 @@
+"""What each input does to the robot and its maps: refused in one line, or done whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
+from turtlebag.pipeline.navigation.setup import require_floor
+from turtlebag.pipeline.studio import inputs, tasks
+from turtlebag.pipeline.studio.run import Run
+from turtlebag.pipeline.studio.shelf import outlines_of
+from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
+from turtlebag.sim.shapes import box
+
+BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
+
+
+def map_start(run: Run, deed: inputs.MapStart) -> str:
+    """Begin a new map; one that is loaded is put away."""
+    if run.pilot.mapping:
+        raise InputError("map_start: a map is being made already; stop it first")
+    run.end_task("ended: a new map was begun")
+    _new_map(run)
+    return "mapping"
+
+
+def map_stop(run: Run, deed: inputs.MapStop) -> str:
+    """Add nothing more to the map, which can still be saved."""
+    if not run.pilot.mapping:
+        raise InputError("map_stop: no map is being made")
+    if run.pilot.task is not None and run.pilot.task.kind == "explore":
+        raise InputError("map_stop: exploring makes this map; cancel that first")
+    run.pilot.mapping = False
+    return "mapping stopped"
+
+
+def map_save(run: Run, deed: inputs.MapSave) -> str:
+    """Save the map made here, finished; else the one that is loaded, with what to keep out of."""
+    shelf, mapper, grid = run.room.shelf, run.pilot.mapper, run.grid
+    shelf.check_name(deed.name)
+    if mapper is not None:
+        if not mapper.ready:
+            raise InputError("map_save: too little was mapped so far; drive on a little")
+        grid = mapper.finish()
+        run.room.tee.map(run.stamp_ns, grid)
+    if grid is None:
+        raise InputError("map_save: there is no map; start mapping and drive, or load one")
+    shelf.save_map(deed.name, grid, run.keepout)
+    return f"map {deed.name} saved"
+
+
+def map_load(run: Run, deed: inputs.MapLoad) -> str:
+    """Go by a map; the robot does not know yet where on it it is."""
+    path, grid, saved = run.room.shelf.load_map(deed.name)
+    keepout = run.room.setup.arena.keepout if saved is None else saved
+    costmap = _costmap(run, grid, keepout)
+    run.end_task("ended: a map was loaded")
+    run.grid, run.map_name, run.map_path, run.keepout = grid, deed.name, path, keepout
+    run.pilot.load(grid, costmap, run.stamp_ns)
+    run.frame_changed()
+    return f"map {deed.name or path.stem} loaded"
+
+
+def pose_estimate(run: Run, deed: inputs.PoseEstimate) -> str:
+    """Tell the robot where it is."""
+    navigation, _ = _on_map(run, "pose_estimate")
+    pose = SE2.from_xyt(*deed.pose)
+    require_on_map("pose_estimate", pose, navigation.tools.live.static, run.map_path)
+    navigation.told(pose, run.observation.odometry.T_odom_base)
+    run.frame_changed()
+    x, y, yaw = deed.pose
+    return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
+
+
+def localise_global(run: Run, deed: inputs.LocaliseGlobal) -> str:
+    """Let the robot find out where it is: it may be anywhere."""
+    navigation, grid = _on_map(run, "localise_global")
+    require_floor(grid, run.map_path)
+    navigation.told("global", run.observation.odometry.T_odom_base)
+    run.frame_changed()
+    return "global localisation: the robot may be anywhere on the map"
+
+
+def goal(run: Run, deed: inputs.SetGoal) -> str:
+    """Go there: on the map if there is one, else by what is seen."""
+    pilot = run.pilot
+    if pilot.navigation is None:
+        run.end_task("ended: another goal was set")
+        task = tasks.mapless_goal_task(pilot.kit, pilot.T_map_odom, run.observation, deed.pose)
+        return _begin(run, task)
+    navigation = _localised(run, "goal")
+    costmap = navigation.tools.live.static
+    require_free("goal", SE2.from_xyt(*deed.pose), costmap, pilot.kit.robot.model, run.map_path)
+    run.end_task("ended: another goal was set")
+    return _begin(run, tasks.goal_task(pilot.kit, navigation, deed.pose, run.stamp_ns))
+
+
+def patrol(run: Run, deed: inputs.Patrol) -> str:
+    """Go to one place after the other."""
+    navigation = _localised(run, "patrol")
+    run.end_task("ended: a patrol was begun")
+    stopovers, now = deed.waypoints, run.stamp_ns
+    return _begin(run, tasks.patrol_task(run.pilot.kit, navigation, stopovers, deed.laps, now))
+
+
+def avoid(run: Run, deed: inputs.Avoid) -> str:
+    """Drive about."""
+    run.end_task("ended: to drive around")
+    return _begin(run, tasks.avoid_task(run.pilot.kit, run.say, run.stamp_ns))
+
+
+def explore(run: Run, deed: inputs.Explore) -> str:
+    """Map what can be reached: the map that is being made is gone on with."""
+    run.end_task("ended: to explore")
+    if not run.pilot.mapping:
+        _new_map(run)
+    assert run.pilot.mapper is not None
+    return _begin(run, tasks.explore_task(run.pilot.kit, run.pilot.mapper, run.stamp_ns))
+
+
+def wiggle(run: Run, deed: inputs.TurnToAndFro) -> str:
+    """Turn to and fro."""
+    _localised(run, "wiggle")
+    run.end_task("ended: to turn to and fro")
+    assert run.pilot.localiser is not None
+    return _begin(run, tasks.wiggle_task(run.pilot.kit, run.pilot.localiser, run.stamp_ns))
+
+
+def cancel(run: Run, deed: inputs.Cancel) -> str:
+    """End the task."""
+    if run.pilot.task is None:
+        raise InputError("cancel: nothing is being done")
+    run.end_task("cancelled")
+    return ""
+
+
+def waypoints_save(run: Run, deed: inputs.WaypointsSave) -> str:
+    """Save waypoints."""
+    run.room.shelf.save_waypoints(deed.name, deed.waypoints)
+    return f"waypoints {deed.name} saved"
+
+
+def waypoints_load(run: Run, deed: inputs.WaypointsLoad) -> str:
+    """Show waypoints."""
+    loaded = run.room.shelf.load_waypoints(deed.name)
+    run.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
+    return f"waypoints {deed.name or 'of the tutorial'} loaded"
+
+
+def kidnap(run: Run, deed: inputs.Kidnap) -> str:
+    """Carry the robot elsewhere."""
+    run.room.simulator.carry(SE2.from_xyt(*deed.pose))
+    x, y, yaw = deed.pose
+    return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
+
+
+def drop_box(run: Run, deed: inputs.DropBox) -> str:
+    """Drop a box."""
+    if len(run.boxes) >= MOST_BOXES:
+        raise InputError(f"box: there are {MOST_BOXES} already")
+    x, y = deed.xy
+    run.room.simulator.drop(box("box", (x, y), (deed.size, deed.size), 0.0, (0.0, BOX_HEIGHT_M)))
+    run.boxes = np.vstack([run.boxes, [x, y, deed.size, deed.size]])
+    return f"box dropped at {x:.2f}, {y:.2f}"
+
+
+def keep_out(run: Run, deed: inputs.Keepout) -> str:
+    """Keep out of these places, and of no others."""
+    keepout = outlines_of(deed.outlines)
+    if run.grid is not None:
+        costmap = _costmap(run, run.grid, keepout)
+        for number, outline in enumerate(keepout, start=1):
+            if not polygon_mask(costmap, outline).any():
+                raise InputError(f"keepout {number}: lies outside the map; draw it on the map")
+        run.pilot.keep_out(costmap)
+    run.keepout = keepout
+    return f"{len(keepout)} places to keep out of"
+
+
+DEEDS: dict[type[Any], Callable[[Run, Any], str]] = {
+    inputs.MapStart: map_start,
+    inputs.MapStop: map_stop,
+    inputs.MapSave: map_save,
+    inputs.MapLoad: map_load,
+    inputs.PoseEstimate: pose_estimate,
+    inputs.LocaliseGlobal: localise_global,
+    inputs.SetGoal: goal,
+    inputs.Patrol: patrol,
+    inputs.WaypointsSave: waypoints_save,
+    inputs.WaypointsLoad: waypoints_load,
+    inputs.Avoid: avoid,
+    inputs.Explore: explore,
+    inputs.TurnToAndFro: wiggle,
+    inputs.Cancel: cancel,
+    inputs.Kidnap: kidnap,
+    inputs.DropBox: drop_box,
+    inputs.Keepout: keep_out,
+}
+"""All but those of the session itself: bags, reset and end."""
+
+
+def _begin(run: Run, task: tasks.Task) -> str:
+    run.begin(task)
+    return task.opening
+
+
+def _new_map(run: Run) -> None:
+    run.grid = run.map_name = run.room.tee.grid = None
+    run.pilot.start_mapping()
+    run.frame_changed()
+
+
+def _costmap(run: Run, grid: OccupancyGrid, keepout: Sequence[Array]) -> Costmap:
+    return costmap_from_grid(grid, run.room.setup.config.costmap, keepout)
+
+
+def _on_map(run: Run, what: str) -> tuple[NavigationDriver, OccupancyGrid]:
+    """The driver on the map that is loaded; InputError without one."""
+    if run.pilot.navigation is None or run.grid is None:
+        raise InputError(f"{what}: needs a map; load one first")
+    return run.pilot.navigation, run.grid
+
+
+def _localised(run: Run, what: str) -> NavigationDriver:
+    """The same, for a robot that was told where it is."""
+    navigation, _ = _on_map(run, what)
+    if not run.pilot.told:
+        raise InputError(f"{what}: the robot does not know where it is; give a pose estimate first")
+    return navigation

@@ -1,0 +1,149 @@
+"""`session.yaml`: what a session began with, and every input with its time, a line each.
+
+It extends the format of `takeover.yaml`: speeds asked for by hand are intervals, everything else has a
+time `at`. Lines are only ever appended, one whole line at once, so it can be read at any moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import checked, read_mapping
+from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
+from turtlebag.pipeline.studio.inputs import Deed, Driving, parse_input
+from turtlebag.sim.simulator import SimConfig
+
+FILE = "session.yaml"
+LONGEST_S = 1e6
+EVERY_NS = 10**9
+"""No longer than this is a session silent: what is lost by a kill is shorter."""
+
+
+class Header(BaseModel):
+    """What a session began with. `sha256` holds those of the files named, by their part in it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    version: Literal[1] = 1
+    world: str
+    robot: str
+    seed: int = Field(ge=0)
+    map: str | None = None
+    sha256: dict[str, str] = {}
+    sim: SimConfig = SimConfig()
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A session as its file has it: deeds by time [ns], intervals of driving, and when it ended [ns]."""
+
+    header: Header
+    deeds: tuple[tuple[int, Deed], ...]
+    script: tuple[Interval, ...]
+    until_ns: int
+
+
+def load_session(path: Path) -> Recorded:
+    """Read a session file; InputError names the entry that is wrong."""
+    data = read_mapping(path)
+    entries = data.pop("inputs", None) or []
+    header = checked(Header, data, where=str(path))
+    if not isinstance(entries, list):
+        raise InputError(f"{path}: inputs: expected a list")
+    deeds: list[tuple[int, Deed]] = []
+    intervals: list[Any] = []
+    until_ns = 0
+    for number, entry in enumerate(entries, start=1):
+        where = f"{path}: input {number}"
+        if not isinstance(entry, dict):
+            raise InputError(f"{where}: expected keys and values")
+        if "at" not in entry:
+            interval = checked(Interval, entry, where=where)
+            intervals.append(interval)
+            until_ns = max(until_ns, round(interval.end * 1e9))
+            continue
+        at_ns, deed = _timed(entry, where)
+        if at_ns < (deeds[-1][0] if deeds else 0):
+            raise InputError(
+                f"{where}: at {entry['at']:g} s, which is before the one above; put them in order"
+            )
+        if deeds and deeds[-1][1].do == "end":
+            raise InputError(f"{where}: comes after the session's end; remove it")
+        until_ns = max(until_ns, at_ns)
+        if deed is not None:
+            deeds.append((at_ns, deed))
+    script = checked(TakeoverConfig, {"script": intervals}, where=str(path)).script
+    return Recorded(header, tuple(deeds), script, until_ns)
+
+
+def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Deed | None]:
+    """Time [ns] and deed of an entry; no deed where it only says that the session still went on."""
+    at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
+    if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
+        raise InputError(f"{where}: at: must be 0 to {LONGEST_S:g} s")
+    at_ns = round(at * 1e9)
+    if not rest:
+        return at_ns, None
+    deed = parse_input(rest, where)
+    if isinstance(deed, Driving):
+        raise InputError(f"{where}: {deed.do}: is written as an interval with begin, end, v and w")
+    return at_ns, deed
+
+
+class Journal:
+    """Writes a session file while the session goes on."""
+
+    def __init__(self, path: Path, header: Header) -> None:
+        self._file = path.open("x")
+        told = header.model_dump(mode="json", exclude={"sim"})
+        sim = header.sim.model_dump(mode="json", exclude_defaults=True)
+        self._file.write(yaml.safe_dump({**told, **({"sim": sim} if sim else {})}, sort_keys=False))
+        self._write("inputs:\n")
+        self._asked: Twist | None = None
+        self._begin_ns = self._silent_ns = 0
+
+    def deed(self, stamp_ns: int, deed: Deed) -> None:
+        """Note a deed, which happens before the tick at this stamp."""
+        self._interval(stamp_ns)
+        self._begin_ns = self._silent_ns = stamp_ns
+        self._entry({"at": _seconds(stamp_ns), **deed.model_dump(mode="json")})
+
+    def tick(self, stamp_ns: int, asked: Twist | None) -> None:
+        """Note a tick, and the speed that was asked for by hand, if one was."""
+        changed = asked != self._asked
+        if self._asked is not None and (changed or stamp_ns - self._begin_ns >= EVERY_NS):
+            self._interval(stamp_ns)
+            self._begin_ns = self._silent_ns = stamp_ns
+        if changed:
+            self._asked, self._begin_ns = asked, stamp_ns
+        if asked is None and stamp_ns - self._silent_ns >= EVERY_NS:
+            self._silent_ns = stamp_ns
+            self._entry({"at": _seconds(stamp_ns)})
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+    def _interval(self, end_ns: int) -> None:
+        if self._asked is not None and end_ns > self._begin_ns:
+            span = {"begin": _seconds(self._begin_ns), "end": _seconds(end_ns)}
+            self._entry({**span, "v": self._asked.v, "w": self._asked.w})
+
+    def _entry(self, entry: Mapping[str, Any]) -> None:
+        text = yaml.safe_dump(dict(entry), default_flow_style=True, sort_keys=False, width=10**9)
+        self._write(f"- {text}")
+
+    def _write(self, text: str) -> None:
+        self._file.write(text)
+        self._file.flush()
+
+
+def _seconds(stamp_ns: int) -> float:
+    return round(stamp_ns * 1e-9, 9)

@@ -1,0 +1,214 @@
+"""Turns a session into views: what is drawn is worked out here, and only what has changed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.navigation.lost import State
+from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.studio.pilot import Pilot
+from turtlebag.pipeline.studio.tasks import Task
+from turtlebag.pipeline.studio.view import CostLayer, Event, GoalMark, Level, MapLayer, Path, SectorMarks
+from turtlebag.planners.live import LiveLayer
+
+Made = TypeVar("Made")
+AHEAD_S, AHEAD_STEPS = 1.5, 16
+"""The local trajectory is where the command leads in this time."""
+STEP_M, MOST_POINTS = 0.02, 20_000
+MOST_EVENTS = 500
+
+
+class Trail:
+    """A path that grows by points at least 2 cm apart; of a long one only the newer part is kept."""
+
+    def __init__(self) -> None:
+        self._points = np.empty((1024, 2))
+        self._count = 0
+        self.path = Path(0, self._points[:0])
+
+    def add(self, xy: Array) -> None:
+        """One more point (2,), unless it lies where the last one does."""
+        if self._count and np.hypot(*(xy - self._points[self._count - 1])) < STEP_M:
+            return
+        if self._count == len(self._points):
+            self._make_room()
+        self._points[self._count] = xy
+        self._count += 1
+        self.path = Path(self.path.version, self._points[: self._count])
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._points, self._count = np.empty((1024, 2)), 0
+        self.path = Path(self.path.version + 1, self._points[:0])
+
+    def _make_room(self) -> None:
+        """Room for more in another array: what was shown before does not change."""
+        if self._count >= MOST_POINTS:
+            self._count //= 2
+            self._points = self._points[-self._count :]
+            self.path = Path(self.path.version + 1, self._points)
+        grown = np.empty((2 * len(self._points), 2))
+        grown[: self._count] = self._points[: self._count]
+        self._points = grown
+
+
+class EventLog:
+    """The last lines, numbered."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._lines: deque[Event] = deque(maxlen=MOST_EVENTS)
+        self._number = 0
+        self.events: tuple[Event, ...] = ()
+
+    def add(self, stamp_ns: int, text: str, level: Level = "info") -> None:
+        """One more line."""
+        self._number += 1
+        self._lines.append(Event(self._number, round(stamp_ns * 1e-9, 3), text, level))
+        self.events = tuple(self._lines)
+        self._say(text)
+
+
+class Cached:
+    """The last thing made, for as long as what it was made of is the same objects."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, tuple[tuple[Any, ...], Any]] = {}
+
+    def get(self, name: str, of: tuple[Hashable | object, ...], make: Callable[[], Made]) -> Made:
+        """What was made under this name of these objects, or else what `make` makes."""
+        before = self._made.get(name)
+        if before is None or not all(a is b or _same(a, b) for a, b in zip(before[0], of, strict=True)):
+            before = self._made[name] = of, make()
+        return before[1]  # type: ignore[no-any-return]
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two plain values are equal; other objects are the same only when they are one."""
+    return isinstance(a, (int, str, float)) and isinstance(b, (int, str, float)) and a == b
+
+
+class Onlooker:
+    """Looks at the robot's side of a session."""
+
+    def __init__(self, pilot: Pilot) -> None:
+        self._pilot, self._cached = pilot, Cached()
+
+    def scan(self) -> Array | None:
+        """Where the beams of the newest sweep ended, (n, 2) in the map frame."""
+        sight, T_map_odom = self._pilot.sensing.sight, self._pilot.T_map_odom
+        if sight is None:
+            return None
+        return self._cached.get("scan", (sight, self._frame), lambda: T_map_odom @ sight.hits_odom)
+
+    def particles(self) -> Array | None:
+        """The cloud, (n, 3)."""
+        localiser = self._pilot.localiser
+        if localiser is None or not localiser.amcl.initialised:
+            return None
+        amcl = localiser.amcl
+        return self._cached.get("particles", (amcl.watch, amcl.watch.updates), lambda: amcl.particles.xyt)
+
+    def plan(self, path: SE2 | None) -> Array | None:
+        """The global path, (n, 2), of a task that has one."""
+        task = self._pilot.task
+        if task is None or path is None:
+            return None
+        T = self._T_map_task(task)
+        return self._cached.get("plan", (path, self._frame), lambda: T @ path.xy)
+
+    def local(self, T_map_base: SE2, command: Twist) -> Array | None:
+        """Where the command leads, (n, 2); None for one to stand still."""
+        if command.v == 0.0 and command.w == 0.0:
+            return None
+        t = np.linspace(0.0, AHEAD_S, AHEAD_STEPS)
+        yaw = command.w * t
+        half = np.sinc(yaw / (2.0 * np.pi)) * command.v * t
+        return T_map_base @ np.stack([half * np.cos(0.5 * yaw), half * np.sin(0.5 * yaw)], axis=1)
+
+    def map(self, grid: OccupancyGrid | None) -> MapLayer | None:
+        """The map that is loaded, or that grows."""
+        if grid is None:
+            return None
+        return self._cached.get("map", (grid,), lambda: MapLayer(grid))
+
+    def costmap(self) -> CostLayer | None:
+        """What the robot plans on, with the obstacles that it sees."""
+        live = self._live()
+        if live is None:
+            return None
+        costmap, task, radius = live.costmap, self._pilot.task, self._pilot.kit.robot.model.inscribed_radius
+        T = SE2.identity() if task is None else self._T_map_task(task)
+        return self._cached.get("costmap", (costmap, self._frame), lambda: CostLayer(costmap, T, radius))
+
+    def sectors(self) -> SectorMarks | None:
+        """The three sectors of the newest sweep."""
+        sight, task = self._pilot.sensing.sight, self._pilot.task
+        if sight is None:
+            return None
+        s, decision = sight.sectors, "" if task is None else task.decision
+        return self._cached.get(
+            "sectors", (s, decision), lambda: SectorMarks(s.left, s.front, s.right, decision)
+        )
+
+    def goals(self, task: Task | None) -> tuple[GoalMark, ...]:
+        """The goals of a task and what has become of each in its last lap."""
+        sequence = None if task is None else task.sequence
+        if sequence is None:
+            return ()
+        done, running = len(sequence.outcomes), sequence.goal is not None
+        return self._cached.get("goals", (sequence, done, running), lambda: _marks(task))
+
+    def lost(self) -> str | None:
+        """Why the robot does not trust its pose; None when it does, or has none."""
+        localiser, navigation = self._pilot.localiser, self._pilot.navigation
+        if localiser is None or navigation is None or not localiser.amcl.initialised:
+            return None
+        assert navigation.finder is not None
+        state = navigation.finder.lost.state
+        if self._pilot.task is not None and state not in (State.DRIVE, State.WIGGLE):
+            return state.value.replace("_", " ")
+        if not localiser.amcl.converged:
+            return "particles are spread"
+        return None if localiser.amcl.agrees else "scans disagree with the map"
+
+    @property
+    def _frame(self) -> object:
+        """Stands for odometry's frame on the map: another object when that is another."""
+        T = self._pilot.T_map_odom
+        return self._cached.get("frame", tuple(T.xyt.tolist()), object)
+
+    def _T_map_task(self, task: Task) -> SE2:
+        """The frame that the driver of a task works in."""
+        mapless = isinstance(task.driver, NavigationDriver) and task.driver.finder is None
+        return self._pilot.T_map_odom if mapless else SE2.identity()
+
+    def _live(self) -> LiveLayer | None:
+        driver = None if self._pilot.task is None else self._pilot.task.driver
+        if isinstance(driver, NavigationDriver):
+            return driver.tools.live
+        if self._pilot.task is not None and self._pilot.task.explorer is not None:
+            return self._pilot.task.explorer.tools.live
+        return None if self._pilot.navigation is None else self._pilot.navigation.tools.live
+
+
+def _marks(task: Task | None) -> tuple[GoalMark, ...]:
+    assert task is not None
+    assert task.sequence is not None
+    sequence = task.sequence
+    lap = sequence.lap
+    status = ["waiting"] * len(lap)
+    first = max(sequence.index, 0) // len(lap) * len(lap)
+    for outcome in sequence.outcomes:
+        if outcome.index >= first:
+            status[outcome.index % len(lap)] = outcome.status
+    if sequence.goal is not None:
+        status[sequence.index % len(lap)] = "active"
+    return tuple(GoalMark(*goal.written, word) for goal, word in zip(lap, status, strict=True))

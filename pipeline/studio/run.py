@@ -1,0 +1,154 @@
+"""The robot of a session from its start, or from the last reset on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.navigation.drivers import Kit
+from turtlebag.pipeline.navigation.sensing import Sensing
+from turtlebag.pipeline.navigation.status_lines import News, verdict
+from turtlebag.pipeline.navigation.takeover import CommandOwner
+from turtlebag.pipeline.studio.diary import Diary
+from turtlebag.pipeline.studio.onlooker import EventLog, Onlooker, Trail
+from turtlebag.pipeline.studio.pilot import Pilot
+from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.shelf import Shelf
+from turtlebag.pipeline.studio.tasks import Task, WiggleDriver
+from turtlebag.pipeline.studio.tee import Tee
+from turtlebag.pipeline.studio.view import Level
+from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.sim.simulator import Simulator
+
+
+class Hands:
+    """Who drives by hand: what was asked for last holds."""
+
+    def __init__(self) -> None:
+        self.command: Twist | None = None
+
+    def asked(self, stamp_ns: int) -> Twist | None:
+        """The speed asked for; None while nobody drives by hand."""
+        return self.command
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """What outlasts a reset."""
+
+    setup: StudioSetup
+    simulator: Simulator
+    shelf: Shelf
+    diary: Diary
+    events: EventLog
+    tee: Tee
+    tasks: list[dict[str, Any]]
+    """Metrics of the tasks that are over."""
+    trails: dict[str, Trail]
+    """The paths by odometry, as the robot took itself to go, and in truth: `odom`, `slam`, `true`."""
+
+
+class Run:
+    """What there is of robot, map and tasks."""
+
+    def __init__(self, room: Room, step: int) -> None:
+        """The robot stands at the world's spawn at control step `step`."""
+        setup = room.setup
+        self.room = room
+        self.observation = room.simulator.reset(step=step)
+        robot, config = setup.spec, setup.config
+        room.tee.grid = room.tee.path = None
+        self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.tee))
+        self.hands = Hands()
+        monitor = CollisionMonitor(robot.model, config.monitor)
+        self.owner = CommandOwner(self.pilot, robot.model, self.hands, monitor)
+        self.onlooker = Onlooker(self.pilot)
+        self.command = Twist()
+        self.doing = ""
+        self.grid: OccupancyGrid | None = None
+        """The map that is loaded."""
+        self.map_name: str | None = None
+        self.map_path = Path()
+        self.keepout: tuple[Array, ...] = setup.arena.keepout
+        self.boxes = np.zeros((0, 4))
+        """Dropped so far, see `View.boxes`."""
+        self.waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
+        self.shown: Task | None = None
+        """The last task that had goals."""
+        self._news = News("", self.say, self._clock)
+        for trail in room.trails.values():
+            trail.clear()
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self.observation.stamp_ns
+
+    @property
+    def T_map_base(self) -> SE2:
+        """Where the robot takes itself to be; by odometry alone while nothing else is known."""
+        return self.pilot.T_map_odom @ self.observation.odometry.T_odom_base
+
+    def say(self, text: str, level: Level = "info") -> None:
+        """A line for the event log."""
+        self.room.events.add(self.stamp_ns, text, level)
+
+    def tick(self) -> None:
+        """One control period."""
+        observation, room, pilot = self.observation, self.room, self.pilot
+        self.command = self.owner.step(observation)
+        room.diary.tick(observation, pilot, self.owner, self.command, room.tee)
+        task = pilot.task
+        sequence = None if task is None else task.sequence
+        self._news.tick(observation.stamp_ns, self.owner, sequence, room.simulator.truth)
+        if observation.scan is not None:
+            room.trails["odom"].add(observation.odometry.T_odom_base.xy)
+            room.trails["slam"].add(self.T_map_base.xy)
+            room.trails["true"].add(room.simulator.truth.T_world_base.xy)
+        if task is not None and task.driver.finished:
+            self._task_over(task)
+        elif task is not None and observation.stamp_ns >= task.end_ns:
+            self.end_task("broken off: it has lasted for too long")
+        self.observation = room.simulator.step(self.command)
+
+    def begin(self, task: Task) -> None:
+        """Do this from the next tick on; nothing else is being done."""
+        self.pilot.begin(task)
+        self.room.diary.begin()
+        self._news.begin()
+        self.shown = task if task.sequence is not None else None
+
+    def end_task(self, why: str) -> None:
+        """Break the task off, if there is one."""
+        task = self.pilot.task
+        if task is None:
+            return
+        if task.sequence is not None:
+            task.sequence.expire(why, self.stamp_ns)
+        self.say(f"{task.kind} {why}")
+        self._task_over(task)
+
+    def frame_changed(self) -> None:
+        """Where the robot took itself to be until now was on another map."""
+        self.room.trails["slam"].clear()
+
+    def _task_over(self, task: Task) -> None:
+        if isinstance(task.driver, WiggleDriver):
+            self.say(task.driver.spread)
+        explorer = task.explorer
+        grid = None if explorer is None else explorer.grid
+        metrics = self.room.diary.end(task, grid)
+        if metrics is not None:
+            self.room.tasks.append({"begin_s": round(task.begin_ns * 1e-9, 6), **metrics})
+            self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
+        self.room.tee.path = None
+        self.pilot.end_task()
+
+    def _clock(self, stamp_ns: int, doing: str) -> None:
+        self.doing = doing

@@ -1,0 +1,80 @@
+"""What a session begins with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import map_files
+from turtlebag.datasets.outputs import sha256_file
+from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.studio.journal import Header
+from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.simulator import SimConfig
+from turtlebag.sim.world import World
+from turtlebag.sim.worlds import load_world, own_files
+
+
+@dataclass(frozen=True, eq=False)
+class StudioSetup:
+    """Names or files of world and robot, a seed, and a map if there is one.
+
+    InputError, where something is first looked up, for unknown names and files that cannot be read.
+    """
+
+    world: str
+    robot: str | None = None
+    seed: int = 0
+    map_path: Path | None = None
+    sim: SimConfig = field(default_factory=SimConfig)
+
+    @cached_property
+    def arena(self) -> World:
+        """The world."""
+        return load_world(self.world)
+
+    @cached_property
+    def robot_name(self) -> str:
+        """Name or file of the robot; the world's own where none was given."""
+        return self.robot or self.arena.robot
+
+    @cached_property
+    def spec(self) -> RobotSpec:
+        """The robot."""
+        return load_robot(self.robot_name)
+
+    @cached_property
+    def config(self) -> NavigateConfig:
+        """The resolved settings."""
+        return NavigateConfig(sim=self.sim.resolved(self.spec))
+
+    @cached_property
+    def files(self) -> dict[str, Path]:
+        """World, robot and map, as far as they are files of the user's own."""
+        own = own_files(self.world, self.robot_name)
+        return own if self.map_path is None else {**own, **map_files(self.map_path)}
+
+    def header(self) -> Header:
+        """What its session file begins with."""
+        return Header(
+            world=self.world,
+            robot=self.robot_name,
+            seed=self.seed,
+            map=None if self.map_path is None else str(self.map_path),
+            sha256={kind: sha256_file(path) for kind, path in self.files.items()},
+            sim=self.sim,
+        )
+
+
+def setup_of(header: Header, where: Path) -> StudioSetup:
+    """The setup that a session file names; InputError when a file is missing or is not what it was."""
+    path = None if header.map is None else Path(header.map)
+    setup = StudioSetup(header.world, header.robot, header.seed, path, header.sim)
+    now = setup.header().sha256
+    for kind in sorted({*header.sha256, *now}):
+        if header.sha256.get(kind) != now.get(kind):
+            name = setup.files.get(kind, kind)
+            raise InputError(f"{where}: {kind} {name}: is not the file that the session was driven with")
+    return setup
