@@ -33,7 +33,7 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup doctor demo demo-world demo-house pictures record map navigate report verify lint test browser clean \
+.PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify lint test browser clean \
   bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-bags mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
@@ -64,6 +64,9 @@ demo-world:
 demo-house:
 	$(MAKE) --no-print-directory record map navigate WORLD=turtlebot3_house TASK=goal GOAL=5.5,-4.5,-1.5708
 	$(MAKE) --no-print-directory navigate WORLD=turtlebot3_house TASK=avoid
+
+studio: $(READY) ## open a simulated robot in the browser   (WORLD ROBOT SEED MAP OUT)
+	$(TURTLEBAG) studio --world $(WORLD) --robot $(ROBOT) --seed $(SEED) $(if $(MAP),--map $(MAP)) $(if $(OUT),--out $(OUT))
 
 record: $(RECORD_DIR)/manifest.json ## drive a robot in a world, write a bag   (WORLD ROBOT TELEOP SEED OUT)
 map: $(MAP_DIR)/manifest.json $(if $(TUTORIAL_$(WORLD)),data/maps/$(TUTORIAL_$(WORLD)).yaml) ## build a map   (BAG OUT, or as record)

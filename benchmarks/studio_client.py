@@ -134,7 +134,7 @@ class Client:
     async def asked(self, do: str, **fields: Any) -> None:
         """Send one message and see it refused or taken: an AssertionError says why it was refused.
 
-        What is told of it comes with a frame that was made after it was applied: the second one at the latest.
+        What is told of it comes with a frame that was made afterwards: the second one at the latest.
         """
         before = len(self.picture.errors)
         self.ask(do, **fields)

@@ -27,6 +27,9 @@ MARKER = ".turtlebag-unfinished"
 """File in every folder that grows. It never is part of a finished output, nor of its hashes."""
 _MARK = "turtlebag: this output is unfinished; the same command removes it and starts over\n"
 _HIDDEN = ".turtlebag-"
+SESSION = "session.yaml"
+WORTH_SAVING = ("bag/*.mcap", "bags/*/*.mcap", SESSION)
+"""What cannot be made again by the same command."""
 _held: dict[Path, Claim] = {}
 
 
@@ -65,11 +68,11 @@ class Claim:
     def begin(self, *, save_bag: bool = False) -> Path:
         """The folder to write into, rid of what a killed process left.
 
-        With `save_bag` a bag that was left is not removed but set aside, to be recovered.
+        With `save_bag` bags that were left are not removed but set aside, to be recovered; so is a session.
         """
         if self.growing:
             raise InputError(f"{self.out}: is being written already")
-        if save_bag and any((self.partial / "bag").glob("*.mcap")):
+        if save_bag and any(next(self.partial.glob(left), None) for left in WORTH_SAVING):
             self._set_aside()
         self.growing = True
         self.clear()
@@ -158,9 +161,11 @@ class Claim:
         (aside / MARKER).unlink()
         close(self._folder)
         self._folder = self._acquired()
-        logging.getLogger("turtlebag").warning(
-            "an unfinished recording is now %s; `turtlebag bag recover %s --out DIR` saves it", aside, aside
-        )
+        if (aside / SESSION).exists():
+            what, how = "session", f"`turtlebag studio --replay {aside / SESSION} --out DIR` drives it again"
+        else:
+            what, how = "recording", f"`turtlebag bag recover {aside} --out DIR` saves it"
+        logging.getLogger("turtlebag").warning("an unfinished %s is now %s; %s", what, aside, how)
 
     def _old_set_aside(self) -> Path | None:
         """Move the output to be replaced to a name of its own; None when there is none, or an empty one."""

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from benchmarks.studio_client import Client
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -34,7 +35,17 @@ def view(**given):
     nothing = Path(0, np.zeros((0, 2)))
     return View(
         **dict.fromkeys(
-            ("recording", "map_name", "loaded_waypoints", "sure", "lost", "goal", "sectors", "scan", "particles")
+            (
+                "recording",
+                "map_name",
+                "loaded_waypoints",
+                "sure",
+                "lost",
+                "goal",
+                "sectors",
+                "scan",
+                "particles",
+            )
         )
         | dict.fromkeys(("plan", "local", "graph", "map", "costmap"))
         | dict.fromkeys(("T_map_base", "T_odom_base", "T_world_base"), SE2.identity())
@@ -66,7 +77,9 @@ class FakeSession:
         if isinstance(entry, SetGoal):
             raise InputError("goal: there is no map to plan on")
         self.applied.append((self.stamp_ns, entry))
-        self._drive = entry if isinstance(entry, Drive) else Drive() if isinstance(entry, Stop) else self._drive
+        self._drive = (
+            entry if isinstance(entry, Drive) else Drive() if isinstance(entry, Stop) else self._drive
+        )
         self.ended = isinstance(entry, End)
         self._events.append(Event(len(self._events) + 1, self.stamp_ns * 1e-9, entry.do, "info"))
         return entry.do
@@ -135,6 +148,24 @@ class Served:
         self.stop()
 
 
+OPENED = []
+
+
+async def connect(url, **headers):
+    """A client that `run` closes in the end."""
+    OPENED.append(await Client.open(url, **headers))
+    return OPENED[-1]
+
+
 def run(coroutine):
     """What a coroutine returns, if it does within half a minute."""
-    return asyncio.run(asyncio.wait_for(coroutine, 30.0))
+
+    async def closing():
+        try:
+            return await asyncio.wait_for(coroutine, 30.0)
+        finally:
+            while OPENED:
+                OPENED.pop().close()
+            await asyncio.sleep(0.05)
+
+    return asyncio.run(closing())

@@ -26,6 +26,7 @@ from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_ver
 VERBS: dict[str, tuple[str, str]] = {
     "record": ("record", "drive a simulated robot with a script and record a bag"),
     "teleop": ("teleop", "drive with the keyboard and record a bag"),
+    "studio": ("studio", "open a simulated robot in the browser: drive, map, set goals"),
     "map": ("map", "build a map from a bag or log"),
     "localise": ("localise", "localise a recorded robot on a map"),
     "navigate": ("navigate", "run a task in closed loop: patrol, goal, avoid or explore"),

@@ -40,7 +40,8 @@ def studio_output(
     check_free(out, force=force, kind="folder")
     timer = Stopwatch()
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
-    with staged_output(out, force=force, inputs=files.values(), save_bag=True) as folder:
+    by_hand = session_file is None  # only what a person did cannot be done again
+    with staged_output(out, force=force, inputs=files.values(), save_bag=by_hand) as folder:
         with Session(setup, folder, say) as session:
             yield session
         save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")

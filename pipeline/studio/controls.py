@@ -75,7 +75,7 @@ class Malformed(Exception):
 def parse_message(message: str | bytes) -> Control | Input:
     """What a client's message asks for.
 
-    Malformed for what no page of ours sends; InputError, in one line, for a thing that cannot be asked for so.
+    Malformed for what no page of ours sends; InputError, in one line, for values that cannot be.
     """
     if not isinstance(message, str):
         raise Malformed("messages are text")

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import math
 import struct
+import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost
 """Blobs that grow at their end, and the layers that they are shown by."""
 GRIDS = {"map": 255, "costmap": 0}
 """Blobs of tiles, and the value of cells that are not sent because a client takes it for granted."""
+GRID_BYTES_A_SECOND = 150_000
+"""A grid that changes faster than this can carry is sent less often: the newest one, when its turn comes."""
 QUICK = 1
 """zlib's fastest level; 384 x 384 cells take a millisecond, and higher levels save little."""
 
@@ -37,12 +40,13 @@ class Message:
     def __init__(self, kind: str, **header: Any) -> None:
         self.header: dict[str, Any] = {"kind": kind, **header, "blobs": []}
         self._parts: list[bytes] = []
-        self._size = 0
+        self.size = 0
+        """Bytes of the blobs."""
 
     def add(self, name: str, values: NDArray, dtype: str = "f4", *, zipped: bool = False) -> None:
         """Add an array as `dtype`: f4, i4 or u1, little-endian; `zipped`: as raw deflate."""
         data = np.ascontiguousarray(values, dtype=f"<{dtype}").tobytes()
-        blob = {"name": name, "dtype": dtype, "shape": list(values.shape), "at": self._size}
+        blob = {"name": name, "dtype": dtype, "shape": list(values.shape), "at": self.size}
         if zipped:
             squeeze = zlib.compressobj(QUICK, zlib.DEFLATED, -zlib.MAX_WBITS)
             data = squeeze.compress(data) + squeeze.flush()
@@ -50,7 +54,7 @@ class Message:
         self.header["blobs"].append(blob)
         padding = -len(data) % 4
         self._parts += [data, bytes(padding)]
-        self._size += len(data) + padding
+        self.size += len(data) + padding
 
     def encoded(self) -> bytes:
         """The message as bytes."""
@@ -87,7 +91,8 @@ def bye(reason: str) -> bytes:
 class Frames:
     """What one client was sent, and so what it lacks. `layers` are those it wants, None for all."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._grids_due = clock, -math.inf
         self.layers: frozenset[str] | None = None
         self._sent: dict[str, Any] = {}
         self._paths: dict[str, tuple[int, int]] = {}
@@ -112,18 +117,16 @@ class Frames:
         if self._changed("keepout", view.keepout):
             message.header["keepout_sizes"] = [len(outline) for outline in view.keepout]
             message.add("keepout", np.concatenate([np.zeros((0, 2)), *view.keepout]))
-        for name, tiles in self._grids.items():
-            if self._changed(name, getattr(view, name)):
-                where, cells = tiles.changed(getattr(view, name))
-                message.header.setdefault("grids", {})[name] = where
-                message.add(f"{name}_tiles", cells, "u1", zipped=True)
+        self._tiles(message, view)
         self._first = False
         return message.encoded()
 
     def _news(self, message: Message, view: View) -> None:
         """Events since the last frame, and waypoints that were loaded since."""
         message.header["events"] = [
-            [round(event.t, 3), event.text, event.level] for event in view.events if event.number > self._event
+            [round(event.t, 3), event.text, event.level]
+            for event in view.events
+            if event.number > self._event
         ]
         self._event = view.events[-1].number if view.events else 0
         # A page that comes back has its own list, which may have been edited since.
@@ -140,6 +143,18 @@ class Frames:
         message.header.setdefault("append", {})[name] = count
         message.add(name, points[count:].reshape(-1, 2))
         self._paths[name] = version, len(points)
+
+    def _tiles(self, message: Message, view: View) -> None:
+        now = self._clock()
+        if now < self._grids_due:
+            return
+        before = message.size
+        for name, tiles in self._grids.items():
+            if self._changed(name, getattr(view, name)):
+                where, cells = tiles.changed(getattr(view, name))
+                message.header.setdefault("grids", {})[name] = where
+                message.add(f"{name}_tiles", cells, "u1", zipped=True)
+        self._grids_due = now + (message.size - before) / GRID_BYTES_A_SECOND
 
     def _wanted(self, layer: str) -> bool:
         return self.layers is None or layer in self.layers

@@ -109,7 +109,9 @@ def listen(host: str, port: int) -> list[socket.socket]:
         return bind_sockets(port, address=host)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise InputError(f"--port {port}: in use; choose another, or leave it out for a free one") from None
+            raise InputError(
+                f"--port {port}: in use; choose another, or leave it out for a free one"
+            ) from None
         if error.errno == errno.EACCES:
             raise InputError(f"--port {port}: not allowed; choose one from 1024 on") from None
         raise InputError(f"--host {host}: {error.strerror}; give an address of this machine") from None

@@ -51,7 +51,7 @@ class Pace:
         self._wanted = threading.Event()
         self._over = False
         self._asked, self._paused, self._steps = 1.0, False, 0
-        self._due = self._shown = 0.0
+        self._due = self._view_due = 0.0
         self._ticks: deque[tuple[float, int]] = deque()
         self._drive: Drive | None = None
         self._driven = 0.0
@@ -197,7 +197,7 @@ class Pace:
 
     def _show_if_wanted(self) -> None:
         now = time.monotonic()
-        if self._wanted.is_set() and now - self._shown >= FRAME_S:
+        if self._wanted.is_set() and now >= self._view_due:
             self._wanted.clear()
-            self._shown = now
+            self._view_due = max(self._view_due + FRAME_S, now)
             self._show(self._session.view(), self._gait())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
+from tornado.iostream import IOStream
 from tornado.web import Application
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -66,13 +67,15 @@ class Studio:
         return self._pace.running
 
     async def end(self, reason: str) -> None:
-        """Stop the time, tell everybody why, and close; raises what went wrong in the session, if anything."""
+        """Stop the time, tell everybody why, and close; raises what went wrong in the session."""
         await asyncio.to_thread(self._pace.end)
         for viewer in list(self._viewers):
             viewer.part(1001, reason)
         patience = self._loop.time() + 1.0
         while self._viewers and self._loop.time() < patience:
             await asyncio.sleep(0.02)
+        for viewer in list(self._viewers):
+            viewer.drop()
         if self._pace.failure is not None:
             raise self._pace.failure
 
@@ -142,8 +145,7 @@ class Viewer(Guarded, WebSocketHandler):
     def open(self) -> None:
         """The page listens."""
         self.set_nodelay(True)
-        assert self.ws_connection is not None
-        self.ws_connection.stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, HELD_BYTES)
+        self._stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, HELD_BYTES)
         self.studio.join(self)
 
     def on_message(self, message: str | bytes) -> None:
@@ -164,7 +166,7 @@ class Viewer(Guarded, WebSocketHandler):
         self.studio.leave(self)
 
     def show(self, view: View, gait: Gait, *, driver: bool) -> None:
-        """Send what is new in a view, unless the frame before is still under way: then this one is dropped."""
+        """Send what is new in a view; dropped while the frame before is still under way."""
         if self._parted or (self._written is not None and not self._written.done()):
             return
         told = {"factor": gait.factor, "asked": gait.asked, "paused": gait.paused, "driver": driver}
@@ -180,6 +182,16 @@ class Viewer(Guarded, WebSocketHandler):
         self._parted = True
         self.send(bye(reason))
         self.close(code, reason[:120])
+
+    def drop(self) -> None:
+        """Close without waiting for a page that does not listen."""
+        self._stream.close()
+
+    @property
+    def _stream(self) -> IOStream:
+        assert self.ws_connection is not None
+        assert self.ws_connection.stream is not None
+        return self.ws_connection.stream
 
     def send(self, message: bytes) -> None:
         """Hand a message to the system; `_written` is done when it has all of it."""

@@ -53,10 +53,13 @@ class Session:
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
         self._step = 0
-        self._run = self._started()
+        try:
+            self._run = self._started()
+        except InputError:
+            simulator.close()
+            raise
         self._journal = Journal(folder / FILE, header)
         self._bag: tuple[str, BagWriter] | None = None
-        self._last_view: View | None = None
         self.ended = False
         """Whether it was asked to end."""
 
@@ -66,7 +69,10 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if kind is None:
+            self.close()
+        else:  # nothing of it is kept
+            self._room.simulator.close()
 
     @property
     def stamp_ns(self) -> int:

@@ -14,6 +14,8 @@ from turtlebag.pipeline.studio.view import CostLayer, MapLayer
 TILE = 64
 MARGIN = 2 * TILE
 """Cells that a growing grid is given on each side that it has outgrown: it then starts anew less often."""
+OFF_LATTICE = 1e-3
+"""A share of a cell: what is left of a whole number of them by rounding is less."""
 Cells = NDArray[np.uint8]
 
 
@@ -43,41 +45,34 @@ class GridTiles:
         fresh = np.full_like(self._canvas, self._blank)
         row, column = self._corner
         rows, columns = layer.cells.shape
+        side = layer.resolution
         fresh[row : row + rows, column : column + columns] = layer.cells
         tiles = changed_tiles(self._canvas, fresh)
         self._canvas, self._layer = fresh, layer
         blocks = [fresh[y : y + h, x : x + w].ravel() for x, y, w, h in tiles]
-        corner = np.array([-column, -row]) * layer.resolution
         where = {
             "version": self._version,
             "w": fresh.shape[1],
             "h": fresh.shape[0],
-            "resolution": layer.resolution,
-            "origin": (layer.origin @ SE2.from_xyt(*corner.tolist(), 0.0)).xyt.tolist(),
+            "resolution": side,
+            "origin": (layer.origin @ SE2.from_xyt(-column * side, -row * side, 0.0)).xyt.tolist(),
             "tiles": tiles,
         }
         return where, np.concatenate([np.zeros(0, dtype=np.uint8), *blocks])
 
     def _place(self, layer: MapLayer | CostLayer) -> None:
-        """Find the layer's place on the canvas; where it has none, begin a new one, that can grow if it does."""
-        moved = self._moved(layer)
+        """Find the layer's place on the canvas, or begin a canvas that it has a place on."""
         rows, columns = layer.cells.shape
-        if moved is None or self._layer is None:
+        corner = self._corner_of(layer)
+        if corner is None:
             self._begin((rows, columns), (0, 0))
             return
-        old_rows, old_columns = self._layer.cells.shape
-        row, column = self._corner[0] + moved[0], self._corner[1] + moved[1]
-        if moved[0] > 0 or moved[1] > 0 or moved[0] + rows < old_rows or moved[1] + columns < old_columns:
-            self._begin((rows, columns), (0, 0))  # it does not hold what there was: another grid
-            return
-        height, width = self._canvas.shape
-        low = MARGIN if row < 0 else row
-        left = MARGIN if column < 0 else column
-        high = MARGIN if row + rows > height else height - row - rows
-        right = MARGIN if column + columns > width else width - column - columns
-        if (low, left) == (row, column) and (high, right) == (height - row - rows, width - column - columns):
-            self._corner = row, column
+        row, column = corner
+        room = row, column, self._canvas.shape[0] - row - rows, self._canvas.shape[1] - column - columns
+        if min(room) >= 0:
+            self._corner = corner
         else:
+            low, left, high, right = (MARGIN if cells < 0 else cells for cells in room)
             self._begin((low + rows + high, left + columns + right), (low, left))
 
     def _begin(self, shape: tuple[int, int], corner: tuple[int, int]) -> None:
@@ -85,16 +80,21 @@ class GridTiles:
         self._corner = corner
         self._version += 1
 
-    def _moved(self, layer: MapLayer | CostLayer) -> tuple[int, int] | None:
-        """Row and column of a layer's cell (0, 0) in the cells of the last; None off their lattice."""
+    def _corner_of(self, layer: MapLayer | CostLayer) -> tuple[int, int] | None:
+        """Row and column of a layer's cell (0, 0) on the canvas; None if it is not the last layer, grown.
+
+        It is when it has the same cells and maybe more.
+        """
         before = self._layer
         if before is None or before.resolution != layer.resolution:
             return None
         x, y, yaw = (before.origin.inverse() @ layer.origin).xyt.tolist()
-        cells = np.array([y, x]) / layer.resolution
-        if yaw != 0.0 or np.abs(cells - np.round(cells)).max() > 1e-3:
+        moved = np.array([y, x]) / layer.resolution
+        whole = np.round(moved)
+        ends = whole + layer.cells.shape - before.cells.shape
+        if yaw != 0.0 or np.abs(moved - whole).max() > OFF_LATTICE or whole.max() > 0 or ends.min() < 0:
             return None
-        row, column = np.round(cells).astype(int).tolist()
+        row, column = (self._corner + whole).astype(int).tolist()
         return row, column
 
 

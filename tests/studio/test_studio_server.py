@@ -5,9 +5,8 @@ import time
 
 import numpy as np
 import pytest
-from studio_fakes import FakeSession, Served, run
+from studio_fakes import FakeSession, Served, connect, run
 
-from benchmarks.studio_client import Client
 from turtlebag.pipeline.studio.inputs import Drive, Stop
 
 
@@ -29,9 +28,9 @@ def applied(session):
 
 def test_a_page_is_told_what_stays_and_then_ten_times_a_second_what_changed(served):
     async def watch():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         picture = await client.until(lambda p: p.head)
-        assert (picture.hello["world"], picture.hello["robot"], picture.hello["seed"]) == ("fake", "burger", 3)
+        assert [picture.hello[key] for key in ("world", "robot", "seed")] == ["fake", "burger", 3]
         assert picture.hello["limits"] == {"max_v": 0.22, "max_w": 2.84}
         assert picture.hello["driver"]
         assert picture.head["driver"]
@@ -51,7 +50,7 @@ def test_a_page_is_told_what_stays_and_then_ten_times_a_second_what_changed(serv
 
 def test_the_session_lives_in_one_thread(served):
     async def drive():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         client.ask("drive", v=0.1, w=0.0)
         await client.until(lambda p: p.head.get("cmd") == [0.1, 0.0])
 
@@ -61,13 +60,13 @@ def test_the_session_lives_in_one_thread(served):
 
 def test_a_page_that_is_loaded_again_misses_nothing(served):
     async def reload():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         client.ask("drive", v=0.1, w=0.0)
         await client.until(lambda p: len(p.events) > 0)
         await client.until(lambda p: any(event[1] == "stop" for event in p.events))
         client.close()
         await asyncio.sleep(0.2)
-        again = await Client.open(served.url)
+        again = await connect(served.url)
         after = await again.until(lambda p: p.head)
         assert after.hello["driver"]
         assert [event[1] for event in after.events] == ["drive", "stop"]
@@ -81,7 +80,7 @@ def test_a_page_that_is_loaded_again_misses_nothing(served):
 
 def test_who_drives_and_falls_silent_stops_after_half_a_second(served):
     async def drive():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         await client.until(lambda p: p.head)
         for _ in range(6):
             client.ask("drive", v=0.2, w=0.5)
@@ -100,7 +99,7 @@ def test_who_drives_and_falls_silent_stops_after_half_a_second(served):
 
 def test_two_watch_and_one_drives(served):
     async def both():
-        one, two = await Client.open(served.url), await Client.open(served.url)
+        one, two = await connect(served.url), await connect(served.url)
         await one.until(lambda p: p.head)
         assert not (await two.until(lambda p: p.head)).hello["driver"]
         for do, fields in (("stop", {}), ("pause", {}), ("speed", {"factor": 4.0}), ("step", {})):
@@ -116,7 +115,7 @@ def test_two_watch_and_one_drives(served):
         two.close()
         await one.read_for(0.3)
         assert not one.picture.head["driver"]
-        third = await Client.open(served.url)
+        third = await connect(served.url)
         assert (await third.until(lambda p: p.head)).head["driver"]
 
     run(both())
@@ -125,7 +124,7 @@ def test_two_watch_and_one_drives(served):
 
 def test_a_refusal_is_told_to_the_one_who_asked_and_once(served):
     async def ask():
-        one, two = await Client.open(served.url), await Client.open(served.url)
+        one, two = await connect(served.url), await connect(served.url)
         one.ask("goal", pose=[1.0, 0.0, 0.0])
         await one.until(lambda p: p.errors)
         one.ask("map_save", name="no spaces please")
@@ -146,7 +145,7 @@ def test_a_refusal_is_told_to_the_one_who_asked_and_once(served):
 
 def test_time_can_stand_still_go_step_by_step_and_at_any_speed(served):
     async def play():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         client.ask("pause")
         still = (await client.until(lambda p: p.head.get("paused"))).head["t"]
         await client.read_for(0.3)
@@ -173,7 +172,7 @@ def test_time_can_stand_still_go_step_by_step_and_at_any_speed(served):
 
 def test_the_socket_answers_while_the_session_computes_as_fast_as_it_can():
     async def ask():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         client.ask("speed", factor=0)
         await client.until(lambda p: p.head.get("asked") == 0)
         waited = []
@@ -190,7 +189,7 @@ def test_the_socket_answers_while_the_session_computes_as_fast_as_it_can():
 
 def test_end_ends_for_everybody_with_a_reason(session):
     async def end():
-        one, two = await Client.open(served.url), await Client.open(served.url)
+        one, two = await connect(served.url), await connect(served.url)
         one.ask("end")
         with pytest.raises(EOFError, match="the session has ended"):
             await one.until(lambda p: False)
@@ -206,7 +205,7 @@ def test_end_ends_for_everybody_with_a_reason(session):
 
 def test_what_goes_wrong_in_the_session_comes_out_and_everybody_is_told(session):
     async def watch():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         await client.until(lambda p: p.head)
         session.broken = OSError(28, "No space left on device")
         with pytest.raises(EOFError, match="closed"):
@@ -220,7 +219,7 @@ def test_what_goes_wrong_in_the_session_comes_out_and_everybody_is_told(session)
 
 def test_layers_that_are_not_wanted_are_not_sent_and_come_when_they_are(served):
     async def choose():
-        client = await Client.open(served.url)
+        client = await connect(served.url)
         client.ask("layers", layers=["scan", "robot", "anything of the page's own"])
         picture = await client.until(lambda p: p.head)
         await client.read_for(0.3)

@@ -1,0 +1,152 @@
+"""`turtlebag studio`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, seed
+
+if TYPE_CHECKING:
+    from socket import socket
+
+    from turtlebag.pipeline.studio.guard import Guard
+    from turtlebag.pipeline.studio.setup import StudioSetup
+
+EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
+WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
+LIVE = ("world", "robot", "seed", "map", "port", "host", "config", "settings", "no_browser")
+"""Options of a session that is yet to be driven; one that is driven again has all of it in its file."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's arguments."""
+    parser.add_argument(
+        "--world", metavar="W", help=f"world: a name or a YAML or SDF file (default: {WORLD})"
+    )
+    parser.add_argument(
+        "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
+    )
+    parser.add_argument("--seed", type=seed, metavar="N", help=f"random seed (default: {SEED})")
+    add_map(parser, "begin", required=False)
+    parser.add_argument("--port", type=_port, metavar="P", help="port of the page (default: a free one)")
+    parser.add_argument(
+        "--host",
+        metavar="H",
+        help="address to listen at (default: this machine only); with another, whoever knows the page's "
+        "address can drive",
+    )
+    parser.add_argument(
+        "--no-browser", action="store_true", help="only print the page's address, do not open it"
+    )
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="FILE",
+        help="drive the session of a session.yaml again, without a page; needs --out",
+    )
+    add_config(parser)
+    add_output(
+        parser,
+        "folder for all that is saved (default: data/studio/WORLD-ROBOT-SEED)",
+        required=False,
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until the session ends or Ctrl-C; or drive a session again."""
+    if args.replay is not None:
+        return _replay(args)
+    from turtlebag.pipeline.stages.record import RecordOptions
+    from turtlebag.pipeline.stages.settings import load_config
+    from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen, new_token
+    from turtlebag.pipeline.studio.setup import StudioSetup
+    from turtlebag.pipeline.terminal.messages import log
+
+    options = load_config(RecordOptions, args.config, args.settings)
+    chosen = SEED if args.seed is None else args.seed
+    setup = StudioSetup(args.world or WORLD, args.robot, chosen, args.map, options.sim)
+    out = args.out or _free_folder(setup)
+    host = args.host or LOOPBACK
+    sockets = listen(host, args.port or 0)
+    guard = Guard(new_token(), host, sockets[0].getsockname()[1])
+    if not is_loopback(host):
+        log.warning(
+            f"--host {host}: everybody who can reach this machine and knows the page's address can drive the "
+            "robot and save below --out; nothing is encrypted"
+        )
+    return _live(setup, out, guard, sockets, args)
+
+
+def _live(
+    setup: StudioSetup, out: Path, guard: Guard, sockets: list[socket], args: argparse.Namespace
+) -> int:
+    from turtlebag.pipeline.stages.record import deferred_interrupt
+    from turtlebag.pipeline.stages.studio import studio_output
+    from turtlebag.pipeline.studio.server import serve
+    from turtlebag.pipeline.terminal.messages import log, say
+
+    def ready() -> None:
+        say(guard.url)
+        log.info("Ctrl-C ends the session")
+        if not args.no_browser:
+            _open_browser(guard.url)
+
+    failure: Exception | None = None
+    # What was driven until an interrupt or a failure cannot be driven again: it is finished and kept.
+    with (
+        deferred_interrupt() as interrupted,
+        studio_output(setup, out, force=args.force, command_line=args.command_line, say=log.info) as session,
+    ):
+        try:
+            serve(session, guard, sockets, interrupted=interrupted, ready=ready)
+        except Exception as error:
+            failure = error
+            log.error(f"the session could not go on; what it holds is kept in {out}")
+    if failure is not None:
+        raise failure
+    return 128 + interrupted[0] if interrupted else 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from turtlebag.pipeline.stages.studio import replay
+    from turtlebag.pipeline.terminal.messages import log
+
+    for name in LIVE:
+        if getattr(args, name):
+            option = "--set" if name == "settings" else f"--{name.replace('_', '-')}"
+            raise InputError(f"{option}: not with --replay, whose file says it all; remove it")
+    if args.out is None:
+        raise InputError("--replay: needs --out DIR, the folder to write the session to")
+    return replay(args.replay, args.out, force=args.force, command_line=args.command_line, say=log.info)
+
+
+def _free_folder(setup: StudioSetup) -> Path:
+    """The first folder of that world, robot and seed that is neither there nor being written."""
+    words = (Path(setup.world).stem, Path(setup.robot_name).stem, str(setup.seed))
+    name = "-".join(re.sub(r"[^A-Za-z0-9_]+", "_", word) for word in words)
+    folders = (Path("data/studio") / f"{name}{'' if k == 1 else f'-{k}'}" for k in count(1))
+    return next(f for f in folders if not (f.exists() or f.with_name(f"{f.name}.partial").exists()))
+
+
+def _open_browser(url: str) -> None:
+    """Open the page where there is a screen: a browser in the terminal would take its place."""
+    import sys
+    import threading
+    import webbrowser
+
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY", "BROWSER"} & set(os.environ):
+        return
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 < port < 65536:
+        raise argparse.ArgumentTypeError(f"a port is from 1 to 65535, not {port}")
+    return port
