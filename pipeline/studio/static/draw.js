@@ -135,11 +135,12 @@ function body([x, y, yaw], style, alpha) {
   for (const [line, width] of [[colour.paper, 5], [style, 2]]) {
     trace(corners, true);
     stroke(line, width);
-    trace([[x, y], at(front, 0)]);
-    stroke(line, width + 1);
+    if (line === style) fill(style, alpha);
   }
-  trace(corners, true);
-  fill(style, alpha);
+  for (const [line, width] of [[colour.paper, 6], [style, 3]]) {
+    trace([[x, y], at(front, 0)]);
+    stroke(line, width);
+  }
 }
 
 function sectors() {

@@ -10,8 +10,8 @@ function colours(kind, dark) {
     else put(value, 254 * (1 - share), 254 * (1 - share), 254 * (1 - share));
   }
   if (kind === "costmap") {
-    put(253, 180, 85, 160, 110);
-    put(254, 180, 85, 160, 170);
+    put(253, 180, 85, 160, 60);
+    put(254, 180, 85, 160, 90);
     put(255, 0, 0, 0, 0);
   } else {
     put(255, ...(dark ? [22, 26, 30] : [205, 205, 205]));

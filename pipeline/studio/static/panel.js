@@ -14,11 +14,14 @@ function put(element, name, value) {
 const text = (id, words) => put(byId(id), "textContent", words);
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
+/** Whether there is a map, whole or growing; none is sent as one cell. */
+const mapped = () => scene.grids.map?.w > 1;
+
 /** What to do first, or next. */
 function advice({ map, mapping, localised, lost, task, goals, cmd }) {
   if (task) return "";
   if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is whole.";
-  if (map == null && scene.grids.map?.w > 1) return "Save the map and load it: then the robot can find its place on it and go where you point.";
+  if (map == null && mapped()) return "Save the map and load it: then the robot can find its place on it and go where you point.";
   if (map == null) return "No map yet. Start mapping, then drive with W A S D.";
   if (!localised) return "Where is the robot? Choose Pose, press where it stands and drag to where it looks.";
   if (lost) return `Not sure of its place: ${lost}. Wiggle, or give it a better pose.`;
@@ -40,11 +43,12 @@ function options(select, names, empty) {
 export function show(head, deskName) {
   text("clock", `${head.t.toFixed(1)} s`);
   text("factor", head.paused ? "paused" : `${head.factor.toFixed(head.factor < 10 ? 2 : 0)}×`);
-  text("state", capital([head.task, head.state].filter(Boolean).join(": ")) || (head.owner === "teleop" ? "Driven by hand" : "Idle"));
+  const doing = head.owner === "teleop" ? "driven by hand" : head.state;
+  text("state", capital([head.task, doing !== head.task && doing].filter(Boolean).join(": ")));
   put(byId("pause"), "textContent", head.paused ? "Resume" : "Pause");
   put(byId("pause"), "ariaPressed", String(head.paused));
   if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
-  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.owner === "teleop", "hand", "By hand"], [head.lost, "bad", "Not sure"]]);
+  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"]]);
   text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
   put(byId("mapping").dataset, "on", String(head.mapping));
   const bag = byId("bag");
@@ -62,6 +66,7 @@ export function show(head, deskName) {
   put(byId("cancel"), "disabled", !head.task);
   sectors(head.sectors);
   if (deskName === "view") text("advice", advice(head));
+  put(byId("stage").dataset, "blank", String(!mapped()));
   put(byId("watching"), "hidden", head.driver);
   put(byId("controls"), "disabled", !head.driver);
   for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !head.driver);
@@ -101,7 +106,8 @@ export function log(events) {
     const line = document.createElement("li"), time = document.createElement("time");
     time.textContent = t.toFixed(1);
     line.className = level;
-    line.append(time, ` ${words}`);
+    // Some lines begin with the time, for the terminal.
+    line.append(time, ` ${words.replace(/^[\d.]+ s:? +/, "")}`);
     lines.append(line);
   }
   while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
