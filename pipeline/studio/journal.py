@@ -113,7 +113,7 @@ class Journal:
         """Note a deed, which happens before the tick at this stamp."""
         self._interval(stamp_ns)
         self._begin_ns = self._silent_ns = stamp_ns
-        self._entry({"at": _seconds(stamp_ns), **deed.model_dump(mode="json")})
+        self._entry({"at": _seconds(stamp_ns), **deed.model_dump(mode="json", exclude_none=True)})
 
     def tick(self, stamp_ns: int, asked: Twist | None) -> None:
         """Note a tick, and the speed that was asked for by hand, if one was."""
