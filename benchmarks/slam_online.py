@@ -6,7 +6,7 @@ import bz2
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +20,9 @@ from benchmarks.slam_public import RADISH, by_relations, read
 from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Observation, Recording, Scan, Trajectory, seconds
+from turtlebag.datasets.types import Observation, Recording, Trajectory, seconds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.sim.robots import load_robot
@@ -40,21 +41,6 @@ DRIVES = (
     ("office:5037", "burger", "tour", 5037),
     ("maze:5003", "burger", "spiral", 5003),
 )
-
-
-def heard(recording: Recording) -> Iterator[tuple[Scan, SE2 | Trajectory | None]]:
-    """The scans of a log with the odometry since the last one, as `Mapper.add` takes them."""
-    sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
-    stream, begin = recording.odometry, 0
-    for k in range(len(recording)):
-        scan = recording.scan(k)
-        if stream is None:
-            yield scan, None if recording.T_odom_base is None else recording.T_odom_base[k]
-            continue
-        end = max(int(np.searchsorted(stream.stamps_ns, scan.stamp_ns + sweep_ns, side="right")), begin)
-        end = len(stream) if k == len(recording) - 1 else end
-        yield scan, Trajectory(stream.stamps_ns[begin:end], stream.poses[begin:end])
-        begin = end
 
 
 def online(recording: Recording) -> tuple[Trajectory, Trajectory, Row]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,11 +17,13 @@ if TYPE_CHECKING:
     from socket import socket
 
     from turtlebag.pipeline.studio.guard import Guard
+    from turtlebag.pipeline.studio.playback import BagSetup
     from turtlebag.pipeline.studio.setup import StudioSetup
 
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
-LIVE = ("world", "robot", "seed", "map", "port", "host", "config", "settings", "no_browser")
+SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
+LIVE = (*SIMULATED, "bag", "port", "host", "no_browser")
 """Options of a session that is yet to be driven; one that is driven again has all of it in its file."""
 
 
@@ -34,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=seed, metavar="N", help=f"random seed (default: {SEED})")
     add_map(parser, "begin", required=False)
+    parser.add_argument(
+        "--bag", type=Path, metavar="BAG", help="bag or log to play and map, in place of a simulation"
+    )
     parser.add_argument("--port", type=_port, metavar="P", help="port of the page (default: a free one)")
     parser.add_argument(
         "--host",
@@ -65,13 +71,21 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen, new_token
+    from turtlebag.pipeline.studio.playback import BagSetup
     from turtlebag.pipeline.studio.setup import StudioSetup
     from turtlebag.pipeline.terminal.messages import log
 
-    options = load_config(RecordOptions, args.config, args.settings)
-    chosen = SEED if args.seed is None else args.seed
-    setup = StudioSetup(args.world or WORLD, args.robot, chosen, args.map, options.sim)
-    out = args.out or _free_folder(setup)
+    setup: StudioSetup | BagSetup
+    if args.bag is not None:
+        _refuse(args, SIMULATED, "not with --bag, where nothing is simulated; remove it")
+        setup = BagSetup(args.bag)
+        words: tuple[str, ...] = (args.bag.name,)
+    else:
+        options = load_config(RecordOptions, args.config, args.settings)
+        chosen = SEED if args.seed is None else args.seed
+        setup = StudioSetup(args.world or WORLD, args.robot, chosen, args.map, options.sim)
+        words = (Path(setup.world).stem, Path(setup.robot_name).stem, str(setup.seed))
+    out = args.out or _free_folder(words)
     host = args.host or LOOPBACK
     sockets = listen(host, args.port or 0)
     guard = Guard(new_token(), host, sockets[0].getsockname()[1])
@@ -84,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _live(
-    setup: StudioSetup, out: Path, guard: Guard, sockets: list[socket], args: argparse.Namespace
+    setup: StudioSetup | BagSetup, out: Path, guard: Guard, sockets: list[socket], args: argparse.Namespace
 ) -> int:
     from turtlebag.pipeline.stages.record import deferred_interrupt
     from turtlebag.pipeline.stages.studio import studio_output
@@ -117,18 +131,21 @@ def _replay(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.studio import replay
     from turtlebag.pipeline.terminal.messages import log
 
-    for name in LIVE:
-        if getattr(args, name):
-            option = "--set" if name == "settings" else f"--{name.replace('_', '-')}"
-            raise InputError(f"{option}: not with --replay, whose file says it all; remove it")
+    _refuse(args, LIVE, "not with --replay, whose file says it all; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
     return replay(args.replay, args.out, force=args.force, command_line=args.command_line, say=log.info)
 
 
-def _free_folder(setup: StudioSetup) -> Path:
-    """The first folder of that world, robot and seed that is neither there nor being written."""
-    words = (Path(setup.world).stem, Path(setup.robot_name).stem, str(setup.seed))
+def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
+    """InputError for an option that does not go with another."""
+    for name in options:
+        if getattr(args, name) not in (None, [], False):
+            raise InputError(f"{'--set' if name == 'settings' else '--' + name.replace('_', '-')}: {why}")
+
+
+def _free_folder(words: Sequence[str]) -> Path:
+    """The first folder of that name that is neither there nor being written."""
     name = "-".join(re.sub(r"[^A-Za-z0-9_]+", "_", word) for word in words)
     folders = (Path("data/studio") / f"{name}{'' if k == 1 else f'-{k}'}" for k in count(1))
     return next(f for f in folders if not (f.exists() or f.with_name(f"{f.name}.partial").exists()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,26 @@ from turtlebag.pipeline.slam.growing_clouds import Rows
 
 # Odometry samples that reach back past the start of a sweep.
 RECENT = 64
+# Of a log that is heard from its middle on, odometry of so long before is heard, too [ns].
+BEFORE_NS = 10**9
+
+
+def heard(recording: Recording, first: int = 0) -> Iterator[tuple[Scan, SE2 | Trajectory | None]]:
+    """The scans of a log from one on, with the odometry since the last one, as `Mapper.add` takes them."""
+    sweep_ns = round(recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9)
+    stream, begin = recording.odometry, 0
+    if stream is not None and first > 0:
+        earlier = np.searchsorted(stream.stamps_ns, recording.stamps_ns[first] - BEFORE_NS)
+        begin = min(int(earlier), len(stream) - 1)
+    for k in range(first, len(recording)):
+        scan = recording.scan(k)
+        if stream is None:
+            yield scan, None if recording.T_odom_base is None else recording.T_odom_base[k]
+            continue
+        end = int(np.searchsorted(stream.stamps_ns, scan.stamp_ns + sweep_ns, side="right"))
+        end = len(stream) if k == len(recording) - 1 else max(end, begin + (k == first))
+        yield scan, Trajectory(stream.stamps_ns[begin:end], stream.poses[begin:end])
+        begin = end
 
 
 class GrowingLog:
@@ -24,6 +44,7 @@ class GrowingLog:
         self.whole = True
         """Whether no scan was dropped."""
         self._ranges, self._stamps, self._at, self._trusted = Rows(), Rows(), Rows(), Rows()
+        self._numbers, self._added = Rows(), 0
         self._odometry_stamps, self._odometry = Rows(), Rows()
         self._imu_stamps, self._turning, self._force = Rows(), Rows(), Rows()
 
@@ -36,6 +57,11 @@ class GrowingLog:
         return self._stamps.view()
 
     @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Which of all scans that were appended these are."""
+        return self._numbers.view()
+
+    @property
     def trusted(self) -> NDArray[np.bool_]:
         """Which scans are good to map with; may be changed in place."""
         return self._trusted.view()
@@ -45,6 +71,8 @@ class GrowingLog:
         self._ranges.append(scan.ranges[None])
         self._stamps.append(np.array([scan.stamp_ns], dtype=np.int64))
         self._trusted.append(np.ones(1, dtype=np.bool_))
+        self._numbers.append(np.array([self._added]))
+        self._added += 1
         if isinstance(odometry, Trajectory):
             self._odometry_stamps.append(odometry.stamps_ns)
             self._odometry.append(odometry.poses.xyt)
@@ -59,8 +87,9 @@ class GrowingLog:
     def keep(self, stays: NDArray[np.bool_]) -> None:
         """Only some of the scans (n,), and of the rest what the next one needs."""
         self.whole = False
-        for rows in (self._ranges, self._stamps, self._trusted, *((self._at,) if len(self._at) else ())):
-            rows.keep(stays)
+        for rows in (self._ranges, self._stamps, self._trusted, self._numbers, self._at):
+            if len(rows):
+                rows.keep(stays)
         for rows in (self._odometry_stamps, self._odometry):
             if len(rows):
                 rows.keep(np.arange(len(rows)) >= len(rows) - RECENT)

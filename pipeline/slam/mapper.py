@@ -122,6 +122,13 @@ class Mapper:
         return SE2.identity(0) if self._loops is None else SE2(self._loops.poses)
 
     @property
+    def keys(self) -> NDArray[np.int64]:
+        """The key scans by their numbers among all scans that were added, from 0 on."""
+        if self._course is None:
+            return np.zeros(0, dtype=np.int64)
+        return self._log.numbers[self._number.view()[self._course.keys]]
+
+    @property
     def trajectory(self) -> Trajectory:
         """Poses of all scans, by all that is known now."""
         T_map_scans = self.T_map_keys[self._key.view()] @ SE2(self._T_key_scan.view())

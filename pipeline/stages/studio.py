@@ -13,9 +13,11 @@ from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.takeover import Script
+from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.studio.inputs import Deed, Drive, End, Release
 from turtlebag.pipeline.studio.journal import load_session
+from turtlebag.pipeline.studio.playback import BagSetup, Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup, setup_of
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
@@ -23,14 +25,14 @@ from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 
 @contextmanager
 def studio_output(
-    setup: StudioSetup,
+    setup: StudioSetup | BagSetup,
     out: Path,
     *,
     force: bool = False,
     command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
     session_file: Path | None = None,
-) -> Iterator[Session]:
+) -> Iterator[Session | Playback]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
@@ -42,22 +44,29 @@ def studio_output(
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
     by_hand = session_file is None  # only what a person did cannot be done again
     with staged_output(out, force=force, inputs=files.values(), save_bag=by_hand) as folder:
-        with Session(setup, folder, say) as session:
-            yield session
-        save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
+        session: Session | Playback
+        if isinstance(setup, BagSetup):
+            with Playback(setup, folder, say) as session:
+                yield session
+            config, about = config_text(SlamConfig()), {}
+        else:
+            with Session(setup, folder, say) as session:
+                yield session
+            save_map(setup.arena.rasterize(setup.spec.lidar_height), folder / "truth")
+            config = config_text(setup.config)
+            about = {"world": setup.arena.name, "robot": setup.spec.name}
         write_json(folder / "metrics.json", session.metrics())
-        (folder / "config.yaml").write_text(config_text(setup.config))
+        (folder / "config.yaml").write_text(config)
         wall_s, simulated_s = timer.seconds(), session.stamp_ns * 1e-9
         write_manifest(
             folder,
             stage="studio",
             command=command_line,
             inputs=files,
-            seed=setup.seed,
+            seed=None if isinstance(setup, BagSetup) else setup.seed,
             wall_s=wall_s,
             extra={
-                "world": setup.arena.name,
-                "robot": setup.spec.name,
+                **about,
                 "out": str(out),
                 "realtime_factor": round(simulated_s / max(wall_s, 1e-9), 2),
             },
@@ -106,7 +115,7 @@ def replay(
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _apply(session: Session, deed: Deed, session_file: Path) -> None:
+def _apply(session: Session | Playback, deed: Deed, session_file: Path) -> None:
     try:
         session.apply(deed)
     except InputError as error:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.tiles import GridTiles
-from turtlebag.pipeline.studio.view import Scene, View
+from turtlebag.pipeline.studio.view import BagMarks, Scene, View
 from turtlebag.pipeline.terminal.keyboard import STEP_V, STEP_W
 
 COLUMNS = {"scan": 2, "particles": 3, "plan": 2, "local": 2, "boxes": 4}
@@ -114,6 +114,8 @@ class Frames:
             nodes, edges = (np.zeros((0, 3)), np.zeros((0, 3))) if view.graph is None else view.graph
             message.add("graph_nodes", nodes)
             message.add("graph_edges", edges, "i4")
+        if view.bag is not None:
+            self._bag(message, view.bag)
         if self._changed("keepout", view.keepout):
             message.header["keepout_sizes"] = [len(outline) for outline in view.keepout]
             message.add("keepout", np.concatenate([np.zeros((0, 2)), *view.keepout]))
@@ -143,6 +145,23 @@ class Frames:
         message.header.setdefault("append", {})[name] = count
         message.add(name, points[count:].reshape(-1, 2))
         self._paths[name] = version, len(points)
+
+    def _bag(self, message: Message, bag: BagMarks) -> None:
+        """Where a bag that is played stands, and the loop that is looked at."""
+        loop = bag.loop
+        said = None if loop is None else {"scan": loop.scan, "place": loop.place, "told": loop.told}
+        message.header["bag"] = {
+            "position": round(bag.position_s, 3),
+            "duration": round(bag.duration_s, 3),
+            "edits": [list(edit) for edit in bag.edits],
+            "loop": said,
+        }
+        if self._is_new("loop", loop):
+            empty = np.zeros((0, 2))
+            message.add("loop_scan", empty if loop is None else loop.scan_points)
+            message.add("loop_place", empty if loop is None else loop.place_points)
+        if self._wanted("graph") and self._is_new("graph_keys", bag.keys):
+            message.add("graph_keys", bag.keys, "i4")
 
     def _tiles(self, message: Message, view: View) -> None:
         now = self._clock()

@@ -180,6 +180,53 @@ class Keepout(_Input):
     outlines: Annotated[list[Outline], Field(max_length=100)]
 
 
+class Seek(_Input):
+    """Go on with the bag from this time after its start [s]."""
+
+    do: Literal["seek"] = "seek"
+    t: Annotated[float, Field(ge=0.0, le=1e7, allow_inf_nan=False)]
+
+
+class MapBuild(_Input):
+    """Map the whole bag, as `turtlebag map` does, and show its loops."""
+
+    do: Literal["map_build"] = "map_build"
+
+
+ScanNumber = Annotated[int, Field(ge=0, le=10**8)]
+
+
+class LoopShow(_Input):
+    """Lay the two scans of a loop on each other."""
+
+    do: Literal["loop_show"] = "loop_show"
+    scan: ScanNumber
+    place: ScanNumber
+
+
+class LoopReject(_Input):
+    """These scans did not see the same place."""
+
+    do: Literal["loop_reject"] = "loop_reject"
+    scan: ScanNumber
+    place: ScanNumber
+
+
+class LoopAdd(_Input):
+    """These scans did: `scan` lies at `pose`, roughly, seen from `place`."""
+
+    do: Literal["loop_add"] = "loop_add"
+    scan: ScanNumber
+    place: ScanNumber
+    pose: Pose
+
+
+class EditsClear(_Input):
+    """Forget what was said of loops."""
+
+    do: Literal["edits_clear"] = "edits_clear"
+
+
 class Reset(_Input):
     """Begin anew, with what was saved."""
 
@@ -214,6 +261,12 @@ Deed = (
     | Kidnap
     | DropBox
     | Keepout
+    | Seek
+    | MapBuild
+    | LoopShow
+    | LoopReject
+    | LoopAdd
+    | EditsClear
     | Reset
     | End
 )

@@ -40,11 +40,20 @@ class Header(BaseModel):
     sim: SimConfig = SimConfig()
 
 
+class BagHeader(BaseModel):
+    """What playing a bag began with; `sha256` by file of the bag."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    version: Literal[1] = 1
+    bag: str
+    sha256: dict[str, str]
+
+
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """A session as its file has it: deeds by time [ns], intervals of driving, and when it ended [ns]."""
 
-    header: Header
+    header: Header | BagHeader
     deeds: tuple[tuple[int, Deed], ...]
     script: tuple[Interval, ...]
     until_ns: int
@@ -54,7 +63,11 @@ def load_session(path: Path) -> Recorded:
     """Read a session file; InputError names the entry that is wrong."""
     data = read_mapping(path)
     entries = data.pop("inputs", None) or []
-    header = checked(Header, data, where=str(path))
+    header: Header | BagHeader
+    if "bag" in data:
+        header = checked(BagHeader, data, where=str(path))
+    else:
+        header = checked(Header, data, where=str(path))
     if not isinstance(entries, list):
         raise InputError(f"{path}: inputs: expected a list")
     deeds: list[tuple[int, Deed]] = []
@@ -100,11 +113,12 @@ def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Deed | None]:
 class Journal:
     """Writes a session file while the session goes on."""
 
-    def __init__(self, path: Path, header: Header) -> None:
+    def __init__(self, path: Path, header: Header | BagHeader) -> None:
         self._file = path.open("x")
         told = header.model_dump(mode="json", exclude={"sim"})
-        sim = header.sim.model_dump(mode="json", exclude_defaults=True)
-        self._file.write(yaml.safe_dump({**told, **({"sim": sim} if sim else {})}, sort_keys=False))
+        if isinstance(header, Header) and (sim := header.sim.model_dump(mode="json", exclude_defaults=True)):
+            told["sim"] = sim
+        self._file.write(yaml.safe_dump(told, sort_keys=False))
         self._write("inputs:\n")
         self._asked: Twist | None = None
         self._begin_ns = self._silent_ns = 0

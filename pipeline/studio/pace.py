@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio.inputs import Drive, Driving, Input, Stop
+from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.view import View
 
@@ -44,7 +45,7 @@ Refused = Callable[[str], None]
 class Pace:
     """The thread. `show` is called in it with each view that `want_view` asked for."""
 
-    def __init__(self, session: Session, show: Callable[[View, Gait], None]) -> None:
+    def __init__(self, session: Session | Playback, show: Callable[[View, Gait], None]) -> None:
         self._session, self._show = session, show
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="session")

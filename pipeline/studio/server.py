@@ -28,6 +28,7 @@ from turtlebag.pipeline.studio.frames import Frames, bye, hello
 from turtlebag.pipeline.studio.guard import Guard, Guarded, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.inputs import Input
 from turtlebag.pipeline.studio.pace import Gait, Pace
+from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.view import View
 
@@ -48,7 +49,7 @@ WATCHING = "You are watching. Take control to do that."
 class Studio:
     """A session, those who watch it, and the one of them who drives. Lives in the event loop's thread."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session | Playback) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
         self._pace = Pace(session, self._show)
@@ -214,7 +215,7 @@ def application(studio: Studio, guard: Guard) -> Application:
 
 
 def serve(
-    session: Session,
+    session: Session | Playback,
     guard: Guard,
     sockets: Sequence[socket.socket],
     *,
@@ -229,7 +230,7 @@ def serve(
 
 
 async def _serve(
-    session: Session,
+    session: Session | Playback,
     guard: Guard,
     sockets: Sequence[socket.socket],
     interrupted: Sequence[int],

@@ -153,6 +153,8 @@ class Session:
             self._finish("ended with the session")
             self.ended = True
             return "the session is over"
+        if type(deed) not in DEEDS:
+            raise InputError(f"{deed.do}: no bag is being played; start the studio with --bag BAG")
         return DEEDS[type(deed)](self._run, deed)
 
     def _finish(self, why: str) -> None:

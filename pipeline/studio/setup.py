@@ -10,7 +10,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.studio.journal import Header
+from turtlebag.pipeline.studio.journal import BagHeader, Header
+from turtlebag.pipeline.studio.playback import BagSetup
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.simulator import SimConfig
 from turtlebag.sim.world import World
@@ -68,8 +69,13 @@ class StudioSetup:
         )
 
 
-def setup_of(header: Header, where: Path) -> StudioSetup:
+def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:
     """The setup that a session file names; InputError when a file is missing or is not what it was."""
+    if isinstance(header, BagHeader):
+        bag = BagSetup(Path(header.bag))
+        if not bag.bag.exists() or bag.header().sha256 != header.sha256:
+            raise InputError(f"{where}: bag {header.bag}: is not the one that the session played")
+        return bag
     path = None if header.map is None else Path(header.map)
     setup = StudioSetup(header.world, header.robot, header.seed, path, header.sim)
     now = setup.header().sha256

@@ -156,6 +156,30 @@ class Scene:
         )
 
 
+class LoopMarks(NamedTuple):
+    """Two scans laid on each other as a loop has them: where their beams ended, (n, 2) and (m, 2)."""
+
+    scan: int
+    place: int
+    scan_points: Array
+    place_points: Array
+    told: str
+    """Why the loop was believed, or was not, and what is left of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class BagMarks:
+    """What there is to tell of a bag that is played."""
+
+    position_s: float
+    duration_s: float
+    keys: NDArray[np.int64]
+    """The scan of each node of the graph."""
+    loop: LoopMarks | None
+    edits: tuple[tuple[str, int, int], ...]
+    """`reject` or `add`, scan and place."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """A session now; everything is in the map frame unless its name says otherwise."""
@@ -218,3 +242,5 @@ class View:
     """Outlines (k, 2) that are kept out of."""
     map: MapLayer | None
     costmap: CostLayer | None
+    bag: BagMarks | None = None
+    """None where nothing is played."""

@@ -1,0 +1,99 @@
+"""The pose graph as it is drawn, and two scans of a loop laid on each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.slam import SlamResult
+from turtlebag.pipeline.studio.view import Graph, LoopMarks
+
+STEP, LOOP = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class ShownLoop:
+    """A loop: key numbers, where key i lies seen from key j (3,), and what the mapper says of it."""
+
+    i: int
+    j: int
+    T_j_i: Array
+    told: str
+
+
+@dataclass(frozen=True, eq=False)
+class ShownGraph:
+    """Poses of the key scans, which scans of the log they are (n,), and the loops."""
+
+    graph: Graph
+    keys: NDArray[np.int64]
+    loops: tuple[ShownLoop, ...]
+
+    def laid(self, log: Recording, scan: int, place: int) -> LoopMarks:
+        """A scan laid on a place as the loop between them has it; where there is none, as the map has it.
+
+        InputError for scans that are no key scans.
+        """
+        i, j = (self._key(number) for number in (scan, place))
+        T_map_keys = SE2(self.graph.nodes)
+        T_j_i = T_map_keys[j].inverse() @ T_map_keys[i]
+        told = "no loop joins these scans"
+        for loop in self.loops:
+            if (loop.i, loop.j) == (i, j):
+                measured, told = SE2(loop.T_j_i), loop.told
+                off = (measured.inverse() @ T_j_i).xyt
+                left = (
+                    f"{np.hypot(off[0], off[1]):.3f} m, {np.rad2deg(abs(off[2])):.2f} deg left in the graph"
+                )
+                T_j_i, told = measured, f"{told}; {left}"
+        laid = T_map_keys[j] @ T_j_i @ points_of(log, scan)
+        return LoopMarks(scan, place, laid, T_map_keys[j] @ points_of(log, place), told)
+
+    def _key(self, scan: int) -> int:
+        key = int(np.searchsorted(self.keys, scan))
+        if key == len(self.keys) or self.keys[key] != scan:
+            raise InputError(f"loop_show: scan {scan} is not in the graph; choose one of its nodes")
+        return key
+
+
+def graph_of(result: SlamResult) -> ShownGraph:
+    """The graph of a finished map, with the loops that were believed."""
+    loops = []
+    for loop in result.loops:
+        if loop.accepted:
+            told = f"found by distance: score {loop.score:.2f}, overlap {loop.overlap:.2f}"
+            loops.append(ShownLoop(loop.i, loop.j, loop.T_j_i, f"{told}, {loop.rmse * 1e3:.0f} mm off lines"))
+    for place in result.recognised:
+        if place.verdict == "accepted":
+            told = f"place recognised: overlap {place.overlap:.2f}, {place.denied:.1%} free-space violations"
+            loops.append(ShownLoop(place.i, place.j, place.T_j_i, told))
+    return _shown(result.T_map_keys, result.keys, loops)
+
+
+def graph_of_mapper(mapper: Mapper, first: int) -> ShownGraph:
+    """The graph of a map that is being made, whose scan 0 is scan `first` of the log."""
+    loops = [
+        ShownLoop(c.j, c.i, c.T_i_j, "found while mapping") for c in mapper.constraints if c.kind == "loop"
+    ]
+    return _shown(mapper.T_map_keys, mapper.keys + first, loops)
+
+
+def _shown(T_map_keys: SE2, keys: NDArray[np.int64], loops: list[ShownLoop]) -> ShownGraph:
+    steps = [(k, k + 1, STEP) for k in range(len(keys) - 1)]
+    edges = np.array([*steps, *((loop.i, loop.j, LOOP) for loop in loops)], dtype=np.int32).reshape(-1, 3)
+    return ShownGraph(Graph(T_map_keys.xyt, edges), keys, tuple(loops))
+
+
+def points_of(recording: Recording, scan: int) -> Array:
+    """Where the beams of a scan ended, (n, 2) in the base frame."""
+    ranges = recording.ranges[scan]
+    hit = recording.lidar.returns(ranges)
+    return np.asarray(
+        recording.T_base_lidar @ (recording.lidar.directions[hit] * ranges[hit, None].astype(np.float64))
+    )

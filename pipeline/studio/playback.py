@@ -1,0 +1,410 @@
+"""A bag or log that is played: raw by its odometry, through the online mapper, or mapped as a whole.
+
+It has the face of a `Session`, so that the same server shows it. Its simulated time only goes on, so that
+`session.yaml` can play it again; where in the bag that is, inputs decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import Recording, Scan, Trajectory
+from turtlebag.pipeline.slam.edits import AddedLoop, Edits, RejectedLoop
+from turtlebag.pipeline.slam.growing_log import heard
+from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.journal import FILE, BagHeader, Journal
+from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
+from turtlebag.pipeline.studio.onlooker import EventLog, Trail
+from turtlebag.pipeline.studio.shelf import Shelf
+from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, Scene, View
+from turtlebag.pipeline.studio.view import Path as ShownPath
+from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
+
+EDITS = "edits.yaml"
+DRAWN_EVERY = 60
+"""While mapping, the map is drawn every so many ticks: two seconds of the bag."""
+ROBOT_M = 0.2
+"""Radius of the disc that stands for a robot of unknown shape."""
+
+
+@dataclass(frozen=True, eq=False)
+class BagSetup:
+    """A bag or log to be played. InputError, where it is first looked at, when it cannot be mapped."""
+
+    bag: Path
+
+    @cached_property
+    def recording(self) -> Recording:
+        """Its scans and odometry."""
+        recording = load_recording(self.bag)
+        if len(recording) == 0:
+            raise InputError(f"{self.bag}: no scans to play")
+        return recording
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """What is read."""
+        return {"bag": self.bag}
+
+    def header(self) -> BagHeader:
+        """What its session file begins with."""
+        return BagHeader(bag=str(self.bag), sha256=sha256_tree(self.bag))
+
+
+class Playback:
+    """A context manager, like `Session`."""
+
+    period_ns = round(1e9 / CONTROL_HZ)
+
+    def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
+        self._log, self._folder = setup.recording, folder
+        self._events, self._shelf = EventLog(say), Shelf(folder, None)
+        self.scene = _scene(setup.bag, self._log)
+        # logs whose clock goes back keep their order
+        self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
+        self._journal = Journal(folder / FILE, setup.header())
+        self._edits = Edits()
+        self._trails = {"odom": Trail(), "slam": Trail()}
+        self._slam_path = ShownPath(0, np.zeros((0, 2)))
+        self._grid: OccupancyGrid | None = None
+        self._layer: MapLayer | None = None
+        self._graph: ShownGraph | None = None
+        self._loop: LoopMarks | None = None
+        self._scan_points: Array | None = None
+        self._mapper: Mapper | None = None
+        self._waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]] = iter(())
+        self._first = 0
+        self._built: tuple[Edits, Trajectory, OccupancyGrid] | None = None
+        self._step = 0
+        self._position_ns = 0
+        self._scan = -1
+        self.ended = False
+        for note in self._log.notes:
+            self._events.add(0, note)
+
+    def __enter__(self) -> Playback:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time: that of the session, not of the bag [ns]."""
+        return stamp_of(self._step)
+
+    @property
+    def working(self) -> bool:
+        """Whether there is more of the bag."""
+        return self._scan < len(self._log) - 1
+
+    def apply(self, entry: inputs.Input) -> str:
+        """Do what is asked for; a line for the event log. InputError, with nothing changed, when refused."""
+        if self.ended:
+            raise InputError(f"{entry.do}: the session is over")
+        done = self._deeds.get(type(entry))
+        if isinstance(entry, inputs.Stop | inputs.Release):
+            return ""
+        if done is None:
+            raise InputError(f"{entry.do}: there is no robot to do that; a bag is being played")
+        line = str(done(entry))
+        self._journal.deed(self.stamp_ns, entry)  # type: ignore[arg-type]
+        if line:
+            self._events.add(self.stamp_ns, line)
+        return line
+
+    def tick(self) -> None:
+        """One control period of the bag."""
+        if self.ended:
+            return
+        self._journal.tick(self.stamp_ns, None)
+        self._step += 1
+        if self._scan < len(self._log) - 1:
+            self._play_to(self._position_ns + self.period_ns)
+            if self._scan == len(self._log) - 1:
+                self._draw()
+                self._events.add(self.stamp_ns, "the bag is at its end")
+        if self._mapper is not None and self._step % DRAWN_EVERY == 0:
+            self._draw()
+
+    def metrics(self) -> dict[str, Any]:
+        """How long it lasted [s], and how much of the bag was played."""
+        return {
+            "task": "studio",
+            "time_s": round(self.stamp_ns * 1e-9, 6),
+            "scans": len(self._log),
+            "played": self._scan + 1,
+        }
+
+    def close(self) -> None:
+        """Finish all files; closing twice is harmless."""
+        if not self.ended:
+            self.apply(inputs.End())
+        self._journal.close()
+
+    @cached_property
+    def _deeds(self) -> dict[type, Callable[[Any], str]]:
+        return {
+            inputs.Seek: self._seek,
+            inputs.MapStart: self._map_start,
+            inputs.MapStop: self._map_stop,
+            inputs.MapBuild: lambda deed: self._build(),
+            inputs.MapSave: self._map_save,
+            inputs.LoopShow: self._show,
+            inputs.LoopReject: self._reject,
+            inputs.LoopAdd: self._add,
+            inputs.EditsClear: lambda deed: self._edited(Edits(), "loops are as the mapper finds them again"),
+            inputs.Reset: lambda deed: self._seek(inputs.Seek(t=0.0)),
+            inputs.End: self._end,
+        }
+
+    def _end(self, deed: inputs.End) -> str:
+        self.ended = True
+        return "the session is over"
+
+    # Where in the bag
+
+    def _seek(self, deed: inputs.Seek) -> str:
+        """Play from there on; the online mapper stops, because it has not seen what lies between."""
+        if deed.t * 1e9 > self._at_ns[-1]:
+            raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
+        self._mapper = None
+        for trail in self._trails.values():
+            trail.clear()
+        self._position_ns = round(deed.t * 1e9)
+        self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
+        self._play_to(self._position_ns)
+        return ""
+
+    def _play_to(self, position_ns: int) -> None:
+        """All scans up to there."""
+        self._position_ns = min(position_ns, int(self._at_ns[-1]))
+        while self._scan < len(self._log) - 1 and self._at_ns[self._scan + 1] <= self._position_ns:
+            self._scan += 1
+            if self._mapper is not None:
+                scan, odometry = next(self._waiting)
+                jumps = len(self._mapper.jumps)
+                T_map_base = self._mapper.add(scan, odometry)
+                if len(self._mapper.jumps) > jumps:
+                    self._draw()
+                else:
+                    self._trails["slam"].add(T_map_base.xy)
+            if self._log.T_odom_base is not None:
+                self._trails["odom"].add(self._log.T_odom_base[self._scan].xy)
+            self._scan_points = None
+
+    # Mapping
+
+    def _map_start(self, deed: inputs.MapStart) -> str:
+        if self._mapper is not None:
+            raise InputError("map_start: the bag is being mapped already")
+        if not self.working:
+            raise InputError("map_start: the bag is at its end; go back first")
+        self._mapper = Mapper(self._log.lidar, self._log.T_base_lidar)
+        self._first = self._scan + 1
+        self._waiting = heard(self._log, self._first)
+        self._grid = self._graph = self._loop = None
+        self._trails["slam"].clear()
+        return "mapping from here on"
+
+    def _map_stop(self, deed: inputs.MapStop) -> str:
+        if self._mapper is None:
+            raise InputError("map_stop: no map is being made")
+        self._draw()
+        self._mapper = None
+        return "mapping stopped"
+
+    def _draw(self) -> None:
+        """The online map, its graph and its path."""
+        if self._mapper is None or len(self._mapper) < 2:
+            return
+        self._set_grid(self._mapper.map())
+        self._graph = graph_of_mapper(self._mapper, self._first)
+        self._slam_path = ShownPath(self._slam_path.version + 1, self._mapper.trajectory.poses.xy)
+        self._trails["slam"].clear()
+
+    def _build(self) -> str:
+        """Map the whole bag, with what was said of loops."""
+        self._mapper = None
+        result = run_slam(self._log, SlamConfig(), edits=self._edits)
+        self._built = self._edits, result.trajectory, result.grid
+        self._set_grid(result.grid)
+        self._graph = graph_of(result)
+        self._loop = None
+        self._slam_path = ShownPath(self._slam_path.version + 1, result.trajectory.poses.xy)
+        refused = 0
+        for added, loop in zip(self._edits.add, result.loops, strict=False):
+            if not loop.accepted:
+                text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
+                self._events.add(self.stamp_ns, text, "warning")
+                refused += 1
+        check = result.check.as_metrics()
+        told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
+        return f"{told}; {refused} of those added not believed" if refused else told
+
+    def _map_save(self, deed: inputs.MapSave) -> str:
+        """The map of the whole bag under a name, built first where it is not what was said since."""
+        self._shelf.check_name(deed.name)
+        if self._built is None or self._built[0] != self._edits:
+            self._events.add(self.stamp_ns, self._build())
+        assert self._built is not None
+        self._shelf.save_map(deed.name, self._built[2], ())
+        return f"map {deed.name} saved"
+
+    def _set_grid(self, grid: OccupancyGrid) -> None:
+        self._grid, self._layer = grid, MapLayer(grid)
+
+    # Loops
+
+    def _show(self, deed: inputs.LoopShow) -> str:
+        if self._graph is None:
+            raise InputError("loop_show: there is no graph yet; map the bag first")
+        self._loop = self._graph.laid(self._log, deed.scan, deed.place)
+        return ""
+
+    def _reject(self, deed: inputs.LoopReject) -> str:
+        added = tuple(x for x in self._edits.add if {x.scan, x.place} != {deed.scan, deed.place})
+        if len(added) < len(self._edits.add):
+            edits = self._edits.model_copy(update={"add": added})
+            return self._edited(edits, f"the loop of scans {deed.scan} and {deed.place} is not added")
+        rejected = (*self._edits.reject, RejectedLoop(scan=deed.scan, place=deed.place))
+        edits = self._edits.model_copy(update={"reject": rejected})
+        return self._edited(edits, f"the loop of scans {deed.scan} and {deed.place} is rejected")
+
+    def _add(self, deed: inputs.LoopAdd) -> str:
+        loop = AddedLoop(scan=deed.scan, place=deed.place, pose=deed.pose)
+        edits = self._edits.model_copy(update={"add": (*self._edits.add, loop)})
+        return self._edited(edits, f"scans {deed.scan} and {deed.place} are to be joined")
+
+    def _edited(self, edits: Edits, line: str) -> str:
+        """Keep what was said; it is on disk at once."""
+        edits.require_scans(len(self._log), self._log.source)
+        told = edits.model_dump(mode="json", exclude_defaults=True)
+        text = yaml.safe_dump({"version": 1, **told}, sort_keys=False, default_flow_style=None)
+        partial = self._folder / f".{EDITS}"
+        partial.write_text(text)
+        partial.replace(self._folder / EDITS)
+        self._edits = edits
+        return f"{line}; map the bag again to see it"
+
+    # Drawing
+
+    def view(self) -> View:
+        """What there is to draw now."""
+        T_odom_base = SE2.identity()
+        if self._log.T_odom_base is not None:
+            T_odom_base = self._log.T_odom_base[max(self._scan, 0)]
+        T_map_base = self._pose(T_odom_base)
+        mapping = self._mapper is not None
+        return View(
+            stamp_ns=self._position_ns,
+            ended=self.ended,
+            owner="navigation",
+            command=(0.0, 0.0),
+            task="",
+            state="mapping" if mapping else "playing" if self.working else "at its end",
+            recording=None,
+            mapping=mapping,
+            map_name=None,
+            maps=self._shelf.maps,
+            waypoint_files=(),
+            loaded_waypoints=None,
+            localised=False,
+            sure=self._mapper.fit if self._mapper is not None and len(self._mapper) else None,
+            lost="scans fit nothing seen before" if self._mapper is not None and self._mapper.lost else None,
+            T_map_base=T_map_base,
+            T_odom_base=T_odom_base,
+            T_world_base=T_map_base,
+            goals=(),
+            goal_index=-1,
+            goal=None,
+            sectors=None,
+            events=self._events.events,
+            scan=self._points(T_map_base),
+            particles=None,
+            plan=None,
+            local=None,
+            odom_path=self._trails["odom"].path,
+            slam_path=self._slam_path if self._trails["slam"].path.points.size == 0 else self._longer(),
+            true_path=ShownPath(0, np.zeros((0, 2))),
+            graph=None if self._graph is None else self._graph.graph,
+            boxes=np.zeros((0, 4)),
+            keepout=(),
+            map=self._layer if self._grid is not None else None,
+            costmap=None,
+            bag=self._marks(),
+        )
+
+    def _pose(self, T_odom_base: SE2) -> SE2:
+        """Where the newest scan was taken, by the best that is known."""
+        if self._mapper is not None and len(self._mapper):
+            return self._mapper.T_map_base
+        if self._built is not None and self._graph is not None and self._scan >= 0:
+            return self._built[1].poses[self._scan]
+        return T_odom_base
+
+    def _points(self, T_map_base: SE2) -> Array | None:
+        if self._scan < 0:
+            return None
+        if self._scan_points is None:
+            self._scan_points = T_map_base @ points_of(self._log, self._scan)
+        return self._scan_points
+
+    def _longer(self) -> ShownPath:
+        """The path as it was drawn last, and on from there."""
+        points = np.vstack([self._slam_path.points, self._trails["slam"].path.points])
+        return ShownPath(self._slam_path.version, points)
+
+    def _marks(self) -> BagMarks:
+        edits = [("reject", loop.scan, loop.place) for loop in self._edits.reject]
+        edits += [("add", loop.scan, loop.place) for loop in self._edits.add]
+        graph = self._graph
+        return BagMarks(
+            self._position_ns * 1e-9,
+            float(self._at_ns[-1]) * 1e-9,
+            NO_KEYS if graph is None else graph.keys,
+            self._loop,
+            tuple(edits),
+        )
+
+
+NO_KEYS: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+
+def _scene(bag: Path, recording: Recording) -> Scene:
+    """The frame of the picture: where the odometry went, and what the lidar may have seen from there."""
+    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    xy = np.zeros((1, 2)) if recording.T_odom_base is None else recording.T_odom_base.xy
+    reach = min(recording.lidar.range_max, 5.0)
+    (x_min, y_min), (x_max, y_max) = xy.min(axis=0) - reach, xy.max(axis=0) + reach
+    return Scene(
+        world=bag.name,
+        robot="",
+        seed=0,
+        control_hz=CONTROL_HZ,
+        max_v=0.0,
+        max_w=0.0,
+        bounds=(float(x_min), float(y_min), float(x_max), float(y_max)),
+        outline=ROBOT_M * np.column_stack([np.cos(around), np.sin(around)]),
+        world_segments=np.zeros((0, 4)),
+        world_circles=np.zeros((0, 3)),
+    )

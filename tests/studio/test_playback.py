@@ -1,0 +1,140 @@
+"""A bag that is played: where it stands, what is mapped, and what a person says of its loops."""
+
+import numpy as np
+import pytest
+import yaml
+from slam_rooms import ROOM, around_the_room, drifted, recording
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.types import Odometry, Scan, Twist
+from turtlebag.pipeline.slam.edits import load_edits
+from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.studio import replay, studio_output
+from turtlebag.pipeline.studio import inputs
+from turtlebag.pipeline.studio.playback import BagSetup, Playback
+
+TRUE = around_the_room(150)
+LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
+LAST = len(LOG) - 1
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags") / "bag"
+    with BagWriter(folder, custom={}) as writer:
+        writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
+        for k in range(len(LOG)):
+            stamp = int(LOG.stamps_ns[k])
+            writer.odometry(Odometry(stamp, LOG.T_odom_base[k], Twist()))
+            writer.scan(stamp, Scan(stamp, LOG.ranges[k], LOG.lidar))
+    return folder
+
+
+@pytest.fixture
+def played(bag, tmp_path):
+    with Playback(BagSetup(bag), tmp_path, lambda line: None) as playback:
+        yield playback
+
+
+def run(playback, seconds):
+    for _ in range(round(30 * seconds)):
+        playback.tick()
+
+
+def test_time_passes_scan_by_scan_and_seeking_goes_anywhere(played):
+    assert played.view().bag.duration_s == pytest.approx(0.2 * LAST)
+    run(played, 2.05)
+    view = played.view()
+    assert view.bag.position_s == pytest.approx(2.05, abs=0.05)
+    np.testing.assert_allclose(view.T_odom_base.xyt, LOG.T_odom_base[10].xyt, atol=1e-9)
+    played.apply(inputs.Seek(t=20.01))
+    np.testing.assert_allclose(played.view().T_odom_base.xyt, LOG.T_odom_base[100].xyt, atol=1e-9)
+    played.apply(inputs.Seek(t=1.0))
+    assert played.view().bag.position_s == 1.0
+    assert played.stamp_ns * 1e-9 == pytest.approx(2.05, abs=0.05)
+    with pytest.raises(InputError, match=r"seek: the bag ends after 29.8 s"):
+        played.apply(inputs.Seek(t=31.0))
+
+
+def test_a_bag_has_no_robot_to_drive(played):
+    for entry in (inputs.SetGoal(pose=(0, 0, 0)), inputs.Record(name="a"), inputs.Drive(v=0.1)):
+        with pytest.raises(InputError, match="a bag is being played"):
+            played.apply(entry)
+    with pytest.raises(InputError, match="map the bag first"):
+        played.apply(inputs.LoopShow(scan=LAST, place=0))
+
+
+@pytest.mark.slow
+def test_the_online_mapper_maps_from_where_the_bag_stands(played):
+    played.apply(inputs.Seek(t=4.0))
+    played.apply(inputs.MapStart())
+    run(played, 12.0)
+    view = played.view()
+    assert view.mapping
+    assert view.map is not None
+    assert view.bag.keys[0] == 21
+    assert len(view.graph.nodes) == len(view.bag.keys) > 8
+    assert view.sure > 0.9
+    played.apply(inputs.Seek(t=0.0))
+    assert not played.view().mapping
+
+
+@pytest.mark.slow
+def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command(bag, played, tmp_path):
+    assert "good map of 150 scans" in played.apply(inputs.MapBuild())
+    view = played.view()
+    loops = view.graph.edges[view.graph.edges[:, 2] == 1]
+    assert len(loops)
+    scan, place = (int(view.bag.keys[key]) for key in loops[0, :2])
+    played.apply(inputs.LoopShow(scan=scan, place=place))
+    loop = played.view().bag.loop
+    assert "found by distance" in loop.told
+    assert "left in the graph" in loop.told
+    near = np.linalg.norm(loop.scan_points[:, None] - loop.place_points[None], axis=2).min(axis=1)
+    assert np.quantile(near, 0.5) < 0.06
+    played.apply(inputs.LoopReject(scan=scan, place=place))
+    played.apply(inputs.MapSave(name="parted"))
+    after = played.view()
+    assert len(after.graph.edges[after.graph.edges[:, 2] == 1]) < len(loops)
+    assert after.bag.edits == (("reject", scan, place),)
+    assert load_edits(tmp_path / "edits.yaml").reject[0].scan == scan
+    assert build_map(bag, tmp_path / "map", edits=tmp_path / "edits.yaml") == 0
+    for kind in ("pgm", "yaml"):
+        mine, theirs = (tmp_path / "maps" / f"parted.{kind}", tmp_path / "map" / f"map.{kind}")
+        assert mine.read_bytes().replace(b"parted", b"map") == theirs.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
+    played.apply(inputs.LoopAdd(scan=LAST, place=LAST // 3, pose=(1.0, 1.0, 0.8)))
+    assert played.apply(inputs.MapBuild()).endswith("1 of those added not believed")
+    assert "not joined" in played.view().events[-2].text
+    played.apply(inputs.LoopReject(scan=LAST, place=LAST // 3))
+    assert played.view().bag.edits == ()
+    with pytest.raises(InputError, match="has no scan 999"):
+        played.apply(inputs.LoopReject(scan=999, place=0))
+
+
+@pytest.mark.slow
+def test_a_session_with_a_bag_is_played_again_to_the_same_bytes(bag, tmp_path):
+    with studio_output(BagSetup(bag), tmp_path / "one", say=lambda line: None) as session:
+        run(session, 3.0)
+        session.apply(inputs.MapStart())
+        run(session, 3.0)
+        session.apply(inputs.LoopReject(scan=LAST, place=0))
+        session.apply(inputs.MapSave(name="whole"))
+    assert replay(tmp_path / "one" / "session.yaml", tmp_path / "two", say=lambda line: None) == 0
+    files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
+    assert {str(path) for path in files} >= {"session.yaml", "edits.yaml", "maps/whole.pgm", "metrics.json"}
+    for path in files:
+        if path.name != "manifest.json":
+            assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes(), path
+    assert load_map(tmp_path / "two" / "maps" / "whole.yaml").cells.size
+    text = (tmp_path / "one" / "session.yaml").read_text()
+    other = tmp_path / "other.yaml"
+    told = yaml.safe_load(text)
+    other.write_text(yaml.safe_dump(told | {"sha256": dict.fromkeys(told["sha256"], "0" * 64)}))
+    with pytest.raises(InputError, match="is not the one that the session played"):
+        replay(other, tmp_path / "three")
