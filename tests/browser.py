@@ -1,5 +1,6 @@
 """Headless Chromium over its debugging pipe: enough to look at a page the way a reader does."""
 
+import base64
 import json
 import os
 import select
@@ -98,13 +99,13 @@ class Browser:
         while not any(event.get("method") == method for event in self.events):
             self.events.append(self._read())
 
-    def open(self, address, width, *, dark=False, touch=False):
-        """Load a page in a window of that width; the events of loading are kept."""
+    def open(self, address, width, height=900, *, dark=False, touch=False):
+        """Load a page in a window of that size; the events of loading are kept."""
         self.events.clear()
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
-            height=900,
+            height=height,
             deviceScaleFactor=1,
             mobile=touch,
         )
@@ -136,6 +137,19 @@ class Browser:
         """touchStart, touchMove or touchEnd with fingers at these (x, y) of the window."""
         points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
         self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+    def key(self, key, times=1):
+        """Press and let go a key, by its name in KeyboardEvent.key."""
+        code, text = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Backspace": (8, "")}.get(
+            key, (ord(key[0].upper()), key if len(key) == 1 else "")
+        )
+        for _ in range(times):
+            for kind in ("keyDown", "keyUp"):
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, text=text, windowsVirtualKeyCode=code)
+
+    def picture(self):
+        """What the window shows, as a PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def clipboard(self):
         """Text in the clipboard."""

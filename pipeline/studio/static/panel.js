@@ -1,0 +1,138 @@
+// The words on the page: what is going on, what to do first, lists and the event log.
+
+import { scene } from "./scene.js";
+import { button } from "./waypoints.js";
+
+const MOST_LINES = 500;
+export const byId = (id) => document.getElementById(id);
+
+/** Set a property of an element, only when it changes. */
+function put(element, name, value) {
+  if (element[name] !== value) element[name] = value;
+}
+
+const text = (id, words) => put(byId(id), "textContent", words);
+const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
+
+/** Whether there is a map, whole or growing; none is sent as one cell. */
+const mapped = () => scene.grids.map?.w > 1;
+
+/** What to do first, or next. */
+function advice({ map, mapping, localised, lost, task, goals, cmd }) {
+  if (task) return "";
+  if (mapping) return cmd.some(Boolean) ? "" : "Drive with W A S D: the map grows with what the robot sees. Save it when it is whole.";
+  if (map == null && mapped()) return "Save the map and load it: then the robot can find its place on it and go where you point.";
+  if (map == null) return "No map yet. Start mapping, then drive with W A S D.";
+  if (!localised) return "Where is the robot? Choose Pose, press where it stands and drag to where it looks.";
+  if (lost) return `Not sure of its place: ${lost}. Wiggle, or give it a better pose.`;
+  return goals.length ? "" : "Choose Goal, press on the map and drag for the heading; or click waypoints and patrol.";
+}
+
+function options(select, names, empty) {
+  const told = names.join("\n") || "-";
+  if (select.dataset.told === told) return;
+  const before = select.value;
+  select.dataset.told = told;
+  select.replaceChildren(...names.map((name) => new Option(name || empty, name)));
+  if (!names.length) select.append(new Option("none saved yet"));
+  for (const part of select.form.elements) part.disabled = !names.length;
+  if (names.includes(before)) select.value = before;
+}
+
+/** Words and states of the controls, after each frame. */
+export function show(head, deskName) {
+  text("clock", `${head.t.toFixed(1)} s`);
+  text("factor", head.paused ? "paused" : `${head.factor.toFixed(head.factor < 10 ? 2 : 0)}×`);
+  const doing = head.owner === "teleop" ? "driven by hand" : head.state;
+  text("state", capital([head.task, doing !== head.task && doing].filter(Boolean).join(": ")));
+  put(byId("pause"), "textContent", head.paused ? "Resume" : "Pause");
+  put(byId("pause"), "ariaPressed", String(head.paused));
+  if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
+  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"]]);
+  text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
+  put(byId("mapping").dataset, "on", String(head.mapping));
+  const bag = byId("bag");
+  if (bag.dataset.open !== String(head.recording)) {
+    bag.dataset.open = String(head.recording);
+    bag.elements[1].textContent = head.recording == null ? "Record bag" : "Stop bag";
+    bag.elements[0].disabled = head.recording != null;
+    if (head.recording == null && bag.dataset.last) bag.elements[0].value = following(bag.dataset.last);
+    bag.dataset.last = head.recording ?? "";
+  }
+  options(byId("maps"), head.maps ?? [], "the one given");
+  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's eight");
+  byId("sure").value = head.sure ?? 0;
+  text("place", placeOf(head));
+  put(byId("cancel"), "disabled", !head.task);
+  sectors(head.sectors);
+  if (deskName === "view") text("advice", advice(head));
+  put(byId("stage").dataset, "blank", String(!mapped()));
+  put(byId("watching"), "hidden", head.driver);
+  put(byId("controls"), "disabled", !head.driver);
+  for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !head.driver);
+}
+
+const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
+
+function placeOf({ map, localised, sure, mapping }) {
+  if (sure != null) return `${Math.round(100 * sure)} % of the scan fits`;
+  if (mapping) return "on the growing map";
+  return map == null ? "no map" : localised ? "on the map" : "no pose yet";
+}
+
+function pills(told) {
+  const shown = told.filter(([on]) => on), key = shown.map(([, , words]) => words).join("|");
+  if (byId("pills").dataset.key === key) return;
+  byId("pills").dataset.key = key;
+  byId("pills").replaceChildren(...shown.map(([, kind, words]) => {
+    const pill = document.createElement("span");
+    pill.className = kind;
+    pill.textContent = words;
+    return pill;
+  }));
+}
+
+function sectors(told) {
+  put(byId("sectors"), "hidden", !told?.decision);
+  if (!told?.decision) return;
+  const far = (distance) => distance == null ? "free" : `${distance.toFixed(2)} m`;
+  text("sectors", `Left ${far(told.left)}, front ${far(told.front)}, right ${far(told.right)}: ${told.decision}`);
+}
+
+/** Lines of the event log: [t, text, level]. */
+export function log(events) {
+  const lines = byId("lines"), atEnd = lines.scrollTop + lines.clientHeight > lines.scrollHeight - 8;
+  for (const [t, words, level] of events) {
+    const line = document.createElement("li"), time = document.createElement("time");
+    time.textContent = t.toFixed(1);
+    line.className = level;
+    // Some lines begin with the time, for the terminal.
+    line.append(time, ` ${words.replace(/^[\d.]+ s:? +/, "")}`);
+    lines.append(line);
+  }
+  while (lines.childElementCount > MOST_LINES) lines.firstChild.remove();
+  if (atEnd) lines.scrollTop = lines.scrollHeight;
+}
+
+/** What was refused, where one looks; empty takes it away. */
+export function refuse(words) {
+  put(byId("error"), "hidden", !words);
+  text("error", words);
+}
+
+/** The list of keep-out areas, each with a button that deletes it. */
+export function keepouts(send) {
+  const rows = scene.keepouts.map((outline, k) => {
+    const row = document.createElement("li");
+    row.append(`${k + 1}: ${outline.length} corners`, button("×", `Delete keep-out ${k + 1}`, () =>
+      send({ do: "keepout", outlines: scene.keepouts.filter((_, other) => other !== k) })));
+    return row;
+  });
+  if (!rows.length) {
+    const empty = document.createElement("li");
+    empty.className = "quiet";
+    empty.textContent = "None. Choose Keep out and click the corners of one; Save map keeps it.";
+    rows.push(empty);
+  }
+  byId("keepouts").replaceChildren(...rows);
+}

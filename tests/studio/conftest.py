@@ -1,0 +1,41 @@
+"""A browser, and the studio's page in it."""
+
+import pytest
+from browser import Browser, find_browser
+from studio_fakes import Served
+from studio_page import HERE, PageSession, open_page
+
+KEEP_SOCKET = """
+window.WebSocket = class extends WebSocket { constructor(url) { super(url); window.socket = this; } };
+"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(find_browser(), tmp_path_factory.mktemp("profile")) as browser:
+        browser.call("Page.addScriptToEvaluateOnNewDocument", source=KEEP_SOCKET)
+        browser.call(
+            "Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"]
+        )
+        browser.call("Emulation.setFocusEmulationEnabled", enabled=True)
+        yield browser
+
+
+@pytest.fixture
+def session():
+    return PageSession()
+
+
+@pytest.fixture
+def served(session):
+    with Served(session) as server:
+        yield server
+    assert server.failure is None
+
+
+@pytest.fixture
+def page(browser, served):
+    open_page(browser, served)
+    yield browser
+    assert browser.problems() == []
+    assert all(address.startswith(HERE) for address in browser.requests())

@@ -1,0 +1,183 @@
+"""The studio's page: it fits, can be worked by keyboard, says what is going on, and comes back."""
+
+import asyncio
+import io
+import time
+
+import numpy as np
+import pytest
+from browser import find_browser
+from PIL import Image
+from studio_fakes import SCENE, Served
+from studio_page import ENABLED, FITTING, HERE, click, drag, on_screen, open_page, shown_text, until
+from tornado.websocket import websocket_connect
+
+from turtlebag.pipeline.studio.view import GoalMark, SectorMarks
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        find_browser() is None,
+        reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM",
+    ),
+]
+SIZES = [(1280, 720, False), (1920, 1080, False), (844, 390, True)]
+FOCUSABLE = """[...document.querySelectorAll("button, input, select, summary, [tabindex]")]
+  .filter((part) => part.checkVisibility() && !part.matches(":disabled"))"""
+SAY_FOCUS = f"({FOCUSABLE}).indexOf(document.activeElement)"
+OVERFLOW = """[...document.querySelectorAll("body *")].filter((part) => {
+  const { right, bottom, width } = part.getBoundingClientRect();
+  const cut = part.closest("#panel, #lines, #layers ul, svg, header p, #tools span");
+  return part.checkVisibility() && width && (right > innerWidth + 1 || bottom > innerHeight + 1) && !cut;
+}).map((part) => part.outerHTML.slice(0, 80))"""
+CLIPPED = """[...document.querySelectorAll("button, summary, label, #panel p")].filter((part) =>
+  part.checkVisibility() && part.scrollWidth > part.clientWidth + 1).map((part) => part.outerHTML)"""
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize(("width", "height", "touch"), SIZES)
+def test_the_page_fits_and_complains_of_nothing(browser, session, served, width, height, touch, dark):
+    session.told = {
+        "task": "patrol",
+        "state": "to waypoint 2 of 3, which is a rather long word for what goes on",
+        "recording": "bag_with_a_long_name",
+        "sectors": SectorMarks(1.0, 0.5, np.inf, "turn left"),
+        "goals": (GoalMark(0.5, 0.5, 0.0, "reached"), GoalMark(1.0, 1.0, 0.0, "active")),
+        "goal_index": 1,
+        "particles": np.zeros((10, 3)),
+        "keepout": (np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),),
+    }
+    open_page(browser, served, width, height, dark=dark, touch=touch)
+    until(lambda: shown_text(browser, "state").startswith("Patrol: to waypoint 2"))
+    click(browser, "#tools [data-tool=goal]")
+    browser.evaluate("document.getElementById('layers').open = true")
+    assert browser.evaluate(OVERFLOW) == []
+    assert browser.evaluate(CLIPPED) == []
+    assert browser.problems() == []
+    assert all(address.startswith(HERE) for address in browser.requests())
+
+
+@pytest.mark.parametrize(("width", "height", "touch"), [SIZES[0], SIZES[2]])
+def test_every_control_has_a_name_and_is_reached_by_tab(browser, session, served, width, height, touch):
+    session.told = {"task": "goal", "waypoint_files": ("mine",)}
+    open_page(browser, served, width, height, touch=touch)
+    browser.key("k")
+    browser.evaluate("document.getElementById('layers').open = true")
+    nodes = browser.call("Accessibility.getFullAXTree")["nodes"]
+    roles = (
+        "button",
+        "textbox",
+        "combobox",
+        "checkbox",
+        "spinbutton",
+        "application",
+        "meter",
+        "DisclosureTriangle",
+    )
+    found = [node for node in nodes if not node["ignored"] and node["role"]["value"] in roles]
+    assert len(found) > 60
+    assert [node for node in found if not node.get("name", {}).get("value", "").strip()] == []
+    count = browser.evaluate(f"({FOCUSABLE}).length")
+    browser.evaluate("document.activeElement.blur()")
+    reached = set()
+    for _ in range(count + 5):
+        browser.key("Tab")
+        reached.add(browser.evaluate(SAY_FOCUS))
+    missing = browser.evaluate(
+        f"({FOCUSABLE}).filter((_, k) => !{sorted(reached)}.includes(k)).map((part) => part.outerHTML)"
+    )
+    assert missing == []
+
+
+def test_the_cursor_reads_place_and_cell(page):
+    for place, word in (((1.0, 1.0), "free"), ((0.02, 1.0), "occupied 100"), ((-0.5, -1.5), "unknown")):
+        (at,) = on_screen(page, place)
+        page.mouse("mouseMoved", *at)
+        until(lambda word=word: shown_text(page, "readout").endswith(word))
+
+
+def test_what_is_refused_is_said_where_one_looks_until_the_next_input(page):
+    click(page, "[data-do=map_load] button")
+    until(lambda: shown_text(page, "error").startswith("map_load: no map 'nowhere'"))
+    click(page, "[data-do=avoid]")
+    until(lambda: page.evaluate("document.getElementById('error').hidden"))
+
+
+def test_layers_are_turned_off_and_on_and_remembered(page, served):
+    (wall,) = on_screen(page, (0.02, 1.5))
+
+    def shade():
+        return Image.open(io.BytesIO(page.picture())).convert("L").getpixel((round(wall[0]), round(wall[1])))
+
+    until(lambda: shade() < 30)
+    page.evaluate("document.getElementById('layers').open = true")
+    click(page, "[name=layer-grid]")
+    click(page, "[name=layer-map]")
+    until(lambda: shade() > 190)
+    page.call("Page.reload")
+    until(lambda: page.evaluate("document.querySelector('[name=layer-map]')?.checked === false"))
+    assert page.evaluate("document.querySelector('[name=layer-scan]').checked")
+
+
+def test_the_wheel_zooms_about_the_mouse_and_a_drag_pans(page):
+    page.key("0")
+    place = on_screen(page, (1.0, 1.0))[0]
+    before = page.evaluate(FITTING)
+    page.call("Input.dispatchMouseEvent", type="mouseWheel", x=place[0], y=place[1], deltaX=0, deltaY=-300)
+    until(lambda: page.evaluate(FITTING)[2] > 1.4 * before[2])
+    assert on_screen(page, (1.0, 1.0))[0] == pytest.approx(place, abs=1.0)
+    drag(page, place, (place[0] + 30, place[1] - 20))
+    assert on_screen(page, (1.0, 1.0))[0] == pytest.approx([place[0] + 30, place[1] - 20], abs=1.0)
+    page.key("0")
+    until(lambda: page.evaluate(FITTING) == pytest.approx(before))
+
+
+def test_a_second_page_watches_until_it_takes_control(browser, session, served):
+    address = served.url.replace("http:", "ws:").replace("/?", "/socket?")
+
+    async def watch():
+        first = await websocket_connect(address)
+        await first.read_message()
+        await asyncio.to_thread(look)
+        first.close()
+
+    def look():
+        open_page(browser, served)
+        assert shown_text(browser, "watching").startswith("Another page has the controls.")
+        assert not browser.evaluate(ENABLED)
+        browser.key("w")
+        browser.key("g")
+        time.sleep(0.3)
+        assert session.applied == []
+        click(browser, "#take")
+        until(lambda: browser.evaluate(ENABLED))
+        browser.key("w")
+        until(lambda: session.asked("drive") == [{"v": 0.01, "w": 0.0}])
+
+    asyncio.run(watch())
+
+
+def test_a_lost_connection_is_said_and_comes_back_by_itself(page, session):
+    page.key("w", 5)
+    until(lambda: session.asked("drive"))
+    page.evaluate("socket.close()")
+    until(lambda: "Connection lost. The robot is stopped." in shown_text(page, "broken"))
+    until(lambda: session.asked("stop"))
+    until(lambda: page.evaluate("document.getElementById('broken').hidden"))
+    until(lambda: page.evaluate(ENABLED))
+    assert shown_text(page, "cmd") == "0.00 m/s, 0.0 rad/s"
+
+
+def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
+    with Served(session) as server:
+        open_page(browser, server)
+    until(lambda: "Closed: the studio was stopped" in shown_text(browser, "broken"))
+    assert not browser.evaluate("document.getElementById('again').hidden")
+
+
+def test_an_empty_session_says_what_to_do_first(browser, session, served):
+    session.told = {"map": None, "map_name": None, "maps": (), "localised": False}
+    open_page(browser, served)
+    until(lambda: shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D.")
+    assert shown_text(browser, "maps") == "none saved yet"
+    assert shown_text(browser, "where") == f"{SCENE.world} · burger · seed 3"
