@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-bags mutants study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -108,7 +108,7 @@ pictures: demo ## the animations of the README, out of the demo's report
 	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif
 	cp data/reports/demo/figures/turtlebot3-world-patrol-animation.gif docs/images/patrol.gif
 
-bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
+bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-studio bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
@@ -123,6 +123,8 @@ bench-plan: $(READY) ## planners: time, length, clearance, success
 	$(PY) -m benchmarks.plan
 bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
 	$(PY) -m benchmarks.navigate
+bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with and without a viewer   (MINUTES of patrol for its memory)
+	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.kills

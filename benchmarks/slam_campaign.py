@@ -14,6 +14,7 @@ Suites:
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
   numbers    the numbers that matter most, halved and doubled (benchmarks.slam_sensitivity)
+  online     the mapper that works while the robot drives, beside the offline one
   growth     CPU seconds and memory of the whole command, by size of the log
 
 Public logs are read from the folder in TURTLEBAG_DATA (its folders `radish` and `wild`). The order of a
@@ -39,6 +40,8 @@ from benchmarks.rows import Case, Row, Rows, code_of, shown, write
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
+from benchmarks.slam_online import COLUMNS as ONLINE
+from benchmarks.slam_online import online_cases
 from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
 from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
@@ -91,6 +94,7 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
         "parts": Suite(parts_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
         "numbers": Suite(sensitivity_cases(data), (*EXACT, *ENDS), sensitivity_table, code=SYNTHETIC),
+        "online": Suite(online_cases(data), ONLINE, quick=8, code=SYNTHETIC),
         "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
     }
 

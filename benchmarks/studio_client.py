@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
+import re
 import struct
 import time
 import zlib
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
@@ -48,6 +49,7 @@ class Picture:
         self.places: dict[str, Header] = {}
         self.events: list[list] = []
         self.errors: list[str] = []
+        self.waypoints: list[list] = []
         self.bye: str | None = None
 
     def take(self, message: bytes) -> None:
@@ -63,6 +65,7 @@ class Picture:
     def _frame(self, header: Header, blobs: dict[str, NDArray]) -> None:
         self.head = header
         self.events += header["events"]
+        self.waypoints = header.get("waypoints", self.waypoints)
         self.errors += [header["error"]] if header.get("error") else []
         for name, grid in header.get("grids", {}).items():
             if self.places.get(name, {}).get("version") != grid["version"]:
@@ -77,15 +80,23 @@ class Picture:
             self.arrays[name] = np.concatenate([self.arrays[name][:kept], values]) if kept else values
 
 
+def _stamp(state: str) -> float:
+    """The time at which a view was asked for, where benchmarks.studio has written it over the state."""
+    return float(state) if re.fullmatch(r"[\d.]+", state) else math.nan
+
+
 class Client:
-    """One socket. `await client.until(...)` reads frames; `arrivals` and `sizes` are those of all of them."""
+    """One socket. `await client.until(...)` reads messages.
+
+    When each had been taken in, its bytes, and how late it was: `arrivals`, `sizes`, `lates`.
+    """
 
     def __init__(self, connection: WebSocketClientConnection) -> None:
         self._connection = connection
         self.picture = Picture()
         self.arrivals: list[float] = []
         self.sizes: list[int] = []
-        self.bytes_of: Counter[str] = Counter()
+        self.lates: list[float] = []
 
     @staticmethod
     async def open(url: str, **headers: str) -> Client:
@@ -100,9 +111,10 @@ class Client:
         if message is None:
             return False
         assert isinstance(message, bytes)
-        self.arrivals.append(time.monotonic())
         self.sizes.append(len(message))
         self.picture.take(message)
+        self.arrivals.append(time.monotonic())
+        self.lates.append(self.arrivals[-1] - _stamp(self.picture.head.get("state", "")))
         return True
 
     async def until(self, true: Callable[[Picture], object], timeout_s: float = 20.0) -> Picture:

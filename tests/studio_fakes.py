@@ -157,12 +157,12 @@ async def connect(url, **headers):
     return OPENED[-1]
 
 
-def run(coroutine):
-    """What a coroutine returns, if it does within half a minute."""
+def run(coroutine, most_s=30.0):
+    """What a coroutine returns, if it does in time."""
 
     async def closing():
         try:
-            return await asyncio.wait_for(coroutine, 30.0)
+            return await asyncio.wait_for(coroutine, most_s)
         finally:
             while OPENED:
                 OPENED.pop().close()

@@ -21,6 +21,7 @@ from turtlebag.pipeline.cli.main import VERBS, build_parser, joined, main
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.tasks.waypoints import load_waypoints
 from turtlebag.reports.draw_localise import read_path
 from turtlebag.reports.g2o import read_g2o, read_loops
@@ -129,6 +130,7 @@ READERS = {
     "map-config.yaml": lambda path: load_config(SlamConfig, path, []),
     "waypoints.yaml": load_waypoints,
     "takeover.yaml": load_script,
+    "session.yaml": load_session,
     "intel.relations": load_relations,
     "robot.yaml": lambda path: load_robot(str(path)),
     "campaign.yaml": lambda path: load_model(Campaign, path),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
-LIVE = ("world", "robot", "seed", "map", "port", "host", "config", "settings", "no_browser")
+LIVE = ("world", "robot", "seed", "map", "port", "host", "config", "settings")
 """Options of a session that is yet to be driven; one that is driven again has all of it in its file."""
 
 
@@ -118,7 +118,7 @@ def _replay(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.terminal.messages import log
 
     for name in LIVE:
-        if getattr(args, name):
+        if getattr(args, name) not in (None, []):
             option = "--set" if name == "settings" else f"--{name.replace('_', '-')}"
             raise InputError(f"{option}: not with --replay, whose file says it all; remove it")
     if args.out is None:

@@ -60,6 +60,20 @@ class Course:
         """The log has gone on: all its scans, with odometry (n, 3) and stamps."""
         self.clouds, self.odometry, self.stamps = clouds, T_odom_base, stamps_ns
 
+    def forget(self, scans: NDArray[np.bool_]) -> None:
+        """Go on without some scans (n,) of long ago: those that stay are numbered anew, and so are the key
+        scans among them. `extend` must follow, with the log so numbered."""
+        stays, number, n_keys = ~scans, np.cumsum(~scans) - 1, len(self.keys)
+        old = [n for n, key in enumerate(self.keys) if stays[key]]
+        self.keys, self.key_poses = [int(number[self.keys[n]]) for n in old], [self.key_poses[n] for n in old]
+        of = np.flatnonzero(stays).tolist()
+        self.poses, self._placed = [self.poses[k] for k in of], [self._placed[k] for k in of]
+        self._usable = [self._usable[k] for k in of]
+        self.scan, self._field = int(number[self.scan]), None
+        if len(self.keys) < n_keys:
+            # from one key scan to the next is no longer what was driven
+            self.config = self.config.model_copy(update={"calibration": False})
+
     def step(self) -> None:
         """Place the next scan."""
         before, self.scan = self.scan, self.scan + 1
@@ -98,22 +112,28 @@ class Course:
             self._field = len(self.keys), field
         return self._field[1]
 
-    def track(self) -> Track:
-        """What is left of it all."""
-        placed, steps = self._placed, None
+    def track(self, first: int = 0) -> Track:
+        """What is left of it all; from a key scan `first` on, which then is scan 0 and key scan 0."""
+        begin, steps = self.keys[first], None
+        placed, keys = self._placed[begin:], self.keys[first:]
         if self.odometry is not None:
-            steps = self.calibration.corrected(_steps(self.odometry[self.keys]))
+            steps = self.calibration.corrected(_steps(self.odometry[keys]))
         return Track(
-            SE2(np.array(self.poses)),
-            np.array(self.keys),
+            SE2(np.array(self.poses[begin:])),
+            np.array(keys) - begin,
             np.array([one.overlap for one in placed]),
             np.array([one.rmse for one in placed]),
             np.array([one.information for one in placed]),
             np.array([one.source for one in placed], dtype=np.int8),
             steps,
             self.calibration,
-            np.array(self._usable),
+            np.array(self._usable[begin:]),
         )
+
+    @property
+    def placed(self) -> Placed:
+        """What the front end said of the last scan."""
+        return self._placed[-1]
 
     def calibrate(self) -> None:
         """Learn the odometry's systematic errors as far as the key scans show them."""

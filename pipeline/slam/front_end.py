@@ -22,9 +22,10 @@ class Placed:
     the scan itself saw of it, in the frame of the base at that pose [1/m^2, 1/(m rad), 1/rad^2], each point
     counted by itself (`align.STEP_INFLATION` allows for their shared errors): zero along a direction that it
     was blind in, and nothing of what the odometry said, which the graph adds. `overlap` is the share 0..1 of
-    the scan that lies on what was seen before, `rmse` how far off it lies [m]. `source` says which start won,
-    an index into `track.HYPOTHESES`. Where `sure` is False the scan does not become a key scan. `revised` are
-    the scans before it that are now known better, with their poses (3,); key scans keep theirs.
+    the scan that lies on what was seen before, `known` that where was looked before, `rmse` how far off it
+    lies [m]. `source` says which start won, an index into `track.HYPOTHESES`. Where `sure` is False the scan
+    does not become a key scan. `revised` are the scans before it that are now known better, with their poses
+    (3,); key scans keep theirs.
     """
 
     T_track_base: Array
@@ -34,6 +35,12 @@ class Placed:
     source: int = 0
     sure: bool = True
     revised: tuple[tuple[int, Array], ...] = ()
+    known: float = 1.0
+
+    @property
+    def agreement(self) -> float:
+        """The share of what lies where was looked before that was seen before, 0..1."""
+        return self.overlap / self.known if self.known > 0.0 else 1.0
 
 
 class FrontEnd(Protocol):

@@ -39,11 +39,10 @@ SURPRISE = 0.03
 
 @dataclass
 class Doubt:
-    """What went before a gap: the scan, its pose (3,), and for how many scans it is looked back at."""
+    """What went before a gap: the pose (3,) of the last scan, and how many scans ago that was."""
 
-    scan: int
     T_map_base: Array
-    left: int = DOUBTED_SCANS
+    ago: int = 1
 
 
 class Lines:
@@ -73,7 +72,7 @@ class Lines:
         elif odometry_step is not None:
             self.wheels.judge(odometry_step, pose, found.information)
         revised = tuple((k, compose(pose, course.odometry_since(scan, k))) for k in settled)
-        return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised)
+        return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised, found.known)
 
     def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
         """From the odometry, if there is any and it is believed, and from a steady motion."""
@@ -97,15 +96,15 @@ class Lines:
         course, settled = self.course, range(0)
         if course.odometry is None:
             return True, settled
-        since = self.doubt or Doubt(scan - 1, course.pose)
+        since = self.doubt or Doubt(course.pose)
         move = between(since.T_map_base, found.T_map_base.xyt)
-        agreed = confirms(course.odometry_since(since.scan), move)
+        agreed = confirms(course.odometry_since(scan - since.ago), move)
         fits = found.cost <= self._usual_cost + FITS
-        since.left -= 1
         if self.doubt is None and abs(wait_s) > GAP_S:
             self.doubt = since
-        elif since.left <= 0 or (agreed and fits):
-            self.doubt, settled = None, range(since.scan + 1, scan)
+        elif since.ago >= DOUBTED_SCANS or (agreed and fits):
+            self.doubt, settled = None, range(scan - since.ago + 1, scan)
+        since.ago += 1
         return self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
 
     def _by_lines(
@@ -116,7 +115,7 @@ class Lines:
         course, config = self.course, self.course.config
         best = self._best(scan, starts, guess, information)
         if self.doubt is not None:
-            step = course.odometry_since(self.doubt.scan)
+            step = course.odometry_since(scan - self.doubt.ago)
             carried = compose(self.doubt.T_map_base, step)
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
             if other is not None and (best is None or other[2] < best[2]):

@@ -157,28 +157,35 @@ class LoopSearch(ABC):
 
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None when none is near enough."""
+        tried: list[Loop] = []
+        for j, gate, turn_gate in self.candidates(i):
+            tried.append(self._match(i, j, gate, turn_gate))
+            if tried[-1].accepted:
+                break
+        return max(tried, key=lambda loop: (loop.accepted, loop.score), default=None)
+
+    def candidates(self, i: int) -> list[tuple[int, float, float]]:
+        """PLACES older keys near key i, the nearest first, with how far off [m], [rad] each may lie."""
         config = self.config
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
         if len(old) == 0:
-            return None
+            return []
         covariance = read_at(self.drift.from_key(i, self.loops)[old], self.poses[i])
         gates, turns = reach(covariance)
         gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
         distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
-        near = distance < gates + 1.0
-        if not near.any():
-            return None
-        old, distance, gates, turns = old[near], distance[near], gates[near], turns[near]
-        tried: list[Loop] = []
+        found: list[tuple[int, float, float]] = []
         for pick in np.argsort(distance + gates, kind="stable").tolist():
             j = int(old[pick])
-            if any(abs(j - loop.j) <= 2 * config.group for loop in tried):
+            if distance[pick] >= gates[pick] + 1.0 or any(
+                abs(j - k) <= 2 * config.group for k, _, _ in found
+            ):
                 continue
-            tried.append(self._match(i, j, float(gates[pick]), float(turns[pick])))
-            if tried[-1].accepted or len(tried) == PLACES:
+            found.append((j, float(gates[pick]), float(turns[pick])))
+            if len(found) == PLACES:
                 break
-        return max(tried, key=lambda loop: (loop.accepted, loop.score))
+        return found
 
 
 class LoopFinder(LoopSearch):

@@ -38,7 +38,7 @@ def optimise(T_map_keys: Poses, constraints: Sequence[Constraint], iterations: i
     held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
     graph.add(prior(0, pose(start[0]), held))
     for c in constraints:
-        graph.add(between(c.i, c.j, pose(c.T_i_j), _noise(c)))
+        graph.add(between(c.i, c.j, pose(c.T_i_j), noise_model(c)))
     for k, T in enumerate(start):
         values.insert(k, pose(T))
     parameters = gtsam.LevenbergMarquardtParams()
@@ -97,7 +97,7 @@ def _text(values: Any, digits: str) -> str:
     return " ".join(f"{value:{digits}}" for value in np.asarray(values).tolist())
 
 
-def _noise(constraint: Constraint) -> Any:
+def noise_model(constraint: Constraint) -> Any:
     """GTSAM's noise model of a constraint, with a floor that keeps its information positive definite."""
     import gtsam
 

@@ -192,7 +192,7 @@ class Pace:
         factor = 0.0
         if not self._paused and len(self._ticks) > 1:
             (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
-            factor = (last - first) * 1e-9 / max(now - begun, 1e-6)
+            factor = (last - first) * 1e-9 / max(now - begun, FRAME_S)
         return Gait(round(factor, 2), self._asked, self._paused)
 
     def _show_if_wanted(self) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
-from tornado.iostream import IOStream
 from tornado.web import Application
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -145,6 +144,9 @@ class Viewer(Guarded, WebSocketHandler):
     def open(self) -> None:
         """The page listens."""
         self.set_nodelay(True)
+        assert self.ws_connection is not None
+        assert self.ws_connection.stream is not None
+        self._stream = self.ws_connection.stream  # tornado forgets it on closing
         self._stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, HELD_BYTES)
         self.studio.join(self)
 
@@ -186,12 +188,6 @@ class Viewer(Guarded, WebSocketHandler):
     def drop(self) -> None:
         """Close without waiting for a page that does not listen."""
         self._stream.close()
-
-    @property
-    def _stream(self) -> IOStream:
-        assert self.ws_connection is not None
-        assert self.ws_connection.stream is not None
-        return self.ws_connection.stream
 
     def send(self, message: bytes) -> None:
         """Hand a message to the system; `_written` is done when it has all of it."""

@@ -195,7 +195,6 @@ class Session:
         goal = None
         if sequence is not None and sequence.goal is not None:
             goal = sequence.waypoint.written
-        localiser = pilot.localiser
         return View(
             stamp_ns=run.stamp_ns,
             ended=self.ended,
@@ -210,7 +209,7 @@ class Session:
             waypoint_files=room.shelf.waypoint_files,
             loaded_waypoints=run.waypoints,
             localised=pilot.localised,
-            sure=localiser.amcl.agreement if localiser is not None and pilot.localised else None,
+            sure=look.sure(),
             lost=look.lost(),
             T_map_base=run.T_map_base,
             T_odom_base=run.observation.odometry.T_odom_base,
@@ -227,7 +226,7 @@ class Session:
             odom_path=room.trails["odom"].path,
             slam_path=room.trails["slam"].path,
             true_path=room.trails["true"].path,
-            graph=None,
+            graph=look.graph(),
             boxes=run.boxes,
             keepout=run.keepout,
             map=look.map(room.tee.grid),

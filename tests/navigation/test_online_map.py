@@ -1,7 +1,5 @@
 """SLAM while driving: fed scan by scan it is the offline mapper's; what stops the robot unseen is noticed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from planning_room import BURGER
@@ -10,18 +8,14 @@ from slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory
-from turtlebag.pipeline.navigation.growing_clouds import GrowingClouds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sight
-from turtlebag.pipeline.slam.clouds import make_clouds
-from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import Sectors
 
 TRUE = around_the_room(200, laps=2)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
-NOISE = RangeNoise()
 
 
 def drive(online: OnlineMap, upto: int = len(LOG)) -> None:
@@ -31,21 +25,6 @@ def drive(online: OnlineMap, upto: int = len(LOG)) -> None:
         joints = Joints(stamp, (0.0, 0.0), (0.0, 0.0))
         scan = Scan(stamp, LOG.ranges[k], LOG.lidar)
         online.observe(Observation(stamp, Odometry(stamp, T_odom_base, Twist()), joints, scan, ()))
-
-
-def test_clouds_grown_scan_by_scan_are_those_made_at_once():
-    whole, growing = make_clouds(LOG, 8.0, noise=NOISE), GrowingClouds(NOISE)
-    for k in range(len(LOG)):
-        one = replace(
-            LOG,
-            stamps_ns=LOG.stamps_ns[k : k + 1],
-            ranges=LOG.ranges[k : k + 1],
-            T_odom_base=LOG.T_odom_base[k : k + 1],
-        )
-        growing.append(one, 8.0, None)
-    found = growing.view()
-    for name in whole._fields:
-        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The tutorial walked in a session, without a window: drive, map, localise, go, patrol, avoid, and all again."""
+"""The tutorial walked in a session, without a window: drive, map, localise, go, patrol, avoid; and again."""
 
 import math
 

@@ -13,6 +13,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from tornado.iostream import IOStream
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio import frames as frames_module
 from turtlebag.pipeline.studio import server
 from turtlebag.pipeline.studio.guard import Guard, Rate, is_loopback, listen
 
@@ -297,7 +298,7 @@ def deaf(served):
 
 
 @pytest.mark.slow
-def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch):
+def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
     """Each frame is a new map of noise, so that what the system keeps for the deaf is soon full."""
     rng, frames = np.random.default_rng(0), []
     session = FakeSession()
@@ -311,6 +312,7 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch):
         return inner()
 
     session.view = noisy
+    monkeypatch.setattr(frames_module, "GRID_BYTES_A_SECOND", 1e9)
     encode = server.Frames.frame
     monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
 
@@ -330,8 +332,13 @@ def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch):
         # In those three seconds the deaf were not even written for: nothing piles up.
         assert len(frames) - before < 1.2 * gaps.size + 10
         assert 0.8 < client.picture.head["factor"] < 1.2
-        for one in silent:
-            one.close()
+        begun = time.monotonic()
+        served.stop()
+        assert time.monotonic() - begun < 3.0
+    for one in silent:
+        one.close()
+    assert served.failure is None
+    assert caplog.records == []
 
 
 @pytest.mark.slow

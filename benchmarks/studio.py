@@ -1,0 +1,204 @@
+"""What the studio costs: how late its frames are, how many bytes, how much a viewer slows it, its memory.
+
+python -m benchmarks.studio [--minutes M] [--out DIR]
+
+The server is a process of its own, the viewer this one, without a page. `late` is from when a view is asked
+of the session to when the viewer has taken it in. Speeds are simulated seconds a second, as fast as it goes,
+in turns with a viewer and without. With --minutes it then patrols on for so long, as fast as it goes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import dataclasses
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.rows import Row, write
+from benchmarks.studio_client import Client
+from turtlebag.datasets.maps import save_map
+from turtlebag.pipeline.stages.record import deferred_interrupt
+from turtlebag.pipeline.stages.studio import studio_output
+from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
+from turtlebag.pipeline.studio.server import serve
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.worlds import load_world
+
+WORLD, ROBOT = "turtlebot3_world", "burger"
+WATCHED_S, TURN_S, TURNS = 20.0, 10.0, 4
+START = [-2.0, -0.5, 0.0]
+Url = str
+
+
+class Stamped(Session):
+    """Says in each view when it was asked for."""
+
+    def view(self):
+        at = time.monotonic()
+        return dataclasses.replace(super().view(), state=repr(at))
+
+
+def serve_here(world: str, map_path: str, out: str) -> None:
+    """What the other process does: a studio, its address on stdout."""
+    import turtlebag.pipeline.stages.studio as stage
+
+    stage.Session = Stamped
+    sockets = listen(LOOPBACK, 0)
+    guard = Guard(new_token(), LOOPBACK, sockets[0].getsockname()[1])
+    setup = StudioSetup(world, ROBOT, 1, Path(map_path) if map_path else None)
+    with (
+        deferred_interrupt() as interrupted,
+        studio_output(setup, Path(out), say=lambda line: None) as session,
+    ):
+        serve(session, guard, sockets, interrupted=interrupted, ready=lambda: print(guard.url, flush=True))
+
+
+@contextmanager
+def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
+    """A running studio: its address and process."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["--serve", world, "" if map_path is None else str(map_path), f"{folder}/out"]
+        command = [sys.executable, "-m", "benchmarks.studio", *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip(), process.pid
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def lateness(client: Client, first: int) -> Row:
+    """How the frames from the `first` on arrived."""
+    late, gaps = 1e3 * np.array(client.lates[first:]), 1e3 * np.diff(client.arrivals[first:])
+    seconds = client.arrivals[-1] - client.arrivals[first]
+    return {
+        "frames/s": round(late.size / seconds, 1),
+        "late_median_ms": round(float(np.median(late)), 1),
+        "late_p95_ms": round(float(np.quantile(late, 0.95)), 1),
+        "gap_p95_ms": round(float(np.quantile(gaps, 0.95)), 1),
+        "kB/s": round(sum(client.sizes[first:]) / seconds / 1e3, 1),
+        "kB_largest": round(max(client.sizes[first:]) / 1e3, 1),
+    }
+
+
+async def watched(client: Client, what: str, factor: float, seconds: float = WATCHED_S) -> Row:
+    """A row: frames of some time at a speed."""
+    client.ask("speed", factor=factor)
+    await client.until(lambda p: p.head["asked"] == factor)
+    first, t = len(client.arrivals), client.picture.head["t"]
+    await client.read_for(seconds)
+    pace = (client.picture.head["t"] - t) / (client.arrivals[-1] - client.arrivals[first - 1])
+    return {
+        "what": what,
+        "speed": "any" if factor == 0 else f"{factor:g}",
+        "x_real_time": round(pace, 1),
+    } | lateness(client, first)
+
+
+async def begun(client: Client) -> None:
+    """On its map and on patrol, for as long as anybody looks."""
+    await client.until(lambda p: p.head, 120.0)
+    client.ask("pose_estimate", pose=START)
+    client.ask("waypoints_load")
+    await client.until(lambda p: p.waypoints, 120.0)
+    stops = [{"pose": [x, y, yaw]} for x, y, yaw, _ in client.picture.waypoints]
+    client.ask("patrol", waypoints=stops, laps=1000)
+    await client.until(lambda p: p.head["task"] == "patrol", 120.0)
+
+
+async def patrol(url: Url) -> tuple[list[Row], Row]:
+    """Rows of a patrol that is watched, and its speed with and without a viewer."""
+    client = await Client.open(url)
+    await begun(client)
+    client.ask("speed", factor=0)
+    await client.read_for(5.0)  # what is compiled at first use
+    rows = [await watched(client, "patrol in the arena", factor) for factor in (1.0, 0.0)]
+    speeds: dict[bool, list[float]] = {True: [], False: []}
+    for turn in range(2 * TURNS):
+        looking = turn % 2 == 0
+        t, at = client.picture.head["t"], time.monotonic()
+        if looking:
+            await client.read_for(TURN_S)
+        else:
+            client.close()
+            await asyncio.sleep(TURN_S)
+            client = await Client.open(url)
+            await client.until(lambda p: p.head)
+        speeds[looking].append((client.picture.head["t"] - t) / (time.monotonic() - at))
+    with_one, without = np.median(speeds[True]), np.median(speeds[False])
+    assert client.picture.head["task"] == "patrol", client.picture.events[-3:]
+    client.close()
+    return rows, {
+        "with a viewer": round(float(with_one), 2),
+        "without": round(float(without), 2),
+        "share_%": round(100.0 * float(with_one / without)),
+    }
+
+
+async def exploring(url: Url) -> Row:
+    """A row of a map that grows while the robot explores the house."""
+    client = await Client.open(url)
+    await client.until(lambda p: p.head, 120.0)
+    client.ask("explore")
+    await client.until(lambda p: "map" in p.grids, 120.0)
+    return await watched(client, "exploring the house", 1.0, 3 * WATCHED_S)
+
+
+async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
+    """Memory of the server, ten times within some minutes of patrol as fast as it goes, with a viewer."""
+    client, rows = await Client.open(url), []
+    await begun(client)
+    client.ask("speed", factor=0)
+    client.ask("record", name="all")
+    begin = time.monotonic()
+    for part in range(11):
+        while time.monotonic() < begin + 6.0 * part * minutes:
+            await client.read_for(min(5.0, begin + 6.0 * part * minutes - time.monotonic()))
+        status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
+        head = client.picture.head
+        mb = round(int(status["VmRSS"].split()[0]) / 1e3)
+        rows.append(
+            {"wall_min": round(0.1 * part * minutes, 2), "simulated_min": round(head["t"] / 60), "mb": mb}
+        )
+        print(rows[-1], file=sys.stderr, flush=True)
+    client.close()
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=0.0)
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
+    parser.add_argument("--serve", nargs=3, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.serve:
+        serve_here(*args.serve)
+        return
+    args.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        map_path = Path(folder) / "map.yaml"
+        save_map(load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height), Path(folder))
+        with studio(WORLD, map_path) as (url, _):
+            rows, speeds = asyncio.run(patrol(url))
+        with studio("turtlebot3_house", None) as (url, _):
+            rows.append(asyncio.run(exploring(url)))
+        write(args.out, "studio", rows)
+        write(args.out, "studio_viewer", [speeds])
+        if args.minutes:
+            with studio(WORLD, map_path) as (url, pid):
+                write(args.out, "studio_memory", asyncio.run(memory(url, pid, args.minutes)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""A log as it is being driven: what every scan brings is appended, and given as a `Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Imu, ImuLog, LidarSpec, Recording, Scan, Trajectory
+from turtlebag.pipeline.slam.growing_clouds import Rows
+
+# Odometry samples that reach back past the start of a sweep.
+RECENT = 64
+
+
+class GrowingLog:
+    """Scans with the odometry and the IMU about them, and whether they are to be drawn."""
+
+    def __init__(self, lidar: LidarSpec, T_base_lidar: SE2) -> None:
+        self.lidar, self.T_base_lidar = lidar, T_base_lidar
+        self.whole = True
+        """Whether no scan was dropped."""
+        self._ranges, self._stamps, self._at, self._trusted = Rows(), Rows(), Rows(), Rows()
+        self._odometry_stamps, self._odometry = Rows(), Rows()
+        self._imu_stamps, self._turning, self._force = Rows(), Rows(), Rows()
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Stamps of all scans."""
+        return self._stamps.view()
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """Which scans are good to map with; may be changed in place."""
+        return self._trusted.view()
+
+    def append(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu]) -> None:
+        """One more scan; see `Mapper.add`."""
+        self._ranges.append(scan.ranges[None])
+        self._stamps.append(np.array([scan.stamp_ns], dtype=np.int64))
+        self._trusted.append(np.ones(1, dtype=np.bool_))
+        if isinstance(odometry, Trajectory):
+            self._odometry_stamps.append(odometry.stamps_ns)
+            self._odometry.append(odometry.poses.xyt)
+            self._at.append(self._stream(RECENT).at(np.array([scan.stamp_ns])).xyt)
+        elif odometry is not None:
+            self._at.append(odometry.xyt[None])
+        if imu:
+            self._imu_stamps.append(np.array([sample.stamp_ns for sample in imu], dtype=np.int64))
+            self._turning.append(np.array([sample.angular_velocity for sample in imu]))
+            self._force.append(np.array([sample.linear_acceleration for sample in imu]))
+
+    def keep(self, stays: NDArray[np.bool_]) -> None:
+        """Only some of the scans (n,), and of the rest what the next one needs."""
+        self.whole = False
+        for rows in (self._ranges, self._stamps, self._trusted, *((self._at,) if len(self._at) else ())):
+            rows.keep(stays)
+        for rows in (self._odometry_stamps, self._odometry):
+            if len(rows):
+                rows.keep(np.arange(len(rows)) >= len(rows) - RECENT)
+        self._imu_stamps, self._turning, self._force = Rows(), Rows(), Rows()
+
+    def last(self) -> Recording:
+        """The newest scan alone."""
+        return self._recording(slice(len(self) - 1, None), RECENT)
+
+    def some(self, scans: NDArray[np.int64]) -> Recording:
+        """Some scans (k,)."""
+        return self._recording(scans, RECENT)
+
+    def recording(self) -> Recording:
+        """All scans that are trusted."""
+        return self._recording(slice(None) if self.trusted.all() else self.trusted, 0)
+
+    def _stream(self, recent: int) -> Trajectory:
+        return Trajectory(self._odometry_stamps.view()[-recent:], SE2(self._odometry.view()[-recent:]))
+
+    def _recording(self, scans: slice | NDArray[Any], recent: int) -> Recording:
+        imu = None
+        if len(self._turning) and not recent:
+            imu = ImuLog(self._imu_stamps.view(), self._turning.view(), self._force.view())
+        return Recording(
+            source="the scans so far",
+            stamps_ns=self._stamps.view()[scans],
+            ranges=self._ranges.view()[scans],
+            lidar=self.lidar,
+            T_base_lidar=self.T_base_lidar,
+            T_odom_base=SE2(self._at.view()[scans]) if len(self._at) else None,
+            odometry=self._stream(recent) if len(self._odometry) else None,
+            imu=imu,
+        )

@@ -1,0 +1,114 @@
+"""Loops of a log that goes on: one alignment at a time, and the graph kept by iSAM2."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2, Array, compose
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
+from turtlebag.pipeline.slam.loops import Loop, LoopConfig, LoopFinder
+
+# So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
+WAITING = 8
+
+
+class GrowingLoops(LoopFinder):
+    """`LoopFinder` of key scans that come one by one; `poses` (n, 3) are those of all of them."""
+
+    def __init__(self, clouds: Clouds, pose: Array, config: LoopConfig) -> None:
+        super().__init__(clouds, np.zeros(1, np.int64), SE2(pose[None]), [], config, np.zeros(1, np.int64))
+        self.sigma_m = 0.0
+        """Standard deviation of the newest key searched, as seen from the first one [m]."""
+        self._told = np.zeros((0, 3, 3))
+        self._graph = GrowingGraph()
+        self._new: list[Constraint] = []
+        self._since_query = 0
+        self._waiting: deque[int] = deque()
+        self._candidates: deque[tuple[int, float, float]] | None = None
+        self._found: Loop | None = None
+
+    def add_key(
+        self, clouds: Clouds, keys: NDArray[np.int64], T_last_key: Array, steps: list[Constraint]
+    ) -> None:
+        """One more key, seen from the last one (3,), and what joins the two, as if they were keys 0 and 1;
+        `keys` are the scans of all."""
+        n = len(self.poses)
+        steps = [replace(c, i=n - 1, j=n) for c in steps]
+        self.clouds, self.keys, self.part = clouds, keys, np.zeros(len(keys), dtype=np.int64)
+        self.poses = np.vstack([self.poses, compose(self.poses[-1], T_last_key)])
+        self.path = np.append(self.path, self.path[-1] + np.hypot(T_last_key[0], T_last_key[1]) + 0.05)
+        self.steps += steps
+        self._new += steps
+        self._told = np.concatenate([self._told, np.sum([c.information for c in steps], axis=0)[None]])
+        self._since_query += 1
+        if self.config.enabled and self._since_query >= self.config.every and len(self._waiting) < WAITING:
+            self._since_query = 0
+            self._waiting.append(n)
+
+    def work(self) -> bool:
+        """Do one of these: look where the key that waits longest may have been before, align it with one such
+        place, or close the loop found. Whether the poses moved."""
+        if self._found is not None:
+            self._close(self._found)
+            return True
+        if not self._waiting:
+            return False
+        i = self._waiting[0]
+        if self._candidates is None:
+            told = covariances(self.poses, np.arange(1, len(self.poses)), self._told)
+            self.drift = Drift(self.poses, told, np.zeros(len(told), dtype=bool))
+            self.sigma_m = self._sigma(i)
+            self._candidates = deque(self.candidates(i))
+        elif self._candidates:
+            loop = self._match(i, *self._candidates.popleft())
+            if loop.accepted:
+                self._found = loop
+                self._candidates.clear()
+        if not self._candidates:
+            self._waiting.popleft()
+            self._candidates = None
+        return False
+
+    def needed(self) -> NDArray[np.bool_]:
+        """Which keys (n,) may not go: the first, and those that wait for their loops."""
+        needed = np.zeros(len(self.poses), dtype=bool)
+        needed[[0, *self._waiting]] = True
+        if self._found is not None:
+            needed[[self._found.i, self._found.j]] = True
+        return needed
+
+    def _sigma(self, i: int) -> float:
+        covariance = self.drift.from_key(0, self.loops)[i]
+        return float(reach(read_at(covariance, self.poses[i]))[0]) / SIGMAS
+
+    def _close(self, loop: Loop) -> None:
+        constraint = self.config.constraint(loop)
+        self.loops.append(constraint)
+        self.poses = self._graph.update(self.poses, [*self._new, constraint])
+        self._new.clear()
+        self._found = None
+
+    def keep(self, stays: NDArray[np.bool_], clouds: Clouds, keys: NDArray[np.int64]) -> None:
+        """Only some of the keys (n,), those `needed` among them; what is known of the others is told of their
+        neighbours. `keys` are the scans of those that stay, numbered as in `clouds`."""
+        number = np.cumsum(stays) - 1
+        self.steps = without(self.steps, stays, self.poses)
+        self.loops = without(self.loops, stays, self.poses)
+        self.clouds, self.keys, self.part = clouds, keys, self.part[stays]
+        self.poses, self.path = self.poses[stays], self.path[stays]
+        self._waiting = deque(int(number[i]) for i in self._waiting)
+        self._candidates = None
+        if self._found is not None:
+            self._found = replace(self._found, i=int(number[self._found.i]), j=int(number[self._found.j]))
+        self._told = np.zeros((len(keys) - 1, 3, 3))
+        for c in self.steps:
+            self._told[c.i] += c.information
+        self._graph, self._new = GrowingGraph(), []
+        self.poses = self._graph.update(self.poses, [*self.steps, *self.loops])

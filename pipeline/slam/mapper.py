@@ -1,0 +1,251 @@
+"""SLAM while the robot drives: scan by scan, with work and memory bounded by counts, never by the clock.
+
+Front end, loops and factors are the offline mapper's. Each scan is placed as it comes; key scans wait for
+their loops in a queue of which one alignment is done per scan, and iSAM2 (Kaess et al. 2012) keeps the graph.
+Where a place has key scans enough, later ones are taken out of the graph again (a reduced pose graph,
+Johannsson et al. 2012), so that graph and clouds grow with the area seen and not with the time driven.
+
+What needs the whole log is left to `finish`, which maps all scans as `run_slam` does: places recognised
+beyond the reach of drift, refinement, the odometry's delay, the robot's own body in the scans, the gyro.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
+from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
+from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.growing_clouds import GrowingClouds, Rows
+from turtlebag.pipeline.slam.growing_log import GrowingLog
+from turtlebag.pipeline.slam.growing_loops import GrowingLoops
+from turtlebag.pipeline.slam.occupancy import make_grid
+from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
+from turtlebag.pipeline.slam.refine import refine
+from turtlebag.pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
+from turtlebag.pipeline.slam.steps import step_constraints
+
+# After every so many scans those that are no key scans are dropped, but for the last ones, which the front
+# end may come back to after a gap.
+TIDY_SCANS, LAST_SCANS = 256, 64
+# So many key scans are enough for a place of this size, seen in one of so many directions.
+PLACE_KEYS, PLACE_M, DIRECTIONS = 3, 0.5, 8
+# The log is kept whole up to so many scans.
+MOST_SCANS = 20_000
+# The track is lost when so many scans in a row have less than this on what was seen before, of what could be.
+LOST_SCANS, LOST_AGREEMENT = 5, 0.6
+
+
+class Mapper:
+    """Takes in scans, tells where the robot is and what the map is. The map's frame is the odometry's at the
+    first scan, the robot's own without odometry."""
+
+    def __init__(self, lidar: LidarSpec, T_base_lidar: SE2, config: SlamConfig | None = None) -> None:
+        self.config = config or SlamConfig()
+        self.jumps: list[float] = []
+        """How far each closed loop moved the robot [m]."""
+        self._log = GrowingLog(lidar, T_base_lidar)
+        self._usable = self.config.usable(lidar)
+        self._clouds = GrowingClouds()
+        # of each scan that there is a cloud of: number in the log, odometry, stamp, motion during the sweep
+        self._number, self._odometry, self._stamps, self._motion = Rows(), Rows(), Rows(), Rows()
+        # of every scan of the log: the number of the last key, and the scan's pose seen from it
+        self._key, self._T_key_scan = Rows(), Rows()
+        self._course: Course | None = None
+        self._loops: GrowingLoops | None = None
+        self._T_map_track = np.zeros(3)
+        self._misfits = 0
+
+    def __len__(self) -> int:
+        return len(self._log)
+
+    def add(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu] = ()) -> SE2:
+        """Where the scan was taken, T_map_base at its stamp.
+
+        `odometry` is the pose T_odom_base at that stamp, or all its samples since the last scan's, to the end
+        of the sweep (stamps must increase); the same kind, or none, for every scan. `imu` likewise.
+        """
+        self._log.append(scan, odometry, imu)
+        self._append(self._log.last())
+        course = self._course
+        if course is None or self._loops is None:
+            self._begin()
+        else:
+            self._extend(course)
+            course.step()
+            blind = course.clouds.placed_by(course.scan) == "nothing"
+            self._misfits = 0 if blind or self.fit >= LOST_AGREEMENT else self._misfits + 1
+            self._close_loops(course, self._loops)
+        assert self._course is not None
+        assert self._loops is not None
+        self._key.append(np.array([len(self._course.keys) - 1]))
+        self._T_key_scan.append(between(self._course.key_poses[-1], self._course.pose)[None])
+        if len(self._number) - len(self._course.keys) >= TIDY_SCANS + LAST_SCANS:
+            self._tidy(self._course, self._loops)
+        return self.T_map_base
+
+    @property
+    def T_map_base(self) -> SE2:
+        """Where the newest scan was taken, by all that is known now."""
+        assert self._course is not None
+        return SE2(compose(self._T_map_track, self._course.pose))
+
+    @property
+    def T_map_odom(self) -> SE2:
+        """Odometry's frame on the map."""
+        return self.T_map_base @ SE2(self._odometry.view()[-1]).inverse()
+
+    @property
+    def lost(self) -> bool:
+        """Whether the newest scans fit what was seen before so little that their poses are guesses."""
+        return self._misfits >= LOST_SCANS
+
+    @property
+    def fit(self) -> float:
+        """The share of the newest scan that lies on what was seen before, of what could be, 0..1."""
+        return 1.0 if self._course is None else self._course.placed.agreement
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the robot's place on the map [m], as the graph has it."""
+        return 0.0 if self._loops is None else self._loops.sigma_m
+
+    @property
+    def T_map_keys(self) -> SE2:
+        """Poses of the key scans."""
+        return SE2.identity(0) if self._loops is None else SE2(self._loops.poses)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of all scans, by all that is known now."""
+        T_map_scans = self.T_map_keys[self._key.view()] @ SE2(self._T_key_scan.view())
+        return Trajectory(self._log.stamps_ns, T_map_scans)
+
+    @property
+    def constraints(self) -> list[Constraint]:
+        """What the graph knows of the key scans."""
+        return [] if self._loops is None else [*self._loops.steps, *self._loops.loops]
+
+    def distrust(self, within_m: float) -> None:
+        """The newest scans, since the robot came within so far of where it is, are not mapped with."""
+        away = np.linalg.norm(self.trajectory.poses.xy - self.T_map_base.xy, axis=1) > within_m
+        self._log.trusted[int(np.flatnonzero(away)[-1]) + 1 if away.any() else 1 :] = False
+
+    def map(self) -> OccupancyGrid:
+        """What the key scans and the newest scan saw."""
+        numbers = self._number.view()
+        assert self._course is not None
+        T_map = {key: SE2(pose) for key, pose in zip(self._course.keys, self.T_map_keys.xyt, strict=True)}
+        T_map[len(numbers) - 1] = self.T_map_base
+        shown = [k for k in T_map if self._log.trusted[numbers[k]]]
+        seen, motion = self._log.some(numbers[shown]), SE2(self._motion.view()[shown])
+        return make_grid(seen, SE2.stack([T_map[k] for k in shown]), self.config.grid, self._usable, motion)
+
+    def finish(self) -> tuple[Trajectory, OccupancyGrid]:
+        """Poses and map as the offline mapper makes them of all scans; once old ones had to be dropped, as
+        the refinement makes them of those that are left."""
+        if self._log.whole:
+            result = run_slam(self.recording(), self.config)
+            return result.trajectory, result.grid
+        assert self._course is not None
+        assert self._loops is not None
+        keys, loops = np.array(self._course.keys), self._loops
+        refined, _ = refine(self._clouds.view(), keys, self.T_map_keys, loops.steps, self.config.refine)
+        loops.poses = refined.xyt
+        self._follow(self._course, loops)
+        return self.trajectory, self.map()
+
+    def recording(self) -> Recording:
+        """All scans that there are and that are trusted, as a log."""
+        return self._log.recording()
+
+    def _append(self, one: Recording) -> None:
+        """Prepare the newest scan."""
+        number = len(self._log) - 1
+        if number < SCANS and number & (number + 1) == 0:
+            # what the lidar's noise is shows the better the more scans there are
+            self._clouds.noise = range_noise(self._log.recording(), self._usable)
+        motion = sweep_motion(one) if one.lidar.time_increment != 0.0 else None
+        self._clouds.append(one, self._usable, motion)
+        self._number.append(np.array([number]))
+        self._stamps.append(one.stamps_ns)
+        self._odometry.append(np.zeros((1, 3)) if one.T_odom_base is None else one.T_odom_base.xyt)
+        self._motion.append(np.zeros((1, KNOTS, 3)) if motion is None else motion.xyt)
+
+    def _begin(self) -> None:
+        clouds, make = self._clouds.view(), FRONT_ENDS[self.config.front_end]
+        self._course = Course(clouds, self._log.last(), self.config.tracking, self._usable, make)
+        self._loops = GrowingLoops(clouds, self._course.pose, self.config.loops)
+
+    def _extend(self, course: Course) -> None:
+        course.extend(self._clouds.view(), self._odometry.view(), self._stamps.view())
+
+    def _close_loops(self, course: Course, loops: GrowingLoops) -> None:
+        """A new key scan for the graph, if there is one, and one more alignment."""
+        if len(course.keys) > len(loops.poses):
+            steps = step_constraints(course.track(len(loops.poses) - 1), self.config.tracking)
+            T_last_key = between(course.key_poses[-2], course.key_poses[-1])
+            loops.add_key(course.clouds, np.array(course.keys), T_last_key, steps)
+        before = self.T_map_base
+        if loops.work():
+            self._follow(course, loops)
+            self.jumps.append(float(np.hypot(*(before.inverse() @ self.T_map_base).xy)))
+
+    def _tidy(self, course: Course, loops: GrowingLoops) -> None:
+        """Drop what is not needed any more: scans that are no key scans, and keys of well-seen places."""
+        needed = loops.needed()
+        needed[-FIELD_KEYS:] = True
+        kept = needed | _first_of_places(loops.poses)
+        stays = np.zeros(len(self._number), dtype=bool)
+        stays[-LAST_SCANS:] = True
+        stays[np.array(course.keys)] = kept
+        for rows in (self._number, self._odometry, self._stamps, self._motion):
+            rows.keep(stays)
+        self._clouds.keep(stays)
+        course.forget(~stays)
+        self._extend(course)
+        if not kept.all():
+            self._hang_on(kept, loops.poses)
+            loops.keep(kept, course.clouds, np.array(course.keys))
+            self._follow(course, loops)
+        else:
+            loops.clouds, loops.keys = course.clouds, np.array(course.keys)
+        if len(self._log) > MOST_SCANS:
+            self._drop_scans()
+
+    def _drop_scans(self) -> None:
+        """Of the log too only the scans that there are clouds of stay."""
+        stays = np.zeros(len(self._log), dtype=bool)
+        stays[self._number.view()] = True
+        for rows in (self._log, self._key, self._T_key_scan):
+            rows.keep(stays)
+        self._number.view()[:] = np.arange(len(self._number))
+
+    def _follow(self, course: Course, loops: GrowingLoops) -> None:
+        """The track goes where the graph has its last key scan."""
+        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(course.key_poses[-1]).inverse()).xyt
+
+    def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
+        """Scans seen from keys that go are seen from the last one before that stays."""
+        before = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
+        key, T_map = self._key.view(), SE2(T_map_keys)
+        T_new_old = (T_map[before].inverse() @ T_map)[key]
+        self._T_key_scan.view()[:] = (T_new_old @ SE2(self._T_key_scan.view())).xyt
+        key[:] = (np.cumsum(kept) - 1)[before[key]]
+
+
+def _first_of_places(T_map_keys: Array) -> NDArray[np.bool_]:
+    """Which of the keys (n, 3) are among the first PLACE_KEYS of their place, (n,)."""
+    place = np.floor(T_map_keys / [PLACE_M, PLACE_M, 2.0 * np.pi / DIRECTIONS]).astype(np.int64)
+    _, of = np.unique(place, axis=0, return_inverse=True)
+    order = np.argsort(of, kind="stable")
+    first = np.searchsorted(of[order], of[order])
+    among = np.empty(len(of), dtype=bool)
+    among[order] = np.arange(len(of)) - first < PLACE_KEYS
+    return among

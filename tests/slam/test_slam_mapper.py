@@ -1,0 +1,191 @@
+"""The mapper that works while the robot drives: what it keeps, what it drops, and that it repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_rooms import ROOM, around_the_room, drifted, recording
+
+import turtlebag.pipeline.slam.mapper as mapper_module
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import LidarSpec
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.growing_clouds import GrowingClouds
+from turtlebag.pipeline.slam.growing_graph import GrowingGraph, joined, without
+from turtlebag.pipeline.slam.mapper import Mapper
+from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.range_noise import RangeNoise
+from turtlebag.pipeline.slam.slam import run_slam
+
+TRUE = around_the_room(240, laps=3)
+LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
+NOISE = RangeNoise()
+
+
+def driven(log, upto=None):
+    """A mapper that has seen a log, and the poses it gave on the way (n, 3)."""
+    mapper = Mapper(log.lidar, log.T_base_lidar)
+    given = [mapper.add(log.scan(k), log.T_odom_base[k]).xyt for k in range(upto or len(log))]
+    return mapper, np.array(given)
+
+
+def errors(poses, true):
+    """Distances (n,) from the true positions."""
+    return np.linalg.norm(SE2(poses).xy - true[: len(poses), :2], axis=1)
+
+
+def grown(upto):
+    growing = GrowingClouds(NOISE)
+    for k in range(upto):
+        one = replace(
+            LOG,
+            stamps_ns=LOG.stamps_ns[k : k + 1],
+            ranges=LOG.ranges[k : k + 1],
+            T_odom_base=LOG.T_odom_base[k : k + 1],
+        )
+        growing.append(one, 8.0, None)
+    return growing
+
+
+def test_clouds_grown_scan_by_scan_are_those_made_at_once():
+    whole, found = make_clouds(LOG, 8.0, noise=NOISE), grown(len(LOG)).view()
+    for name in whole._fields:
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
+
+
+def test_clouds_of_which_some_were_dropped_are_those_of_the_rest():
+    stays = np.arange(60) % 7 < 3
+    growing = grown(60)
+    growing.keep(stays)
+    some, found = make_clouds(LOG, 8.0, noise=NOISE, scans=np.flatnonzero(stays)), growing.view()
+    for name in some._fields:
+        np.testing.assert_array_equal(getattr(found, name), getattr(some, name), err_msg=name)
+
+
+def chain(n, rng):
+    """Steps of a drive and one loop, with information of all kinds."""
+    constraints = []
+    for k in range(n - 1):
+        root = rng.normal(size=(3, 3))
+        step = np.array([0.3, 0.02, 0.1]) + 0.05 * rng.normal(size=3)
+        constraints.append(Constraint(k, k + 1, step, root @ root.T * 400.0 + 50.0 * np.eye(3), "step"))
+    return constraints
+
+
+def test_two_steps_joined_say_what_both_say_together():
+    rng = np.random.default_rng(3)
+    a, b = chain(3, rng)
+    both = joined(a, b)
+    draws = 40_000
+    noise_a = rng.multivariate_normal(np.zeros(3), np.linalg.inv(a.information), draws)
+    noise_b = rng.multivariate_normal(np.zeros(3), np.linalg.inv(b.information), draws)
+    ends = (SE2(a.T_i_j) @ SE2(noise_a)) @ (SE2(b.T_i_j) @ SE2(noise_b))
+    error = (SE2(both.T_i_j).inverse() @ ends).xyt
+    expected = np.linalg.inv(both.information)
+    np.testing.assert_allclose(np.cov(error.T), expected, atol=0.05 * np.trace(expected))
+    assert (both.i, both.j) == (0, 2)
+
+
+@pytest.mark.parametrize(("gone", "off_m"), [([4, 5, 7], 2e-3), ([4, 5, 7, 10], 0.02)])
+def test_a_graph_without_some_keys_puts_the_others_where_the_whole_one_does(gone, off_m):
+    # where the end of a loop goes, what the loop pulls at is told of its neighbour
+    rng = np.random.default_rng(5)
+    steps, n = chain(12, rng), 12
+    start = [np.zeros(3)]
+    for c in steps:
+        start.append((SE2(start[-1]) @ SE2(c.T_i_j)).xyt)
+    T = SE2(np.array(start))
+    off = (T[2].inverse() @ T[10]) @ SE2.from_xyt(0.03, -0.05, 0.02)
+    loop = Constraint(2, 10, off.xyt, 300.0 * np.eye(3), "loop")
+    whole = optimise(T, [*steps, loop])
+    stays = ~np.isin(np.arange(n), gone)
+    less = without([*steps, loop], stays, whole.xyt)
+    assert len([c for c in less if c.kind == "step"]) == max(max(c.i, c.j) for c in less) == n - len(gone) - 1
+    found = optimise(whole[stays], less)
+    np.testing.assert_allclose(found.xy, whole[stays].xy, atol=off_m)
+    np.testing.assert_allclose(found.yaw, whole[stays].yaw, atol=off_m)
+
+
+def test_the_growing_graph_ends_where_the_batch_does():
+    rng = np.random.default_rng(7)
+    steps = chain(30, rng)
+    start = [np.zeros(3)]
+    for c in steps:
+        start.append((SE2(start[-1]) @ SE2(c.T_i_j)).xyt)
+    poses, T = np.array(start), SE2(np.array(start))
+    loops = [
+        Constraint(
+            j, i, (T[j].inverse() @ T[i] @ SE2.from_xyt(0.02, 0.03, 0.01)).xyt, 200.0 * np.eye(3), "loop"
+        )
+        for j, i in ((0, 12), (3, 18), (1, 29))
+    ]
+    graph, known, now = GrowingGraph(), 0, poses[:1]
+    for loop in loops:
+        rest = poses[len(now) : loop.j + 1]
+        move = SE2(now[-1]) @ SE2(poses[len(now) - 1]).inverse()
+        now = np.vstack([now, (move @ SE2(rest)).xyt])
+        now = graph.update(now, [*steps[known : loop.j], loop])
+        known = loop.j
+    np.testing.assert_allclose(now, optimise(T, [*steps, *loops]).xyt, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_odometry_that_drifts_does_not_carry_the_robot_off():
+    mapper, given = driven(LOG)
+    assert errors(LOG.T_odom_base.xyt, TRUE).max() > 0.5
+    assert errors(given, TRUE).max() < 0.06
+    assert errors(mapper.trajectory.poses.xyt, TRUE).max() < 0.04
+    assert mapper.jumps
+    assert not mapper.lost
+    assert 0.0 < mapper.sigma_m < 0.2
+
+
+@pytest.mark.slow
+def test_finish_gives_what_the_offline_mapper_gives():
+    mapper, _ = driven(LOG, 120)
+    mapper.map()
+    first = replace(
+        LOG, stamps_ns=LOG.stamps_ns[:120], ranges=LOG.ranges[:120], T_odom_base=LOG.T_odom_base[:120]
+    )
+    trajectory, grid = mapper.finish()
+    offline = run_slam(first, mapper.config)
+    np.testing.assert_array_equal(grid.cells, offline.grid.cells)
+    np.testing.assert_array_equal(trajectory.poses.xyt, offline.trajectory.poses.xyt)
+
+
+@pytest.mark.slow
+def test_memory_is_that_of_the_area_and_the_map_stays_right(monkeypatch):
+    for name, count in {"TIDY_SCANS": 32, "LAST_SCANS": 16, "MOST_SCANS": 150, "PLACE_KEYS": 1}.items():
+        monkeypatch.setattr(mapper_module, name, count)
+    mapper, given = driven(LOG)
+    whole, _ = driven(LOG, 160)
+    assert len(mapper) < 200 < len(LOG)
+    assert len(mapper.T_map_keys) < 1.3 * len(whole.T_map_keys)
+    assert errors(given, TRUE).max() < 0.06
+    stamps, poses = mapper.trajectory.stamps_ns, mapper.trajectory.poses.xyt
+    assert errors(poses, TRUE[np.searchsorted(LOG.stamps_ns, stamps)]).max() < 0.05
+    trajectory, grid = mapper.finish()
+    assert errors(trajectory.poses.xyt, TRUE[np.searchsorted(LOG.stamps_ns, stamps)]).max() < 0.03
+    free = run_slam(LOG, mapper.config).grid.cells == 0
+    assert np.count_nonzero(grid.cells == 0) == pytest.approx(np.count_nonzero(free), rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_robot_carried_to_another_place_is_lost_and_says_so():
+    mapper, _ = driven(LOG, 60)
+    assert not mapper.lost
+    elsewhere = np.array(
+        [[-60.0, -51.0, -40.0, -51.2], [-41.0, -60.0, -41.2, -40.0], [-60, -48.7, -40, -48.1]]
+    )
+    poses = np.tile([-50.0, -50.0, 0.3], (12, 1))
+    away = recording(elsewhere, poses, LidarSpec(360, 0.0, np.pi / 180.0, 0.12, 8.0), odometry=poses)
+    for k in range(len(away)):
+        mapper.add(away.scan(k), LOG.T_odom_base[59])
+    assert mapper.lost
+    assert mapper.fit < 0.6
+
+
+@pytest.mark.slow
+def test_the_same_scans_give_the_same_poses():
+    np.testing.assert_array_equal(driven(LOG, 150)[1], driven(LOG, 150)[1])

@@ -1,0 +1,160 @@
+"""`session.yaml`: what is written, what is read, and what is refused."""
+
+import numpy as np
+import pytest
+import yaml
+from studio_walk import at_the_studio, differences, silent
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.stages.studio import replay
+from turtlebag.pipeline.studio.inputs import MapStart, SetGoal
+from turtlebag.pipeline.studio.journal import Header, Journal, load_session
+from turtlebag.sim.simulator import SimConfig, stamp_of
+
+HEAD = "version: 1\nworld: empty\nrobot: burger\nseed: 1\n"
+
+
+def written(tmp_path, calls):
+    journal = Journal(tmp_path / "session.yaml", Header(world="empty", robot="burger", seed=1))
+    for call in calls:
+        call(journal)
+    journal.close()
+    return yaml.safe_load((tmp_path / "session.yaml").read_text())["inputs"] or []
+
+
+def ticks(first, last, asked):
+    return [lambda journal, k=k: journal.tick(stamp_of(k), asked) for k in range(first, last)]
+
+
+def test_driving_is_written_as_intervals_of_a_second_at_most(tmp_path):
+    entries = written(
+        tmp_path, [*ticks(0, 75, Twist(0.1, 0.0)), *ticks(75, 80, Twist(0.0, 0.5)), *ticks(80, 81, None)]
+    )
+    assert entries == [
+        {"begin": 0.0, "end": 1.0, "v": 0.1, "w": 0.0},
+        {"begin": 1.0, "end": 2.0, "v": 0.1, "w": 0.0},
+        {"begin": 2.0, "end": 2.5, "v": 0.1, "w": 0.0},
+        {"begin": 2.5, "end": 2.666666667, "v": 0.0, "w": 0.5},
+    ]
+    script = tmp_path / "takeover.yaml"
+    script.write_text(yaml.safe_dump(entries))
+    assert load_script(script)[-1].end == 2.666666667
+
+
+def test_what_happens_within_an_interval_stands_where_it_happened(tmp_path):
+    goal = SetGoal(pose=(1.0, 0.5, 0.0))
+    deeds = [
+        lambda journal: journal.deed(stamp_of(6), goal),
+        lambda journal: journal.deed(stamp_of(9), MapStart()),
+    ]
+    asked = Twist(0.1, 0.0)
+    entries = written(
+        tmp_path, [*ticks(0, 6, asked), deeds[0], *ticks(6, 9, asked), deeds[1], *ticks(9, 10, None)]
+    )
+    assert entries == [
+        {"begin": 0.0, "end": 0.2, "v": 0.1, "w": 0.0},
+        {"at": 0.2, "do": "goal", "pose": [1.0, 0.5, 0.0]},
+        {"begin": 0.2, "end": 0.3, "v": 0.1, "w": 0.0},
+        {"at": 0.3, "do": "map_start"},
+    ]
+
+
+def test_a_silent_session_says_each_second_that_it_goes_on(tmp_path):
+    assert written(tmp_path, ticks(0, 70, None)) == [{"at": 1.0}, {"at": 2.0}]
+    recorded = load_session(tmp_path / "session.yaml")
+    assert (recorded.deeds, recorded.until_ns) == ((), 2 * 10**9)
+
+
+def test_every_line_is_in_the_file_at_once(tmp_path):
+    journal = Journal(tmp_path / "session.yaml", Header(world="empty", robot="burger", seed=1))
+    assert load_session(tmp_path / "session.yaml").deeds == ()
+    journal.deed(0, MapStart())
+    assert [deed.do for _, deed in load_session(tmp_path / "session.yaml").deeds] == ["map_start"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- 3\n", "expected keys and values"),
+        (HEAD.replace("version: 1", "version: 2"), "version"),
+        (HEAD + "colour: red\n", "colour: unknown key"),
+        (HEAD + "inputs: 3\n", "inputs: expected a list"),
+        (HEAD + "inputs:\n- 3\n", "input 1: expected keys and values"),
+        (HEAD + "inputs:\n- {at: -1, do: avoid}\n", "input 1: at: must be 0 to"),
+        (HEAD + "inputs:\n- {at: .nan, do: avoid}\n", "input 1: at: must be 0 to"),
+        (HEAD + "inputs:\n- {at: 1, do: dance}\n", "input 1: 'dance' is no input"),
+        (HEAD + "inputs:\n- {at: 1, do: drive, v: 1}\n", "input 1: drive: is written as an interval"),
+        (HEAD + "inputs:\n- {at: 1, do: goal, pose: [0, 0]}\n", "input 1: goal: pose.2"),
+        (HEAD + "inputs:\n- {at: 2, do: avoid}\n- {at: 1, do: cancel}\n", "input 2: at 1 s, which is before"),
+        (HEAD + "inputs:\n- {at: 2, do: end}\n- {at: 3, do: avoid}\n", "input 2: comes after"),
+        (HEAD + "inputs:\n- {begin: 2, end: 1}\n", "input 1"),
+        (HEAD + "inputs:\n- {begin: 0, end: 2}\n- {begin: 1, end: 3}\n", "overlap"),
+        (HEAD + "inputs:\n- {begin: 0, end: 1, u: 3}\n", "u: unknown key"),
+        (HEAD.replace("empty", "nowhere"), "unknown world 'nowhere'"),
+        (HEAD.replace("burger", "bulldozer"), "bulldozer"),
+        (HEAD + "map: nowhere.yaml\n", "nowhere.yaml"),
+        (HEAD + "sha256: {map: abc}\n", "is not the file that the session was driven with"),
+        (
+            HEAD + "inputs:\n- {at: 0.2, do: patrol, waypoints: [{pose: [0, 0, 0]}]}\n",
+            "at 0.2 s: patrol: needs a map",
+        ),
+    ],
+)
+def test_a_session_that_cannot_be_driven_is_refused_in_a_line_with_nothing_written(tmp_path, text, said):
+    (tmp_path / "session.yaml").write_text(text)
+    with pytest.raises(InputError) as error:
+        replay(tmp_path / "session.yaml", tmp_path / "out", say=silent)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["session.yaml"]
+
+
+@pytest.mark.slow
+def test_a_map_or_world_that_has_changed_is_refused(tmp_path):
+    cells = np.zeros((60, 60), dtype=np.int8)
+    cells[0] = 100
+    path = save_map(OccupancyGrid(cells, 0.05, SE2.from_xyt(-1.5, -1.5, 0.0)), tmp_path, "room")
+    world = tmp_path / "box.yaml"
+    world.write_text("name: box\nrobot: burger\nspawn: [0, 0, 0]\nshapes: []\nbounds: [-3, 3, -3, 3]\n")
+    with at_the_studio(tmp_path / "live", str(world), map_path=path) as person:
+        assert person.view.map_name == ""
+        person.wait(0.2)
+    assert replay(tmp_path / "live/session.yaml", tmp_path / "again", say=silent) == 0
+    assert differences(tmp_path / "live", tmp_path / "again") == []
+    for changed in (tmp_path / "room.pgm", world):
+        before = changed.read_bytes()
+        changed.write_bytes(before + b"\n")
+        with pytest.raises(InputError, match="is not the file that the session was driven with"):
+            replay(tmp_path / "live/session.yaml", tmp_path / "third", say=silent)
+        changed.write_bytes(before)
+    path.unlink()
+    with pytest.raises(InputError, match="no such map file"):
+        replay(tmp_path / "live/session.yaml", tmp_path / "third", say=silent)
+
+
+@pytest.mark.slow
+def test_a_file_written_by_hand_is_driven_as_it_says(tmp_path):
+    """Longer intervals, times between two ticks, and deeds after the interval in which they happen."""
+    text = (
+        "sim: {sensors: clean}\ninputs:\n- {begin: 0.5, end: 2.51, v: 0.1}\n"
+        "- {at: 1.01, do: record, name: a}\n- {at: 3, do: end}\n"
+    )
+    (tmp_path / "session.yaml").write_text(HEAD + text)
+    assert replay(tmp_path / "session.yaml", tmp_path / "one", say=silent) == 0
+    log = RunLog.load(tmp_path / "one/runlog.csv")
+    taken = log.t_ns[[owner == "teleop" for owner in log.owner]]
+    assert (taken[0], taken[-1], log.t_ns[-1]) == (stamp_of(15), stamp_of(75), stamp_of(89))
+    recorded = load_session(tmp_path / "one/session.yaml")
+    assert recorded.header.sim == SimConfig(sensors="clean")
+    assert [(stamp, deed.do) for stamp, deed in recorded.deeds] == [
+        (stamp_of(31), "record"),
+        (3 * 10**9, "end"),
+    ]
+    assert replay(tmp_path / "one/session.yaml", tmp_path / "two", say=silent) == 0
+    assert differences(tmp_path / "one", tmp_path / "two") == []

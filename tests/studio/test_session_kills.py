@@ -1,0 +1,130 @@
+"""A session that is interrupted or killed: what is left can be read, recovered and driven again."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from studio_walk import differences, silent
+
+from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.studio import replay, studio_output
+from turtlebag.pipeline.studio.journal import load_session
+from turtlebag.pipeline.studio.setup import StudioSetup
+
+pytestmark = pytest.mark.slow
+
+LIVE = """
+import sys, time
+from pathlib import Path
+from turtlebag.pipeline.stages.studio import studio_output
+from turtlebag.pipeline.studio.inputs import Avoid, Drive, Record, Release
+from turtlebag.pipeline.studio.setup import StudioSetup
+
+with studio_output(StudioSetup("turtlebot3_world", seed=1), Path(sys.argv[1]), say=print) as session:
+    session.apply(Record(name="drive"))
+    session.apply(Avoid())
+    while True:
+        if session.stamp_ns > 2e9:
+            session.apply(Drive(v=0.1) if session.stamp_ns < 4e9 else Release())
+        session.tick()
+        time.sleep(0.003)
+"""
+AGAIN = """
+import sys
+from pathlib import Path
+from turtlebag.pipeline.stages.studio import replay
+
+sys.exit(replay(Path(sys.argv[1]), Path(sys.argv[2]), say=print))
+"""
+
+
+def started(script, *arguments):
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def wait_until(session_file, seconds):
+    """Until the session says that it has come so far."""
+    end = time.monotonic() + 120.0
+    while time.monotonic() < end:
+        if session_file.exists() and load_session(session_file).until_ns >= seconds * 1e9:
+            return
+        time.sleep(0.05)
+    raise AssertionError("the session does not get on")
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """What a kill -9 has left of a live session."""
+    out = tmp_path_factory.mktemp("killed") / "live"
+    process = started(LIVE, out)
+    wait_until(out.with_name("live.partial") / "session.yaml", 6.0)
+    process.kill()
+    process.wait()
+    return out.with_name("live.partial")
+
+
+def test_of_a_killed_session_at_most_a_second_is_lost(killed, tmp_path):
+    assert not killed.with_name("live").exists()
+    assert main(["bag", "recover", str(killed / "bags/drive"), "--out", str(tmp_path / "saved")]) == 0
+    recovered = read_commands(tmp_path / "saved/bag")
+    assert replay(killed / "session.yaml", tmp_path / "again", say=silent) == 0
+    again = read_commands(tmp_path / "again/bags/drive")
+    assert abs(recovered[0][-1] - again[0][-1]) <= 1.1e9
+    count = min(len(recovered[0]), len(again[0]))
+    for one, other in zip(recovered, again, strict=True):
+        assert one[:count].tolist() == other[:count].tolist()
+    assert replay(tmp_path / "again/session.yaml", tmp_path / "third", say=silent) == 0
+    assert differences(tmp_path / "again", tmp_path / "third") == []
+
+
+def test_what_is_left_of_a_session_is_set_aside_by_the_next(tmp_path, caplog):
+    process = started(LIVE, tmp_path / "live")
+    wait_until(tmp_path / "live.partial/session.yaml", 1.0)
+    process.kill()
+    process.wait()
+    with studio_output(StudioSetup("empty"), tmp_path / "live", say=silent):
+        pass
+    aside = tmp_path / "live.unfinished"
+    assert load_session(aside / "session.yaml").deeds[0][1].do == "record"
+    assert f"an unfinished session is now {aside}; " in caplog.text
+    assert (tmp_path / "live/manifest.json").exists()
+
+
+def test_a_killed_replay_leaves_nothing_that_looks_finished_and_can_be_begun_again(killed, tmp_path):
+    out = tmp_path / "out"
+    process = started(AGAIN, killed / "session.yaml", out)
+    wait_until(tmp_path / "out.partial/session.yaml", 2.0)
+    process.kill()
+    process.wait()
+    assert not out.exists()
+    assert replay(killed / "session.yaml", out, say=silent) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path):
+    process = started(AGAIN, killed / "session.yaml", tmp_path / "out")
+    wait_until(tmp_path / "out.partial/session.yaml", 2.0)
+    os.kill(process.pid, signal.SIGINT)
+    assert process.wait(60) == 130
+    assert read_commands(tmp_path / "out/bags/drive")[0][-1] > 1e9
+    recorded = load_session(tmp_path / "out/session.yaml")
+    assert recorded.deeds[-1][1].do == "end"
+    assert replay(tmp_path / "out/session.yaml", tmp_path / "again", say=silent) == 0
+    assert differences(tmp_path / "out", tmp_path / "again") == []
+
+
+def fail_within(out):
+    with studio_output(StudioSetup("empty"), out, say=silent) as session:
+        session.tick()
+        raise ZeroDivisionError
+
+
+def test_an_error_within_leaves_nothing(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        fail_within(tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
