@@ -234,6 +234,7 @@ byId("layers").querySelector("ul").append(...[...LAYERS].reverse().map(([name, t
 }));
 
 if (matchMedia("(max-height: 500px)").matches) flip("unfold", "short");
+if (matchMedia("(max-width: 600px)").matches) flip("fold", "folded");
 listen(stage, desk, () => scene.head.driver || desk.name === "point", changed, (place) => { cursor = place; });
 drive.attach(byId("pad"), byId("knob"));
 keepouts(send);

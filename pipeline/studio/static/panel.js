@@ -60,7 +60,7 @@ export function show(head, deskName) {
     bag.dataset.last = head.recording ?? "";
   }
   options(byId("maps"), head.maps ?? [], "the one given");
-  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's eight");
+  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
   put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
   text("place", placeOf(head));
   put(byId("cancel"), "disabled", !head.task);
