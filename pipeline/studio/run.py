@@ -107,6 +107,7 @@ class Run:
         """One control period."""
         observation, room, pilot = self.observation, self.room, self.pilot
         self.command = self.owner.step(observation)
+        del self.owner.asked[:-1]  # the journal has them
         room.diary.tick(observation, pilot, self.owner, self.command, room.tee)
         task = pilot.task
         sequence = None if task is None else task.sequence

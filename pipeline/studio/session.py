@@ -40,12 +40,12 @@ class Session:
         """
         self.setup, self._folder = setup, folder
         self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
-        header = setup.header()
+        header, shelf = setup.header(), Shelf(folder, setup.map_path)
         simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
-            shelf=Shelf(folder, setup.map_path),
+            shelf=shelf,
             diary=Diary(folder, simulator),
             events=EventLog(say),
             tee=Tee(),
@@ -53,11 +53,7 @@ class Session:
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
         self._step = 0
-        try:
-            self._run = self._started()
-        except InputError:
-            simulator.close()
-            raise
+        self._run = self._started()
         self._journal = Journal(folder / FILE, header)
         self._bag: tuple[str, BagWriter] | None = None
         self.ended = False
