@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
 WORLD, SEED, LOOPBACK = "turtlebot3_world", 1, "127.0.0.1"
 SIMULATED = ("world", "robot", "seed", "map", "config", "settings")
-LIVE = (*SIMULATED, "bag", "port", "host", "no_browser")
+LIVE = (*SIMULATED, "bag", "port", "host")
 """Options of a session that is yet to be driven; one that is driven again has all of it in its file."""
 
 
@@ -140,7 +140,7 @@ def _replay(args: argparse.Namespace) -> int:
 def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:
     """InputError for an option that does not go with another."""
     for name in options:
-        if getattr(args, name) not in (None, [], False):
+        if getattr(args, name) not in (None, []):
             raise InputError(f"{'--set' if name == 'settings' else '--' + name.replace('_', '-')}: {why}")
 
 

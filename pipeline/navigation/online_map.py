@@ -34,8 +34,8 @@ class OnlineMap:
         self._odometry.append(observation.odometry.T_odom_base)
         self._imu += observation.imu
         scan = observation.scan
-        if scan is None:
-            return
+        if scan is None or (self.mapper is None and scan.stamp_ns < self._stamps[0]):
+            return  # of a sweep that began before the map no one knows where
         self.mapper = self.mapper or Mapper(scan.lidar, self._T_base_lidar, self._config)
         self.mapper.add(scan, Trajectory(np.array(self._stamps), SE2.stack(self._odometry)), self._imu)
         self.T_map_odom = self.mapper.T_map_odom

@@ -21,7 +21,7 @@ class NoBag(BagWriter):
     def _forget(self, *message: object, **named: object) -> None:
         """Nothing is kept of it."""
 
-    static_transforms = observation = truth = command = owner = map = _forget
+    static_transforms = observation = cloud = truth = command = owner = map = _forget
     amcl_pose = map_to_odom = particles = plan = goal = _forget
 
 

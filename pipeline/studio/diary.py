@@ -52,6 +52,8 @@ class Diary:
         """One control period: what was seen, and what is commanded for the next."""
         truth = self._simulator.truth
         bag.observation(observation)
+        if observation.cloud is not None:
+            bag.cloud(observation.stamp_ns, *observation.cloud, "lidar_3d")
         bag.truth(truth.stamp_ns, truth.T_world_base, truth.twist)
         bag.command(observation.stamp_ns, command)
         if owner.owner != self._owner:

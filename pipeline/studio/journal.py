@@ -79,6 +79,8 @@ def load_session(path: Path) -> Recorded:
             raise InputError(f"{where}: expected keys and values")
         if "at" not in entry:
             interval = checked(Interval, entry, where=where)
+            if interval.end > LONGEST_S:
+                raise InputError(f"{where}: end: must be at most {LONGEST_S:g} s")
             intervals.append(interval)
             until_ns = max(until_ns, round(interval.end * 1e9))
             continue
@@ -116,7 +118,7 @@ class Journal:
     def __init__(self, path: Path, header: Header | BagHeader) -> None:
         self._file = path.open("x")
         told = header.model_dump(mode="json", exclude={"sim"})
-        if isinstance(header, Header) and (sim := header.sim.model_dump(mode="json", exclude_defaults=True)):
+        if isinstance(header, Header) and (sim := header.sim.model_dump(mode="json", exclude_unset=True)):
             told["sim"] = sim
         self._file.write(yaml.safe_dump(told, sort_keys=False))
         self._write("inputs:\n")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,9 +13,19 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.studio.pilot import Pilot
 from turtlebag.pipeline.studio.tasks import Task
-from turtlebag.pipeline.studio.view import CostLayer, Event, GoalMark, Level, MapLayer, Path, SectorMarks
+from turtlebag.pipeline.studio.view import (
+    CostLayer,
+    Event,
+    GoalMark,
+    Graph,
+    Level,
+    MapLayer,
+    Path,
+    SectorMarks,
+)
 from turtlebag.planners.live import LiveLayer
 
 Made = TypeVar("Made")
@@ -47,6 +57,12 @@ class Trail:
         """Begin anew."""
         self._points, self._count = np.empty((1024, 2)), 0
         self.path = Path(self.path.version + 1, self._points[:0])
+
+    def replace(self, points: Array) -> None:
+        """All its points (n, 2) were elsewhere."""
+        self.clear()
+        for xy in points[-MOST_POINTS:]:
+            self.add(xy)
 
     def _make_room(self) -> None:
         """Room for more in another array: what was shown before does not change."""
@@ -158,6 +174,16 @@ class Onlooker:
             "sectors", (s, decision), lambda: SectorMarks(s.left, s.front, s.right, decision)
         )
 
+    def graph(self) -> Graph | None:
+        """Key scans of the map that is being made, and what ties them together."""
+        slam = self._pilot.slam
+        if slam is None:
+            return None
+        keys = slam.T_map_keys
+        return self._cached.get(
+            "graph", (slam, len(keys), len(slam.jumps)), lambda: _graph(keys, slam.constraints)
+        )
+
     def goals(self, task: Task | None) -> tuple[GoalMark, ...]:
         """The goals of a task and what has become of each in its last lap."""
         sequence = None if task is None else task.sequence
@@ -166,9 +192,18 @@ class Onlooker:
         done, running = len(sequence.outcomes), sequence.goal is not None
         return self._cached.get("goals", (sequence, done, running), lambda: _marks(task))
 
+    def sure(self) -> float | None:
+        """The share of the scans that the map explains; None while there is none."""
+        pilot = self._pilot
+        if pilot.localiser is not None:
+            return pilot.localiser.amcl.agreement if pilot.localised else None
+        return None if pilot.slam is None else pilot.slam.fit
+
     def lost(self) -> str | None:
         """Why the robot does not trust its pose; None when it does, or has none."""
         localiser, navigation = self._pilot.localiser, self._pilot.navigation
+        if self._pilot.mapping and self._pilot.slam is not None:
+            return "scans do not fit the map" if self._pilot.slam.lost else None
         if localiser is None or navigation is None or not localiser.amcl.initialised:
             return None
         assert navigation.finder is not None
@@ -197,6 +232,11 @@ class Onlooker:
         if self._pilot.task is not None and self._pilot.task.explorer is not None:
             return self._pilot.task.explorer.tools.live
         return None if self._pilot.navigation is None else self._pilot.navigation.tools.live
+
+
+def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Graph:
+    edges = [(c.i, c.j, int(c.kind == "loop")) for c in constraints]
+    return Graph(T_map_keys.xyt.copy(), np.array(edges, dtype=np.int32).reshape(-1, 3))
 
 
 def _marks(task: Task | None) -> tuple[GoalMark, ...]:

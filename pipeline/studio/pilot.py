@@ -10,6 +10,7 @@ from turtlebag.pipeline.navigation.drivers import Kit, make_navigator
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.studio.tasks import Task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.costmap import Costmap
@@ -49,6 +50,11 @@ class Pilot(Driver):
         if self.localiser is not None:
             return self.localiser.T_map_odom or SE2.identity()
         return SE2.identity() if self.mapper is None else self.mapper.T_map_odom
+
+    @property
+    def slam(self) -> Mapper | None:
+        """What has mapped a scan at least."""
+        return None if self.mapper is None else self.mapper.mapper
 
     @property
     def localised(self) -> bool:
@@ -120,6 +126,8 @@ class Pilot(Driver):
             self._draw(self.mapper, observation)
         if self.navigation is not None and driver is not self.navigation:
             self.navigation.stand_by(observation)
+        if self.localiser is not None:
+            self.localiser.scan_poses.clear()  # a session has a diary
 
     def _draw(self, mapper: OnlineMap, observation: Observation) -> None:
         now, T_odom_base = observation.stamp_ns, observation.odometry.T_odom_base

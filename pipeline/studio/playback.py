@@ -64,7 +64,7 @@ class BagSetup:
 
     def header(self) -> BagHeader:
         """What its session file begins with."""
-        return BagHeader(bag=str(self.bag), sha256=sha256_tree(self.bag))
+        return BagHeader(bag=str(self.bag.resolve()), sha256=sha256_tree(self.bag))
 
 
 class Playback:

@@ -26,6 +26,9 @@ from turtlebag.pipeline.studio.view import Level
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.simulator import Simulator
 
+FAR_M = 0.02
+"""Where a closed loop moves the robot by this, the path behind it has moved, too."""
+
 
 class Hands:
     """Who drives by hand: what was asked for last holds."""
@@ -81,6 +84,7 @@ class Run:
         self.waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
         self.shown: Task | None = None
         """The last task that had goals."""
+        self._loops = 0
         self._news = News("", self.say, self._clock)
         for trail in room.trails.values():
             trail.clear()
@@ -103,14 +107,13 @@ class Run:
         """One control period."""
         observation, room, pilot = self.observation, self.room, self.pilot
         self.command = self.owner.step(observation)
+        del self.owner.asked[:-1]  # the journal has them
         room.diary.tick(observation, pilot, self.owner, self.command, room.tee)
         task = pilot.task
         sequence = None if task is None else task.sequence
         self._news.tick(observation.stamp_ns, self.owner, sequence, room.simulator.truth)
         if observation.scan is not None:
-            room.trails["odom"].add(observation.odometry.T_odom_base.xy)
-            room.trails["slam"].add(self.T_map_base.xy)
-            room.trails["true"].add(room.simulator.truth.T_world_base.xy)
+            self._leave_trails()
         if task is not None and task.driver.finished:
             self._task_over(task)
         elif task is not None and observation.stamp_ns >= task.end_ns:
@@ -137,6 +140,17 @@ class Run:
     def frame_changed(self) -> None:
         """Where the robot took itself to be until now was on another map."""
         self.room.trails["slam"].clear()
+        self._loops = 0
+
+    def _leave_trails(self) -> None:
+        trails, slam = self.room.trails, self.pilot.slam
+        trails["odom"].add(self.observation.odometry.T_odom_base.xy)
+        trails["slam"].add(self.T_map_base.xy)
+        trails["true"].add(self.room.simulator.truth.T_world_base.xy)
+        jumps = [] if slam is None else slam.jumps[self._loops :]
+        if slam is not None and max(jumps, default=0.0) > FAR_M:
+            trails["slam"].replace(slam.trajectory.poses.xy)
+        self._loops += len(jumps)
 
     def _task_over(self, task: Task) -> None:
         if isinstance(task.driver, WiggleDriver):

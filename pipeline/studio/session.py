@@ -40,12 +40,12 @@ class Session:
         """
         self.setup, self._folder = setup, folder
         self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
-        header = setup.header()
+        header, shelf = setup.header(), Shelf(folder, setup.map_path)
         simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
-            shelf=Shelf(folder, setup.map_path),
+            shelf=shelf,
             diary=Diary(folder, simulator),
             events=EventLog(say),
             tee=Tee(),
@@ -53,11 +53,7 @@ class Session:
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
         self._step = 0
-        try:
-            self._run = self._started()
-        except InputError:
-            simulator.close()
-            raise
+        self._run = self._started()
         self._journal = Journal(folder / FILE, header)
         self._bag: tuple[str, BagWriter] | None = None
         self.ended = False
@@ -197,7 +193,6 @@ class Session:
         goal = None
         if sequence is not None and sequence.goal is not None:
             goal = sequence.waypoint.written
-        localiser = pilot.localiser
         return View(
             stamp_ns=run.stamp_ns,
             ended=self.ended,
@@ -212,7 +207,7 @@ class Session:
             waypoint_files=room.shelf.waypoint_files,
             loaded_waypoints=run.waypoints,
             localised=pilot.localised,
-            sure=localiser.amcl.agreement if localiser is not None and pilot.localised else None,
+            sure=look.sure(),
             lost=look.lost(),
             T_map_base=run.T_map_base,
             T_odom_base=run.observation.odometry.T_odom_base,
@@ -229,7 +224,7 @@ class Session:
             odom_path=room.trails["odom"].path,
             slam_path=room.trails["slam"].path,
             true_path=room.trails["true"].path,
-            graph=None,
+            graph=look.graph(),
             boxes=run.boxes,
             keepout=run.keepout,
             map=look.map(room.tee.grid),

@@ -60,13 +60,19 @@ class StudioSetup:
     def header(self) -> Header:
         """What its session file begins with."""
         return Header(
-            world=self.world,
-            robot=self.robot_name,
+            world=_absolute(self.world, "world" in self.files),
+            robot=_absolute(self.robot_name, "robot" in self.files),
             seed=self.seed,
-            map=None if self.map_path is None else str(self.map_path),
+            map=None if self.map_path is None else str(self.map_path.resolve()),
             sha256={kind: sha256_file(path) for kind, path in self.files.items()},
             sim=self.sim,
         )
+
+
+def _absolute(name: str, is_file: bool) -> str:
+    """The name of a file, which options may follow, from wherever it is read."""
+    file = name.partition("+clutter:")[0].partition(":")[0]
+    return str(Path(file).resolve()) + name[len(file) :] if is_file else name
 
 
 def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:

@@ -25,7 +25,9 @@ class Shelf:
     """The folders `maps` and `waypoints` of a session, and the map that it was started with."""
 
     def __init__(self, folder: Path, given: Path | None) -> None:
-        self._maps, self._waypoints, self._given = folder / "maps", folder / "waypoints", given
+        """`given` is read here, once; InputError when it cannot be used."""
+        self._maps, self._waypoints = folder / "maps", folder / "waypoints"
+        self._given = None if given is None else (given, _usable_map(given))
         self.maps: tuple[str, ...] = () if given is None else ("",)
         """Names of the maps there are; the given one has none."""
         self.waypoint_files: tuple[str, ...] = ()
@@ -52,9 +54,10 @@ class Shelf:
             known = ", ".join(filter(None, self.maps))
             what = f"map {name}: no such map" if name else "no map was given at the start"
             raise InputError(f"{what}; {f'known are {known}' if known else 'save one first'}")
-        path = self._maps / f"{name}.yaml" if name or self._given is None else self._given
-        grid = load_map(path)
-        require_walls(grid, path)
+        if not name and self._given is not None:
+            return (*self._given, None)
+        path = self._maps / f"{name}.yaml"
+        grid = _usable_map(path)
         outlines = self._maps / f"{name}{KEEPOUT}.yaml"
         if not outlines.exists():
             return path, grid, None
@@ -81,6 +84,12 @@ class Shelf:
             rest = f"known are {known}" if known else "save some first"
             raise InputError(f"waypoints {name}: no such file; {rest}")
         return load_waypoints(self._waypoints / f"{name}.yaml").waypoints
+
+
+def _usable_map(path: Path) -> OccupancyGrid:
+    grid = load_map(path)
+    require_walls(grid, path)
+    return grid
 
 
 def outlines_of(corners: Sequence[Sequence[Sequence[float]]]) -> tuple[Array, ...]:

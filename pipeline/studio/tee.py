@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Observation, Twist
+from turtlebag.datasets.types import Cloud, Observation, Twist
 from turtlebag.pipeline.navigation.recorder import NoBag
 
 
@@ -30,6 +30,10 @@ class Tee(BagWriter):
     def observation(self, observation: Observation) -> None:
         """As the bag's."""
         self.bag.observation(observation)
+
+    def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
+        """As the bag's."""
+        self.bag.cloud(log_time_ns, stamp_ns, cloud, frame)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """As the bag's."""

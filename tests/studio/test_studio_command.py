@@ -1,0 +1,212 @@
+"""`turtlebag studio` as a process, with the real simulator: the tutorial over the socket alone."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+import yaml
+from studio_fakes import connect, run
+from studio_walk import differences, files
+
+from turtlebag.pipeline.cli import studio as command
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.setup import StudioSetup
+
+pytestmark = pytest.mark.slow
+ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
+
+
+def started(folder, *options):
+    """A studio's process, and the address it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "turtlebag", "studio", "--no-browser", *options],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    line = process.stdout.readline()
+    assert ADDRESS.fullmatch(line), process.communicate()
+    return process, line.strip()
+
+
+async def drive(client, seconds, v, w):
+    """As a key held down does: asked for again five times a second."""
+    for _ in range(round(5 * seconds)):
+        client.ask("drive", v=v, w=w)
+        await client.read_for(0.2)
+    client.ask("release")
+
+
+async def tutorial(url):
+    client = await connect(url)
+    await client.until(lambda p: p.head)
+    client.ask("record", name="bag_1")
+    client.ask("map_start")
+    await client.until(lambda p: p.head["mapping"] and p.head["recording"] == "bag_1")
+    await drive(client, 3.0, 0.2, 0.4)
+    await drive(client, 3.0, 0.2, -0.4)
+    await client.until(lambda p: "map" in p.grids and (p.grids["map"] == 0).sum() > 1000, 120.0)
+    client.ask("map_save", name="map_world")
+    client.ask("map_load", name="map_world")
+    await client.until(lambda p: p.head["map"] == "map_world", 120.0)
+    x, y, yaw = client.picture.head["true_pose"]
+    client.ask("pose_estimate", pose=[x + 0.1, y - 0.1, yaw + 0.1])
+    await client.until(lambda p: p.head["localised"] and len(p.arrays["particles"]) > 100)
+    client.ask("speed", factor=0)
+    client.ask("goal", pose=[x - 0.5, y, 0.0])
+    await client.until(lambda p: [g["status"] for g in p.head["goals"]] == ["reached"], 120.0)
+    client.ask("pause")
+    await client.until(lambda p: p.head["paused"])
+    client.ask("box", xy=[0.5, 0.5], size=0.2)
+    client.ask("record_stop")
+    client.ask("step")
+    client.ask("resume")
+    await client.until(lambda p: len(p.arrays["boxes"]) == 1 and p.head["recording"] is None)
+    client.ask("waypoints_load")
+    await client.until(lambda p: len(p.waypoints) == 8)
+    client.ask("goal", pose=[99.0, 0.0, 0.0])
+    client.ask("avoid")
+    await client.until(lambda p: p.head["task"] == "avoid" and len(p.errors) == 1)
+    await client.read_for(0.5)
+    return client.picture
+
+
+def test_the_tutorial_over_the_socket_is_driven_again_to_the_same_bytes(tmp_path):
+    process, url = started(tmp_path, "--seed", "2")
+    try:
+        picture = run(tutorial(url), 300.0)
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    assert "Traceback" not in told
+    out = tmp_path / "data/studio/turtlebot3_world-burger-2"
+    assert not out.with_name(f"{out.name}.partial").exists()
+    assert {"bags/bag_1/metadata.yaml", "maps/map_world.pgm", "session.yaml", "metrics.json"} <= set(
+        map(str, files(out))
+    )
+    entries = yaml.safe_load((out / "session.yaml").read_text())["inputs"]
+    done = [entry["do"] for entry in entries if "do" in entry]
+    assert done == [
+        "record", "map_start", "map_save", "map_load", "pose_estimate", "goal", "box", "record_stop",
+        "waypoints_load", "avoid", "end",
+    ]  # fmt: skip
+    assert any("off the map" in error or "outside" in error for error in picture.errors)
+    again = tmp_path / "again"
+    assert main(["studio", "--replay", str(out / "session.yaml"), "--out", str(again)]) == 0
+    assert differences(out, again) == []
+
+
+def test_a_termination_ends_the_session_and_tells_its_viewers(tmp_path):
+    process, url = started(tmp_path, "--out", "mine")
+
+    async def watch():
+        client = await connect(url)
+        client.ask("record", name="open")
+        await client.until(lambda p: p.head.get("recording") == "open")
+        process.terminate()
+        with pytest.raises(EOFError, match="the studio was stopped"):
+            await client.until(lambda p: False)
+
+    run(watch())
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 143, told
+    assert (tmp_path / "mine/manifest.json").exists()
+    assert (tmp_path / "mine/bags/open/metadata.yaml").exists()
+
+
+def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path):
+    process, url = started(tmp_path, "--out", "mine", "-q")
+
+    async def end():
+        client = await connect(url)
+        client.ask("end")
+        with pytest.raises(EOFError, match="the session has ended"):
+            await client.until(lambda p: False)
+
+    run(end())
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 0
+    assert (tmp_path / "mine/manifest.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--port", "{port}"], "--port {port}: in use; choose another, or leave it out for a free one"),
+        (["--port", "70000"], "a port is from 1 to 65535"),
+        (["--host", "192.0.2.1"], "--host 192.0.2.1: "),
+        (["--world", "nowhere"], "nowhere"),
+        (["--map", "no.yaml"], "no.yaml"),
+        (["--set", "sim.wheels=9"], "sim.wheels"),
+        (["--replay", "session.yaml"], "--replay: needs --out DIR"),
+        (["--replay", "session.yaml", "--out", "x", "--seed", "0"], "--seed: not with --replay"),
+        (["--replay", "session.yaml", "--out", "x", "--set", "sim.a=1"], "--set: not with --replay"),
+        (["--replay", "session.yaml", "--out", "x"], "session.yaml: "),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, options, said):
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        code = main(["studio", "--no-browser", *(option.format(port=port) for option in options)])
+    out, err = capsys.readouterr()
+    assert (code, out) == (2, "")
+    assert said.format(port=port) in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_session_that_cannot_go_on_keeps_what_it_has(tmp_path, monkeypatch, capsys):
+    ticks = []
+
+    def tick(self):
+        ticks.append(1)
+        if len(ticks) > 20:
+            raise OSError(28, "No space left on device", "somewhere")
+        inner(self)
+
+    inner = Session.tick
+    monkeypatch.setattr(Session, "tick", tick)
+    assert main(["studio", "--no-browser", "--world", "empty", "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert told[-1] == "turtlebag: somewhere: No space left on device"
+    assert (tmp_path / "out/manifest.json").exists()
+    assert len((tmp_path / "out/runlog.csv").read_text().splitlines()) > 2
+
+
+def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, monkeypatch, capsys):
+    def tick(self):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Session, "tick", tick)
+    options = ["--no-browser", "--world", "empty", "--host", "0.0.0.0", "--out", str(tmp_path / "out")]
+    assert main(["studio", *options]) == 2
+    assert "--host 0.0.0.0: everybody who can reach this machine" in capsys.readouterr().err
+
+
+def test_the_first_free_folder_is_taken(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    free = command._free_folder
+    assert str(free(StudioSetup("maze:1", "waffle_pi", 4))) == "data/studio/maze_1-waffle_pi-4"
+    (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
+    (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
+    assert str(free(StudioSetup("maze:1", "waffle_pi", 4))) == "data/studio/maze_1-waffle_pi-4-3"
+
+
+def test_a_browser_is_opened_only_where_there_is_a_screen(monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    command._open_browser("http://one")
+    monkeypatch.setenv("DISPLAY", ":0")
+    command._open_browser("http://two")
+    assert opened == ["http://two"]
