@@ -107,6 +107,12 @@ function graph() {
   dots("graph_nodes", 3, 4, colour.slam);
 }
 
+/** The two scans of the loop that is looked at. */
+function loop() {
+  dots("loop_place", 2, 3, colour.slam);
+  dots("loop_scan", 2, 3, colour.bad);
+}
+
 function ghost() {
   const { world_segments: segments = [], world_circles: circles = [] } = scene.blobs;
   pen.beginPath();
@@ -262,6 +268,7 @@ export const LAYERS = [
   ["local", "Local trajectory", () => path("local", colour.estimate, 3), true],
   ["waypoints", "Waypoints", null, true],
   ["goals", "Goals", goals, true],
+  ["loop", "Loop looked at", loop, true],
   ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.6), true],
 ];
 

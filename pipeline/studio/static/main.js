@@ -1,5 +1,6 @@
 // The page: joins the socket, the scene, the drawing and the controls.
 
+import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
 import { byId, keepouts, log, refuse, show } from "./panel.js";
@@ -66,7 +67,7 @@ const drive = new Drive((message) => connection.send(message), (v, w) => {
   byId("cmd").textContent = `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`;
 });
 const waypoints = new Waypoints(byId("waypoints"), changed, refuse);
-const desk = new Desk({ send, copy, waypoints, size: () => Number(byId("size").value), chosen });
+const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), chosen });
 const connection = new Connection(arrived, told);
 
 function chosen(name, tool) {
@@ -83,7 +84,9 @@ function arrived(header, blobs) {
   if (header.kind === "hello") {
     begin(header, blobs);
     drive.learn(header);
-    byId("where").textContent = `${header.world} · ${header.robot} · seed ${header.seed}`;
+    byId("where").textContent = bagged() ? header.world : `${header.world} · ${header.robot} · seed ${header.seed}`;
+    document.body.classList.toggle("bagged", bagged());
+    if (bagged()) shown.add("graph");
     byId("lines").replaceChildren();
     const { world } = header, name = document.querySelector("[data-do=map_save]").elements.name;
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
@@ -236,6 +239,7 @@ byId("layers").querySelector("ul").append(...[...LAYERS].reverse().map(([name, t
 if (matchMedia("(max-height: 500px)").matches) flip("unfold", "short");
 if (matchMedia("(max-width: 600px)").matches) flip("fold", "folded");
 listen(stage, desk, () => scene.head.driver || desk.name === "point", changed, (place) => { cursor = place; });
+attachBag(send);
 drive.attach(byId("pad"), byId("knob"));
 keepouts(send);
 desk.choose("view");

@@ -1,5 +1,6 @@
 // The words on the page: what is going on, what to do first, lists and the event log.
 
+import { bagAdvice, bagged, showBag } from "./bag.js";
 import { scene } from "./scene.js";
 import { button } from "./waypoints.js";
 
@@ -7,7 +8,7 @@ const MOST_LINES = 500;
 export const byId = (id) => document.getElementById(id);
 
 /** Set a property of an element, only when it changes. */
-function put(element, name, value) {
+export function put(element, name, value) {
   if (element[name] !== value) element[name] = value;
 }
 
@@ -65,7 +66,8 @@ export function show(head, deskName) {
   text("place", placeOf(head));
   put(byId("cancel"), "disabled", !head.task);
   sectors(head.sectors);
-  if (deskName === "view") text("advice", advice(head));
+  if (deskName === "view") text("advice", bagged() ? bagAdvice(head) : advice(head));
+  showBag(head);
   put(byId("stage").dataset, "blank", String(!mapped()));
   put(byId("watching"), "hidden", head.driver);
   put(byId("controls"), "disabled", !head.driver);

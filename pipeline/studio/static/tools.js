@@ -1,5 +1,6 @@
 // Tools for the map: what a press, a drag, a release or typed numbers mean with each of them.
 
+import { loopAt, nodeAt, nodePose, scanOf } from "./bag.js";
 import { scene } from "./scene.js";
 import { flagSize, toScreen } from "./view.js";
 import { numbers, round3, words } from "./words.js";
@@ -110,6 +111,37 @@ const TOOLS = {
     release(desk, at) { desk.send({ do: "box", xy: round3(at), size: desk.size() }); },
     typed(desk, text) { const xy = numbers(text, 2); return xy && desk.send({ do: "box", xy, size: desk.size() }); },
   },
+  loop: {
+    hint: "Loops: click one, and its two scans are laid on each other.",
+    form: "scan, place",
+    press() {},
+    move() {},
+    release(desk, at, pixel) {
+      const found = loopAt(pixel);
+      if (found) desk.send({ do: "loop_show", ...found });
+      else desk.refuse("There is no loop: click on one of the lines that join two parts of the path.");
+    },
+    typed(desk, text) { const [scan, place] = numbers(text, 2) ?? []; return place !== undefined && desk.send({ do: "loop_show", scan, place }); },
+  },
+  join: {
+    hint: "Join: press on a node of the graph and drag it to the node of the same place on another visit.",
+    form: "scan, place, x, y, heading",
+    press(desk, at, pixel) {
+      this.node = nodeAt(pixel);
+      if (this.node < 0) desk.refuse("There is no node: press on one of the dots of the path.");
+    },
+    move(desk, at) { if (this.node >= 0) desk.doing = { arrow: [...at, nodePose(this.node)[2]] }; },
+    release(desk, at, pixel) {
+      const place = nodeAt(pixel, 60);
+      if (this.node < 0 || place < 0 || place === this.node) return;
+      const pose = seenFrom(nodePose(place), [...at, nodePose(this.node)[2]]);
+      desk.send({ do: "loop_add", scan: scanOf(this.node), place: scanOf(place), pose: round3(pose) });
+    },
+    typed(desk, text) {
+      const [scan, place, ...pose] = numbers(text, 5) ?? [];
+      return pose.length === 3 && desk.send({ do: "loop_add", scan, place, pose });
+    },
+  },
   carry: {
     hint: "Carry the robot off: drag it to another place; or press, drag for the heading, release.",
     form: "x, y, heading",
@@ -124,7 +156,13 @@ const TOOLS = {
   },
 };
 
-export const KEYS = { v: "view", p: "pose", g: "goal", n: "waypoint", c: "point", k: "keepout", b: "box", r: "carry" };
+/** Pose b seen from pose a. */
+function seenFrom([ax, ay, at], [bx, by, bt]) {
+  const c = Math.cos(at), s = Math.sin(at), [dx, dy] = [bx - ax, by - ay];
+  return [c * dx + s * dy, c * dy - s * dx, Math.atan2(Math.sin(bt - at), Math.cos(bt - at))];
+}
+
+export const KEYS = { l: "loop", j: "join", v: "view", p: "pose", g: "goal", n: "waypoint", c: "point", k: "keepout", b: "box", r: "carry" };
 
 /** The tool in hand and what it is doing: `doing` is what draw.js sketches. */
 export class Desk {
