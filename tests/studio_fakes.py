@@ -63,6 +63,7 @@ class FakeSession:
 
     scene = SCENE
     period_ns = PERIOD_NS
+    idle = False
 
     def __init__(self, tick_s=0.0, cells=None):
         self.stamp_ns, self.ended = 0, False

@@ -138,12 +138,14 @@ class Pace:
     def _wait_s(self) -> float:
         if self._steps:
             return 0.0
-        if self._paused:
+        if self._paused or self._session.idle:
             return IDLE_S
         return 0.0 if self._asked == 0.0 else min(self._due - time.monotonic(), IDLE_S)
 
     def _may_tick(self) -> bool:
         """Whether the next tick is due; if so, when the one after it will be."""
+        if self._session.idle:
+            return False
         if self._paused:
             self._steps, step = max(self._steps - 1, 0), self._steps
             return step > 0

@@ -113,9 +113,9 @@ class Playback:
         return stamp_of(self._step)
 
     @property
-    def working(self) -> bool:
-        """Whether there is more of the bag."""
-        return self._scan < len(self._log) - 1
+    def idle(self) -> bool:
+        """Whether time stands still: the bag is at its end."""
+        return self._scan == len(self._log) - 1
 
     def apply(self, entry: inputs.Input) -> str:
         """Do what is asked for; a line for the event log. InputError, with nothing changed, when refused."""
@@ -129,21 +129,20 @@ class Playback:
         line = str(done(entry))
         self._journal.deed(self.stamp_ns, entry)  # type: ignore[arg-type]
         if line:
-            self._events.add(self.stamp_ns, line)
+            self._events.add(self._position_ns, line)
         return line
 
     def tick(self) -> None:
         """One control period of the bag."""
-        if self.ended:
+        if self.ended or self.idle:
             return
         self._journal.tick(self.stamp_ns, None)
         self._step += 1
-        if self._scan < len(self._log) - 1:
-            self._play_to(self._position_ns + self.period_ns)
-            if self._scan == len(self._log) - 1:
-                self._draw()
-                self._events.add(self.stamp_ns, "the bag is at its end")
-        if self._mapper is not None and self._step % DRAWN_EVERY == 0:
+        self._play_to(self._position_ns + self.period_ns)
+        if self.idle:
+            self._draw()
+            self._events.add(self._position_ns, "the bag is at its end")
+        elif self._mapper is not None and self._step % DRAWN_EVERY == 0:
             self._draw()
 
     def metrics(self) -> dict[str, Any]:
@@ -217,7 +216,7 @@ class Playback:
     def _map_start(self, deed: inputs.MapStart) -> str:
         if self._mapper is not None:
             raise InputError("map_start: the bag is being mapped already")
-        if not self.working:
+        if self.idle:
             raise InputError("map_start: the bag is at its end; go back first")
         self._mapper = Mapper(self._log.lidar, self._log.T_base_lidar)
         self._first = self._scan + 1
@@ -255,7 +254,7 @@ class Playback:
         for added, loop in zip(self._edits.add, result.loops, strict=False):
             if not loop.accepted:
                 text = f"scan {added.scan} at scan {added.place}: not joined: {loop.verdict}"
-                self._events.add(self.stamp_ns, text, "warning")
+                self._events.add(self._position_ns, text, "warning")
                 refused += 1
         check = result.check.as_metrics()
         told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
@@ -265,7 +264,7 @@ class Playback:
         """The map of the whole bag under a name, built first where it is not what was said since."""
         self._shelf.check_name(deed.name)
         if self._built is None or self._built[0] != self._edits:
-            self._events.add(self.stamp_ns, self._build())
+            self._events.add(self._position_ns, self._build())
         assert self._built is not None
         self._shelf.save_map(deed.name, self._built[2], ())
         return f"map {deed.name} saved"
@@ -321,7 +320,7 @@ class Playback:
             owner="navigation",
             command=(0.0, 0.0),
             task="",
-            state="mapping" if mapping else "playing" if self.working else "at its end",
+            state="mapping" if mapping else "at its end" if self.idle else "playing",
             recording=None,
             mapping=mapping,
             map_name=None,

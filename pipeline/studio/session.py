@@ -75,6 +75,9 @@ class Session:
         """Simulated time [ns]."""
         return self._run.stamp_ns
 
+    idle = False
+    """Whether time stands still whatever is asked for."""
+
     @property
     def working(self) -> bool:
         """Whether a task is under way."""

@@ -58,6 +58,16 @@ def test_time_passes_scan_by_scan_and_seeking_goes_anywhere(played):
         played.apply(inputs.Seek(t=31.0))
 
 
+def test_time_stands_still_at_the_end(played):
+    played.apply(inputs.Seek(t=29.5))
+    run(played, 2.0)
+    assert played.idle
+    assert played.view().events[-1].text == "the bag is at its end"
+    assert played.stamp_ns * 1e-9 < 0.5
+    played.apply(inputs.Seek(t=0.0))
+    assert not played.idle
+
+
 def test_a_bag_has_no_robot_to_drive(played):
     for entry in (inputs.SetGoal(pose=(0, 0, 0)), inputs.Record(name="a"), inputs.Drive(v=0.1)):
         with pytest.raises(InputError, match="a bag is being played"):

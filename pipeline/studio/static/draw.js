@@ -95,7 +95,7 @@ function particles() {
 function graph() {
   const nodes = scene.blobs.graph_nodes, edges = scene.blobs.graph_edges ?? [];
   if (!nodes) return;
-  for (const [kind, style, width] of [[0, colour.slam, 1], [1, colour.loop, 1.5]]) {
+  for (const [kind, style, width] of [[0, colour.slam, 1], [1, colour.loop, 2]]) {
     pen.beginPath();
     for (let k = 0; k < edges.length; k += 3) {
       if (edges[k + 2] !== kind || 3 * Math.max(edges[k], edges[k + 1]) >= nodes.length) continue;
@@ -258,9 +258,9 @@ export const LAYERS = [
   ["ghost", "True world (ghost)", ghost, false],
   ["keepout", "Keep-outs", keepouts, true],
   ["boxes", "Boxes", boxes, true],
-  ["graph", "Pose graph, loops", graph, false],
   ["odom_path", "Path by odometry", () => path("odom_path", colour.odometry, 1.5), true],
   ["slam_path", "Path by SLAM", () => path("slam_path", colour.slam, 2), true],
+  ["graph", "Pose graph, loops", graph, false],
   ["sectors", "Avoidance sectors", sectors, true],
   ["particles", "Particles", particles, true],
   ["scan", "Scan", () => dots("scan", 2, 3, colour.scan), true],
