@@ -249,6 +249,7 @@ class Playback:
         self._set_grid(result.grid)
         self._graph = graph_of(result)
         self._loop = None
+        self._trails["slam"].clear()
         self._slam_path = ShownPath(self._slam_path.version + 1, result.trajectory.poses.xy)
         refused = 0
         for added, loop in zip(self._edits.add, result.loops, strict=False):

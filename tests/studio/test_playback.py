@@ -3,33 +3,20 @@
 import numpy as np
 import pytest
 import yaml
-from slam_rooms import ROOM, around_the_room, drifted, recording
+from studio_bag import LAST, LOG, write_bag
 
-from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
-from turtlebag.datasets.types import Odometry, Scan, Twist
 from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.playback import BagSetup, Playback
 
-TRUE = around_the_room(150)
-LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
-LAST = len(LOG) - 1
-
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bags") / "bag"
-    with BagWriter(folder, custom={}) as writer:
-        writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
-        for k in range(len(LOG)):
-            stamp = int(LOG.stamps_ns[k])
-            writer.odometry(Odometry(stamp, LOG.T_odom_base[k], Twist()))
-            writer.scan(stamp, Scan(stamp, LOG.ranges[k], LOG.lidar))
-    return folder
+    return write_bag(tmp_path_factory.mktemp("bags") / "bag")
 
 
 @pytest.fixture

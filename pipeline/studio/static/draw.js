@@ -109,8 +109,8 @@ function graph() {
 
 /** The two scans of the loop that is looked at. */
 function loop() {
-  dots("loop_place", 2, 3, colour.slam);
-  dots("loop_scan", 2, 3, colour.bad);
+  dots("loop_place", 2, 4, colour.good);
+  dots("loop_scan", 2, 3, colour.odometry);
 }
 
 function ghost() {

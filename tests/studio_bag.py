@@ -1,0 +1,21 @@
+"""A short bag of a room, for the tests of playing bags."""
+
+from slam_rooms import ROOM, around_the_room, drifted, recording
+
+from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.types import Odometry, Scan, Twist
+
+TRUE = around_the_room(150)
+LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
+LAST = len(LOG) - 1
+
+
+def write_bag(folder):
+    """LOG as a rosbag2 folder."""
+    with BagWriter(folder, custom={}) as writer:
+        writer.static_transforms(0, [("base_footprint", "base_scan", (0.0, 0.0, 0.1), 0.0)])
+        for k in range(len(LOG)):
+            stamp = int(LOG.stamps_ns[k])
+            writer.odometry(Odometry(stamp, LOG.T_odom_base[k], Twist()))
+            writer.scan(stamp, Scan(stamp, LOG.ranges[k], LOG.lidar))
+    return folder
