@@ -213,13 +213,20 @@ def test_the_numbers_of_the_readme_are_those_of_the_results():
     assert [float(told[1]), float(told[2])] == [round(1e3 * float(dict(drives)[name]), 1) for name in worlds]
 
 
-def test_the_pictures_of_the_readme_move_and_are_small():
-    named = re.findall(r'src="(docs/images/[^"]+)"', (ROOT / "README.md").read_text())
-    images = [ROOT / name for name in named]
-    assert {image.suffix for image in images} == {".gif"}
-    assert sum(image.stat().st_size for image in images) < 1_000_000
-    assert sorted(image.name for image in (ROOT / "docs/images").iterdir()) == sorted(p.name for p in images)
-    assert all(image.read_bytes().count(b"\x21\xf9\x04") > 10 for image in images)
+def test_the_pictures_are_small_and_shown_and_the_animations_of_the_readme_move():
+    shown = {
+        (page.parent / name).resolve()
+        for page in PAGES
+        for name in re.findall(r'src="([^"]+)"', page.read_text())
+    }
+    assert shown == set((ROOT / "docs/images").iterdir())
+    for image in shown:
+        if image.suffix == ".gif":
+            assert image.read_bytes().count(b"\x21\xf9\x04") > 10
+            assert image.stat().st_size < 500_000
+        else:
+            assert image.suffix == ".png"
+            assert image.stat().st_size < 150_000
 
 
 def test_no_page_holds_a_path_of_a_machine():

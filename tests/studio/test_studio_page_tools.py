@@ -103,10 +103,10 @@ def test_poses_can_be_typed(page, session):
 
 def test_a_click_copies_a_point(page):
     page.key("c")
-    (place,) = on_screen(page, (0.25, -1.5))
+    (place,) = on_screen(page, (0.25, -0.5))
     drag(page, place)
     until(lambda: "copied" in shown_text(page, "readout"))
-    assert [float(value) for value in page.clipboard().split(", ")] == pytest.approx([0.25, -1.5], abs=0.02)
+    assert [float(value) for value in page.clipboard().split(", ")] == pytest.approx([0.25, -0.5], abs=0.02)
 
 
 def test_waypoints_are_clicked_moved_turned_ordered_and_patrolled(page, session):

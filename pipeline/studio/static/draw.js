@@ -132,14 +132,12 @@ function body([x, y, yaw], style, alpha) {
   const at = (u, v) => [x + c * u - s * v, y + s * u + c * v];
   const corners = Array.from({ length: outline.length / 2 }, (_, k) => at(outline[2 * k], outline[2 * k + 1]));
   const front = Math.max(...outline.filter((_, k) => k % 2 === 0)) + 8 / view.scale;
-  for (const [line, width] of [[colour.paper, 5], [style, 2]]) {
+  for (const [line, wider] of [[colour.paper, 3], [style, 0]]) {
     trace(corners, true);
-    stroke(line, width);
+    stroke(line, 2 + wider);
     if (line === style) fill(style, alpha);
-  }
-  for (const [line, width] of [[colour.paper, 6], [style, 3]]) {
     trace([[x, y], at(front, 0)]);
-    stroke(line, width);
+    stroke(line, 3 + wider);
   }
 }
 

@@ -91,10 +91,11 @@ function arrived(header, blobs) {
     if (!fitted) showAll();
     fitted = true;
   } else {
-    const before = scene.keepouts;
+    const { keepouts: before, head: { map } } = scene;
     take(header, blobs);
     show(header, desk.name);
     if (scene.keepouts !== before) keepouts(send);
+    if (header.map != null && header.map !== map) showAll();
     if (header.waypoints) waypoints.replace(header.waypoints.map(([x, y, yaw, wait]) => ({ pose: [x, y, yaw], wait })));
     if (header.events?.length) log(header.events);
     if (header.error) refuse(header.error);
@@ -233,6 +234,7 @@ byId("layers").querySelector("ul").append(...[...LAYERS].reverse().map(([name, t
 }));
 
 if (matchMedia("(max-height: 500px)").matches) flip("unfold", "short");
+if (matchMedia("(max-width: 600px)").matches) flip("fold", "folded");
 listen(stage, desk, () => scene.head.driver || desk.name === "point", changed, (place) => { cursor = place; });
 drive.attach(byId("pad"), byId("knob"));
 keepouts(send);

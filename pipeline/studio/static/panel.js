@@ -60,8 +60,8 @@ export function show(head, deskName) {
     bag.dataset.last = head.recording ?? "";
   }
   options(byId("maps"), head.maps ?? [], "the one given");
-  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's eight");
-  byId("sure").value = head.sure ?? 0;
+  options(byId("files"), ["", ...(head.waypoint_files ?? [])], "the tutorial's");
+  put(byId("sure"), "value", head.lost ? 0 : head.sure ?? 0);
   text("place", placeOf(head));
   put(byId("cancel"), "disabled", !head.task);
   sectors(head.sectors);
@@ -74,7 +74,8 @@ export function show(head, deskName) {
 
 const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
 
-function placeOf({ map, localised, sure, mapping }) {
+function placeOf({ map, localised, sure, lost, mapping }) {
+  if (lost) return lost;
   if (sure != null) return `${Math.round(100 * sure)} % of the scan fits`;
   if (mapping) return "on the growing map";
   return map == null ? "no map" : localised ? "on the map" : "no pose yet";

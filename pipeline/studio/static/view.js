@@ -29,12 +29,13 @@ export function pan(dx, dy) {
   view.follow = false;
 }
 
-/** Show all of these places [x, y]. */
+/** Show all of these places [x, y], below the line of advice. */
 export function fit(places) {
-  const margin = Math.min(48, 0.08 * view.height);
+  const margin = Math.min(48, 0.08 * view.height), top = 36;
   const xs = places.map(([x]) => x), ys = places.map(([, y]) => y);
   const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
   const across = Math.max(view.width - 2 * margin, 80) / Math.max(x1 - x0, 0.5);
-  const up = Math.max(view.height - 2 * margin, 80) / Math.max(y1 - y0, 0.5);
-  Object.assign(view, { x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale: Math.min(across, up, 400), follow: false });
+  const up = Math.max(view.height - top - 2 * margin, 80) / Math.max(y1 - y0, 0.5);
+  const scale = Math.min(across, up, 400);
+  Object.assign(view, { x: (x0 + x1) / 2, y: (y0 + y1 + top / scale) / 2, scale, follow: false });
 }

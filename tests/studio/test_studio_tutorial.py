@@ -1,0 +1,173 @@
+"""The tutorial through the page: drive and map, save, load, pose, wiggle, goal, patrol, avoid, all again."""
+
+import math
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from browser import find_browser
+from studio_page import ENABLED, click, drag, on_screen, shown_text, until
+from studio_walk import differences
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        find_browser() is None,
+        reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM",
+    ),
+]
+ROUND = (
+    (-2, 0),
+    (-1.6, 1.4),
+    (0, 1.9),
+    (1.5, 1.5),
+    (1.95, 0),
+    (1.5, -1.5),
+    (0, -1.9),
+    (-1.6, -1.4),
+    (-2, -0.5),
+)
+SCENE = "import('./scene.js').then(({ scene }) => "
+KNOWN = f"{SCENE}scene.grids.map?.cells.reduce((count, cell) => count + (cell !== 255), 0) ?? 0)"
+SPREAD = f"""{SCENE}{{
+  const cloud = scene.blobs.particles ?? [], n = cloud.length / 3;
+  const sum = (value) => cloud.reduce((all, here, at) => all + value(here, at % 3), 0);
+  const middle = [0, 1].map((k) => sum((here, column) => (column === k ? here : 0)) / n);
+  return Math.sqrt(sum((here, column) => (column < 2 ? (here - middle[column]) ** 2 : 0)) / n);
+}})"""
+
+
+class Person:
+    """Somebody at the page, who sees what it shows."""
+
+    def __init__(self, browser):
+        self.browser = browser
+
+    @property
+    def head(self):
+        return self.browser.evaluate(f"{SCENE}scene.head)")
+
+    def speed(self, factor):
+        choose = "document.getElementById('speed')"
+        self.browser.evaluate(f"{choose}.value = '{factor}', {choose}.dispatchEvent(new Event('change'))")
+
+    def drive(self, places, v=18):
+        """Along these places by W, A, S, D: `v` steps ahead, or turning when they lie aside."""
+        steps, turns = 0, 0
+        for x, y in places:
+            while True:
+                px, py, yaw = self.head["pose"]
+                if math.hypot(x - px, y - py) < 0.25:
+                    break
+                aside = math.remainder(math.atan2(y - py, x - px) - yaw, 2.0 * math.pi)
+                ahead, turn = v if abs(aside) < 0.4 else 0, max(-8, min(8, round(8.0 * aside)))
+                self.browser.key("w" if ahead > steps else "s", abs(ahead - steps))
+                self.browser.key("a" if turn > turns else "d", abs(turn - turns))
+                steps, turns = ahead, turn
+        self.browser.key(" ")
+
+    def arrow(self, tool, x, y, yaw):
+        """Press, drag, release with a tool."""
+        self.browser.key(tool)
+        (start,) = on_screen(self.browser, (x, y))
+        drag(self.browser, start, (start[0] + 60 * math.cos(yaw), start[1] - 60 * math.sin(yaw)))
+
+    def task(self, task, timeout_s):
+        """Wait until it has begun and is over."""
+        until(lambda: self.head["task"] == task, 60.0)
+        until(lambda: self.head["task"] == "", timeout_s)
+
+    def shift(self):
+        """How far the robot is from where it takes itself to be [m]."""
+        return float(np.hypot(*np.subtract(self.head["pose"], self.head["true_pose"])[:2]))
+
+
+@contextmanager
+def studio(browser, world, out):
+    """Somebody at the page of `turtlebag studio`, until that ends by itself."""
+    command = [sys.executable, "-m", "turtlebag", "studio", "--world", world, "--seed", "1"]
+    process = subprocess.Popen(
+        [*command, "--no-browser", "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        browser.open(process.stdout.readline().strip(), 1280, 720)
+        until(lambda: browser.evaluate(ENABLED), 60.0)
+        yield Person(browser)
+        for _ in range(2):
+            click(browser, "[data-do=end]")
+        _, complaints = process.communicate(timeout=60)
+        assert process.returncode == 0, complaints
+        assert "the session has ended" in shown_text(browser, "broken")
+        assert browser.problems() == []
+    finally:
+        process.kill()
+
+
+def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_path):
+    with studio(browser, "turtlebot3_world", tmp_path / "live") as person:
+        assert shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D."
+        click(browser, "#bag button")
+        click(browser, "#mapping")
+        person.speed(2)
+        person.drive(ROUND[:1])
+        before = browser.evaluate(KNOWN)
+        person.drive(ROUND[1:])
+        assert browser.evaluate(KNOWN) > 1.2 * before > 1000
+        click(browser, "#bag button")
+        click(browser, "[data-do=map_save] button")
+        until(lambda: person.head["maps"] == ["map_world"], 60.0)
+        click(browser, "[data-do=map_load] button")
+        until(lambda: shown_text(browser, "advice").startswith("Where is the robot?"), 60.0)
+
+        x, y, yaw = person.head["true_pose"]
+        person.arrow("p", x + 0.2, y + 0.22, yaw + math.radians(20))
+        until(lambda: person.head["localised"], 60.0)
+        wide = until(lambda: browser.evaluate(SPREAD))
+        assert person.shift() > 0.2
+        click(browser, "[data-do=wiggle]")
+        person.task("wiggle", 60.0)
+        until(lambda: browser.evaluate(SPREAD) < 0.25 * wide)
+        assert person.shift() < 0.05
+
+        person.arrow("g", 0.0, 1.9, 0.0)
+        person.task("goal", 120.0)
+        assert [goal["status"] for goal in person.head["goals"]] == ["reached"]
+        x, y, yaw = person.head["true_pose"]
+        assert math.hypot(x, y - 1.9) < 0.1
+        assert abs(yaw) < 0.2
+
+        click(browser, "[data-do=waypoints_load] button")
+        until(lambda: browser.evaluate("document.querySelectorAll('#waypoints li').length") == 8)
+        person.speed(0)
+        click(browser, "#patrol")
+        person.task("patrol", 240.0)
+        assert [goal["status"] for goal in person.head["goals"]] == ["reached"] * 8
+        lines = browser.evaluate("document.getElementById('lines').innerText")
+        assert "8 of 8 goals reached, no collisions" in lines
+
+    again = ["--replay", str(tmp_path / "live/session.yaml"), "--out", str(tmp_path / "again")]
+    subprocess.run([sys.executable, "-m", "turtlebag", "studio", "-q", *again], check=True, timeout=300)
+    assert differences(tmp_path / "live", tmp_path / "again") == []
+    assert (tmp_path / "again/bags/bag_1/metadata.yaml").exists()
+
+
+def test_avoiding_in_the_house_shows_the_sectors_and_the_decision(browser, tmp_path):
+    with studio(browser, "turtlebot3_house", tmp_path / "live") as person:
+        click(browser, "[data-do=avoid]")
+        until(lambda: person.head["task"] == "avoid", 60.0)
+        start = person.head["true_pose"]
+        until(lambda: shown_text(browser, "sectors").startswith("Left "))
+        person.speed(4)
+        until(lambda: math.dist(person.head["true_pose"][:2], start[:2]) > 1.0, 60.0)
+        until(lambda: "veer" in shown_text(browser, "sectors"), 60.0)
+        browser.key("w", 3)
+        until(lambda: shown_text(browser, "state") == "Avoid: driven by hand")
+        browser.key("q")
+        until(lambda: person.head["owner"] == "navigation")
+        click(browser, "#cancel")
+        until(lambda: person.head["task"] == "")
