@@ -9,6 +9,8 @@ from studio_fakes import FakeSession, Served, connect, run
 
 from turtlebag.pipeline.studio.inputs import Drive, Stop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def session():
