@@ -252,7 +252,7 @@ export const LAYERS = [
   ["ghost", "True world (ghost)", ghost, false],
   ["keepout", "Keep-outs", keepouts, true],
   ["boxes", "Boxes", boxes, true],
-  ["graph", "Pose graph, loops", graph, false],
+  ["graph", "Pose graph, loops", graph, true],
   ["odom_path", "Path by odometry", () => path("odom_path", colour.odometry, 1.5), true],
   ["slam_path", "Path by SLAM", () => path("slam_path", colour.slam, 2), true],
   ["sectors", "Avoidance sectors", sectors, true],
