@@ -1,7 +1,7 @@
 // The words on the page: what is going on, what to do first, lists and the event log.
 
 import { scene } from "./scene.js";
-import { button } from "./waypoints.js";
+import { button, refill } from "./waypoints.js";
 
 const MOST_LINES = 500;
 export const byId = (id) => document.getElementById(id);
@@ -129,11 +129,5 @@ export function keepouts(send) {
       send({ do: "keepout", outlines: scene.keepouts.filter((_, other) => other !== k) })));
     return row;
   });
-  if (!rows.length) {
-    const empty = document.createElement("li");
-    empty.className = "quiet";
-    empty.textContent = "None. Choose Keep out and click the corners of one; Save map keeps it.";
-    rows.push(empty);
-  }
-  byId("keepouts").replaceChildren(...rows);
+  refill(byId("keepouts"), rows, "None. Choose Keep out and click the corners of one; Save map keeps it.");
 }
