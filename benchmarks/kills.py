@@ -52,6 +52,19 @@ READ = ("record", "map", "navigate", "record3d")
 """Stages that others read."""
 TELEOP = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.2, -0.55]]}\n"
 WAYPOINTS = "waypoints:\n  - {x: -1.8, y: -0.5, yaw: 0.0}\n"
+SESSION = """\
+version: 1
+world: turtlebot3_world
+robot: burger
+seed: 3
+inputs:
+- {at: 0.0, do: record, name: drive}
+- {at: 0.0, do: map_start}
+- {begin: 0.2, end: 4.0, v: 0.15, w: 0.3}
+- {at: 4.0, do: map_save, name: small}
+- {at: 4.0, do: avoid}
+- {at: 8.0, do: end}
+"""
 CAMPAIGN = """\
 name: small
 question: Does it go on where it was killed?
@@ -96,6 +109,7 @@ def commands(chain: Path) -> dict[str, list[str]]:
         "recover": f"bag recover {record}",
         "world.png": "world show turtlebot3_world",
         "sweep": f"sweep {chain}/campaign.yaml --workers 1",
+        "studio": f"studio --replay {chain}/session.yaml",
         "record3d": f"record {world} --robot waffle_pi_3d {script}",
         "map3d": f"map {chain}/record3d --topic /points --truth {chain}/record3d/truth",
     }
@@ -137,6 +151,7 @@ def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
     """Make the chain; seconds each stage of `only` (empty: all) takes, measured on a second run of it."""
     (chain / "short.yaml").write_text(TELEOP)
     (chain / "one.yaml").write_text(WAYPOINTS)
+    (chain / "session.yaml").write_text(SESSION)
     (chain / "campaign.yaml").write_text(CAMPAIGN.replace("TELEOP", f"{chain}/short.yaml"))
     took = {}
     for stage, words in commands(chain).items():

@@ -4,7 +4,10 @@ python -m benchmarks.studio [--minutes M] [--out DIR]
 
 The server is a process of its own, the viewer this one, without a page. `late` is from when a view is asked
 of the session to when the viewer has taken it in. Speeds are simulated seconds a second, as fast as it goes,
-in turns with a viewer and without. With --minutes it then patrols on for so long, as fast as it goes.
+in turns with a viewer and without. With --minutes the robot then goes on patrol after patrol for so long, as
+fast as it goes, and everything is recorded.
+
+With TURTLEBAG_DATA, the map of ACES is sent as it grows, at the log's own pace.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import dataclasses
+import os
 import subprocess
 import sys
 import tempfile
@@ -25,12 +29,17 @@ import numpy as np
 from benchmarks.rows import Row, write
 from benchmarks.studio_client import Client
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.stages.studio import studio_output
+from turtlebag.pipeline.studio.frames import Frames
 from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
+from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
+from turtlebag.pipeline.studio.view import MapLayer
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -106,21 +115,26 @@ async def watched(client: Client, what: str, factor: float, seconds: float = WAT
     } | lateness(client, first)
 
 
-async def begun(client: Client) -> None:
-    """On its map and on patrol, for as long as anybody looks."""
+async def begun(client: Client, laps: int) -> None:
+    """On its map and on patrol."""
     await client.until(lambda p: p.head, 120.0)
     client.ask("pose_estimate", pose=START)
     client.ask("waypoints_load")
     await client.until(lambda p: p.waypoints, 120.0)
-    stops = [{"pose": [x, y, yaw]} for x, y, yaw, _ in client.picture.waypoints]
-    client.ask("patrol", waypoints=stops, laps=1000)
+    go_round(client, laps)
     await client.until(lambda p: p.head["task"] == "patrol", 120.0)
+
+
+def go_round(client: Client, laps: int) -> None:
+    """Ask for a patrol of the waypoints that are loaded."""
+    stops = [{"pose": [x, y, yaw]} for x, y, yaw, _ in client.picture.waypoints]
+    client.ask("patrol", waypoints=stops, laps=laps)
 
 
 async def patrol(url: Url) -> tuple[list[Row], Row]:
     """Rows of a patrol that is watched, and its speed with and without a viewer."""
     client = await Client.open(url)
-    await begun(client)
+    await begun(client, 1000)
     client.ask("speed", factor=0)
     await client.read_for(5.0)  # what is compiled at first use
     rows = [await watched(client, "patrol in the arena", factor) for factor in (1.0, 0.0)]
@@ -158,13 +172,15 @@ async def exploring(url: Url) -> Row:
 async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
     """Memory of the server, ten times within some minutes of patrol as fast as it goes, with a viewer."""
     client, rows = await Client.open(url), []
-    await begun(client)
+    await begun(client, 1)
     client.ask("speed", factor=0)
     client.ask("record", name="all")
     begin = time.monotonic()
     for part in range(11):
         while time.monotonic() < begin + 6.0 * part * minutes:
-            await client.read_for(min(5.0, begin + 6.0 * part * minutes - time.monotonic()))
+            await client.read_for(0.3)
+            if not client.picture.head["task"]:
+                go_round(client, 1)
         status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
         head = client.picture.head
         mb = round(int(status["VmRSS"].split()[0]) / 1e3)
@@ -174,6 +190,37 @@ async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
         print(rows[-1], file=sys.stderr, flush=True)
     client.close()
     return rows
+
+
+def aces(log: Path) -> Row:
+    """A row of the frames that bring a log's map to a client as it grows, without a socket."""
+    recording = load_recording(log)
+    assert recording.T_odom_base is not None
+    with tempfile.TemporaryDirectory() as folder:
+        setup = StudioSetup("empty", ROBOT, 1)
+        with Session(setup, Path(folder), lambda line: None) as session:
+            view = session.view()
+    mapper, drawn_ns = Mapper(recording.lidar, recording.T_base_lidar), int(recording.stamps_ns[0])
+    frames, sizes, spent = Frames(lambda: 1e-9 * drawn_ns), [], []
+    for k, stamp_ns in enumerate(recording.stamps_ns.tolist()):
+        mapper.add(recording.scan(k), recording.T_odom_base[k])
+        if stamp_ns - drawn_ns < DRAWN_EVERY_NS:
+            continue
+        drawn_ns = stamp_ns
+        now = dataclasses.replace(view, map=MapLayer(mapper.map()))
+        start = time.process_time()
+        sizes.append(len(frames.frame(now, {})))
+        spent.append(time.process_time() - start)
+    every = 1e-9 * DRAWN_EVERY_NS
+    return {
+        "log": log.name,
+        "cells": "x".join(map(str, now.map.cells.shape)),
+        "log_s": round(recording.duration()),
+        "kB/s": round(sum(sizes) / recording.duration() / 1e3, 1),
+        "kB/s_most": round(max(sizes) / every / 1e3, 1),
+        "ms_median": round(1e3 * float(np.median(spent)), 1),
+        "ms_most": round(1e3 * max(spent), 1),
+    }
 
 
 def main() -> None:
@@ -194,6 +241,9 @@ def main() -> None:
         with studio("turtlebot3_house", None) as (url, _):
             rows.append(asyncio.run(exploring(url)))
         write(args.out, "studio", rows)
+        log = Path(os.environ.get("TURTLEBAG_DATA", "")) / "wild" / "aces.clf.bz2"
+        if log.exists():
+            write(args.out, "studio_aces", [aces(log)])
         write(args.out, "studio_viewer", [speeds])
         if args.minutes:
             with studio(WORLD, map_path) as (url, pid):

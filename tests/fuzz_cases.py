@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import get_args
 
 import yaml
 from fuzz_inputs import broken, tree_broken
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.ompl_planner import PlannerName
 
 SIM = Path(__file__).parents[1] / "sim"
@@ -34,6 +37,24 @@ SHORT = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[0.3, 0.05]]}\n  - 
 POINTS = "waypoints:\n  - {x: 0.3, y: 0.0, yaw: 0.0}\n  - {x: 0.3, y: 0.1, quaternion: [0, 0, 0, 1]}\n"
 TAKEN = "- {begin: 0.5, end: 1.0, v: 0.1, w: 0.0}\n- {begin: 1.2, end: 1.4, v: 0.0, w: 0.5}\n"
 KEPT = "keepout:\n  - [[1.0, 1.0], [1.2, 1.0], [1.2, 1.2]]\n  - [[-1.2, -1.0], [-1.0, -1.0], [-1.0, -1.2]]\n"
+SESSION = """\
+version: 1
+world: {chain}/room.yaml
+robot: {chain}/burger.yaml
+seed: 3
+map: {chain}/map/map.yaml
+sim: {{sensors: clean}}
+inputs:
+- {{at: 0.0, do: record, name: drive}}
+- {{at: 0.2, do: pose_estimate, pose: [0.0, 0.0, 0.1]}}
+- {{begin: 0.3, end: 0.6, v: 0.1, w: 0.2}}
+- {{at: 0.5, do: patrol, waypoints: [{{pose: [0.3, 0.1, 0.0], wait: 1.0}}], laps: 2}}
+- {{at: 0.7, do: keepout, outlines: [[[1.0, 1.0], [1.2, 1.0], [1.2, 1.2]]]}}
+- {{at: 0.8, do: box, xy: [0.8, -0.8], size: 0.2}}
+- {{at: 0.9, do: waypoints_save, name: one, waypoints: [{{pose: [0.3, 0.1, 0.0]}}]}}
+- {{at: 1.0, do: map_save, name: again}}
+- {{at: 1.2, do: end}}
+"""
 SDF = """\
 <sdf version='1.6'><world name='w'>
 <model name='a'><pose>1 0 0.25 0 0 0.2</pose><static>1</static><link name='l'><pose>0 0 0 0 0 0.1</pose>
@@ -317,6 +338,18 @@ def _world(rng, chain, scratch):
     return ["world", "show", world] if rng.random() < 0.25 else _record(chain, world=world)
 
 
+def _driven_again(rng, chain, scratch):
+    """A broken session; one that would go on for long stays as it is."""
+    text = SESSION.format(chain=chain)
+    path = scratch / "session.yaml"
+    path.write_text(text)
+    broken(rng, path)
+    with suppress(InputError):
+        if load_session(path).until_ns > 10e9:
+            path.write_text(text)
+    return ["studio", "-q", "--replay", path]
+
+
 CASES = {
     "record settings": lambda *a: [*_record(a[1]), *_config(*a, "record")],
     "map settings": lambda *a: ["map", "-q", a[1] / "record", *_config(*a, "map")],
@@ -342,5 +375,6 @@ CASES = {
     "blame": _blame,
     "takeover": lambda *a: _navigate(a[1], "avoid", f"--takeover={_file(*a, 'taken.yaml')}", "--duration=2"),
     "keepout": lambda *a: _navigate(a[1], "goal", "--goal=0.3,0.1,0", keepout=_file(*a, "kept.yaml")),
+    "session to drive again": _driven_again,
     "sweep": lambda *a: ["sweep", "-q", _file(*a, "sweep.yaml"), "--workers", "1"],
 }

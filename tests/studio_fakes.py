@@ -11,7 +11,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
-from turtlebag.pipeline.studio.inputs import Drive, End, SetGoal, Stop
+from turtlebag.pipeline.studio.inputs import Drive, End, MapSave, SetGoal, Stop
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.view import Event, MapLayer, Path, Scene, View
 
@@ -70,12 +70,14 @@ class FakeSession:
         self._tick_s, self._drive = tick_s, Drive()
         self._map = None if cells is None else MapLayer(OccupancyGrid(cells, 0.05))
         self._points, self._events = [(0.0, 0.0)], []
-        self.broken = None
+        self.broken, self.save_s = None, 0.0
 
     def apply(self, entry):
         self.threads.add(threading.get_ident())
         if isinstance(entry, SetGoal):
             raise InputError("goal: there is no map to plan on")
+        if isinstance(entry, MapSave):
+            time.sleep(self.save_s)
         self.applied.append((self.stamp_ns, entry))
         self._drive = (
             entry if isinstance(entry, Drive) else Drive() if isinstance(entry, Stop) else self._drive

@@ -19,6 +19,7 @@ from turtlebag.datasets.yaml_files import load_model
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.cli.main import VERBS, build_parser, joined, main
 from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.studio.journal import load_session
@@ -131,6 +132,7 @@ READERS = {
     "waypoints.yaml": load_waypoints,
     "takeover.yaml": load_script,
     "session.yaml": load_session,
+    "edits.yaml": load_edits,
     "intel.relations": load_relations,
     "robot.yaml": lambda path: load_robot(str(path)),
     "campaign.yaml": lambda path: load_model(Campaign, path),

@@ -41,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: /scan or the only LaserScan topic; if there is none, the point clouds)",
     )
     parser.add_argument("--name", metavar="NAME", help="also save the map as NAME.pgm and NAME.yaml")
+    parser.add_argument(
+        "--edits", type=Path, metavar="FILE", help="YAML file of loop closures to reject or to add"
+    )
     add_config(parser)
     parser.add_argument(
         "--explain", action="store_true", help="also write why each loop closure was accepted or rejected"
@@ -65,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
         continued=args.continued,
         topic=args.topic,
         named=args.name,
+        edits=args.edits,
         explain=args.explain,
         force=args.force,
         command=args.command_line,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
+from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD, NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
+from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
@@ -45,27 +47,52 @@ def close_graph(
     steps: list[Constraint],
     configs: tuple[LoopConfig, RecallConfig],
     progress: Progress,
+    edits: KeyEdits = NO_EDITS,
 ) -> Closed:
     """Close all loops of a track.
 
     Distance means something within unbroken parts of the log only. Places recognised beyond its reach
-    join parts and tell the drift; loops by distance are then looked for again, from there.
+    join parts and tell the drift; loops by distance are then looked for again, from there. What a person
+    added comes before all that; what was rejected is not tried.
     """
     by_distance, by_looks = configs
+    added, T_map_keys = _added(clouds, keys, T_map_keys, chain, steps, by_distance, edits)
+    known = [by_distance.constraint(loop) for loop in added if loop.accepted]
 
     def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
         batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
-        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known)
+        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known, edits)
 
-    finder = close(T_map_keys, chain.segments(), [])
+    finder = close(T_map_keys, chain.segments(), known)
     if not by_looks.enabled:
-        return Closed(SE2(finder.poses), steps, finder.loops, finder.record, [], chain.broken)
-    found = recall(clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
+        return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], chain.broken)
+    found = recall(clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance, edits)
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
-        finder = close(found.T_map_keys, found.part, found.loops)
-    unbridged = chain.broken & ~found.released & ~_spanned(finder.record, len(keys))
-    return Closed(SE2(finder.poses), steps, finder.loops, finder.record, found.record, unbridged)
+        finder = close(found.T_map_keys, found.part, [*known, *found.loops])
+    record = [*added, *finder.record]
+    unbridged = chain.broken & ~found.released & ~_spanned(record, len(keys))
+    return Closed(SE2(finder.poses), steps, finder.loops, record, found.record, unbridged)
+
+
+def _added(
+    clouds: Clouds,
+    keys: NDArray[np.int64],
+    T_map_keys: SE2,
+    chain: Chain,
+    steps: list[Constraint],
+    config: LoopConfig,
+    edits: KeyEdits,
+) -> tuple[list[Loop], SE2]:
+    """The loops that a person added, aligned and judged like all, and the poses that those believed give."""
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, chain.segments())
+    added = [finder.match_from(i, j, T_j_i, HAND_M, HAND_RAD) for i, j, T_j_i in edits.added]
+    loops = [config.constraint(loop) for loop in added if loop.accepted]
+    if not loops:
+        return added, T_map_keys
+    # first without kernels: from far away they would take every loop for an outlier
+    firm = [replace(loop, soft=0.0) for loop in loops]
+    return added, optimise(optimise(T_map_keys, [*steps, *firm]), [*steps, *loops])
 
 
 def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
+from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
@@ -86,6 +87,7 @@ def close_loops(
     batches: Iterable[int],
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
+    edits: KeyEdits = NO_EDITS,
 ) -> LoopFinder:
     """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
@@ -93,7 +95,7 @@ def close_loops(
     broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
     poses with loops closed, the loop constraints, and the record of all candidates.
     """
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known)
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits)
     for batch in batches:
         finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
     return finder
@@ -121,8 +123,9 @@ class LoopSearch(ABC):
         config: LoopConfig,
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
+        edits: KeyEdits = NO_EDITS,
     ) -> None:
-        self.config, self.part = config, part
+        self.config, self.part, self.edits = config, part, edits
         self.poses = T_map_keys.xyt.copy()
         self.steps = list(steps)
         self.loops = list(known)
@@ -169,6 +172,7 @@ class LoopSearch(ABC):
         config = self.config
         returned = self.path[i] - self.path[:i] > config.min_path_m
         old = np.flatnonzero(returned & (self.part[:i] == self.part[i]))
+        old = old[~self.edits.rejects(i, old)]
         if len(old) == 0:
             return []
         covariance = read_at(self.drift.from_key(i, self.loops)[old], self.poses[i])
@@ -200,29 +204,11 @@ class LoopFinder(LoopSearch):
         config: LoopConfig,
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
+        edits: KeyEdits = NO_EDITS,
     ) -> None:
-        super().__init__(T_map_keys, steps, config, part, known)
+        super().__init__(T_map_keys, steps, config, part, known, edits)
         self.clouds, self.keys = clouds, keys
         self.matcher = MATCHERS[config.match]()
-
-    def extend(
-        self,
-        clouds: Clouds,
-        keys: NDArray[np.int64],
-        T_track_keys: SE2,
-        steps: Sequence[Constraint],
-        part: NDArray[np.int64],
-    ) -> None:
-        """The log has gone on: all its key scans, where the front end has them, and all steps between.
-
-        The poses of key scans known before stay; the new ones follow the last of them.
-        """
-        known = len(self.poses)
-        self.clouds, self.keys, self.part, self.steps = clouds, keys, part, list(steps)
-        move = SE2(self.poses[-1]) @ T_track_keys[known - 1].inverse()
-        self.poses = np.vstack([self.poses, (move @ T_track_keys[np.arange(known, len(keys))]).xyt])
-        length = np.linalg.norm(np.diff(self.poses[known - 1 :, :2], axis=0), axis=1) + 0.05
-        self.path = np.concatenate([self.path, self.path[-1] + np.cumsum(length)])
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
@@ -232,14 +218,17 @@ class LoopFinder(LoopSearch):
             self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
 
     def _match(self, i: int, j: int, gate: float, turn_gate: float) -> Loop:
-        """Search, align and judge key i (with its predecessors) against the place around key j."""
-        config, poses = self.config, self.poses
+        return self.match_from(i, j, between(self.poses[j], self.poses[i]), gate, turn_gate)
+
+    def match_from(self, i: int, j: int, guess: Array, gate: float, turn_gate: float) -> Loop:
+        """Search, align and judge key i (with its predecessors) against the place around key j, within [m]
+        and [rad] of a pose (3,) seen from there."""
+        config = self.config
         lo, hi = max(0, j - config.group), min(j + config.group + 1, i - 1)
         place = self._stretch(j, np.arange(lo, hi))
         query = self._stretch(i, np.arange(max(0, i - config.group), i + 1))
         points = query.points(self.clouds)
         points = points[:: max(1, len(points) // 300)]
-        guess = between(poses[j], poses[i])
         coarse_field = make_field(self.clouds, place.scans, place.T_about_scans, CELL_M, 0.15)
         coarse, _ = best_pose(coarse_field, points, guess, gate, turn_gate, TURN_RAD)
         fine_field = make_field(self.clouds, place.scans, place.T_about_scans, 0.05, 0.07)

@@ -22,6 +22,7 @@ from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
+from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops import MATCHERS, LoopConfig
@@ -83,6 +84,7 @@ def recall(
     known: Sequence[Constraint],
     config: RecallConfig,
     by_distance: LoopConfig,
+    edits: KeyEdits = NO_EDITS,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
@@ -91,6 +93,7 @@ def recall(
     poses = T_map_keys.xyt.copy()
     drift = drift_of(poses, steps, chain.broken)
     found = _candidates(clouds, keys, drift, known, config, by_distance)
+    found = [place for place in found if not edits.rejects(place.i, np.array([place.j])).any()]
     believed, record = _believed(clouds, keys, found, drift, config, by_distance)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:

@@ -35,6 +35,7 @@ from turtlebag.pipeline.slam.align import (
     observable,
 )
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_icp import match_points
 from turtlebag.pipeline.slam.pose_graph import Poses, optimise, relative, vectors
@@ -57,16 +58,19 @@ def refine(
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     config: RefineConfig,
+    edits: KeyEdits = NO_EDITS,
 ) -> tuple[SE2, list[Constraint]]:
     """Refined poses of the key scans and the pair constraints of the last round.
 
-    `steps` are the odometry constraints between successive keys, kept in the graph throughout.
+    `steps` are the odometry constraints between successive keys, kept in the graph throughout. Pairs that a
+    person rejected are left out.
     """
 
     def matched(poses: SE2, f: float) -> list[Constraint]:
         gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
         sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
         pairs = overlapping_pairs(poses, RADIUS_M, NEIGHBOURS)
+        pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
         return pair_constraints(clouds, keys, poses, pairs, gate, sigma)
 
     return in_rounds(T_map_keys, steps, config.rounds, matched)

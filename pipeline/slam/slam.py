@@ -20,6 +20,7 @@ from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clou
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.course import Maker, track_log
+from turtlebag.pipeline.slam.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.kiss import KissIcp
@@ -149,6 +150,7 @@ class _Run:
     config: SlamConfig
     progress: Progress
     steps: Steps
+    edits: Edits
 
 
 def run_slam(
@@ -158,13 +160,16 @@ def run_slam(
     *,
     more: Sequence[Recording] = (),
     steps: Steps = USUAL,
+    edits: Edits = Edits(),  # noqa: B008 (frozen)
 ) -> SlamResult:
     """Map a recording offline. The map frame starts at its first odometry pose (identity without one).
 
     `more` are later recordings of the same place: each is found in the map so far and joins the graph;
-    the trajectory holds the scans of all, in that order. InputError when one cannot be placed.
+    the trajectory holds the scans of all, in that order. InputError when one cannot be placed. `edits` are
+    loops that a person rejected or added in `recording`.
     """
-    run = _Run(config, progress, steps)
+    edits.require_scans(len(recording), recording.source)
+    run = _Run(config, progress, steps, edits)
     return _mapped(_session(recording, run), more, run)
 
 
@@ -175,7 +180,7 @@ def continue_slam(
     progress: Progress = no_progress,
 ) -> SlamResult:
     """As `run_slam`, from the finished session of an earlier map in place of its recording."""
-    return _mapped(session, more, _Run(config, progress, USUAL))
+    return _mapped(session, more, _Run(config, progress, USUAL, Edits()))
 
 
 def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResult:
@@ -308,11 +313,14 @@ def _optimised(
 ) -> Graph:
     """The graph after loop closure and joint refinement of all key poses."""
     config, keys = run.config, track.keys
+    edits = KeyEdits.of(run.edits, keys)
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
         start, configs = closed.T_map_keys, (config.loops, config.recall)
-        closed = run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress)
+        closed = run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress, edits)
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
-        T_map_keys, constraints = refine(clouds(), keys, closed.T_map_keys, closed.steps, config.refine)
+        T_map_keys, constraints = refine(
+            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits
+        )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)

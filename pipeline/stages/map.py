@@ -18,6 +18,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.slam.edits import Edits, load_edits
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.sessions import Session
@@ -28,7 +29,7 @@ from turtlebag.pipeline.stages.map3d import map_clouds
 from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.map_summary import Mapped, summary, tell_map
 from turtlebag.pipeline.stages.settings import load_config
-from turtlebag.pipeline.terminal.messages import log_notes, track
+from turtlebag.pipeline.terminal.messages import log, log_notes, track
 
 TAKEN = ("map", "before", "config", "explain", "graph", "manifest", "metrics", "trajectory")
 """Names of our own files in the folder of a map."""
@@ -48,6 +49,7 @@ def build_map(
     continued: Path | None = None,
     topic: str | None = None,
     named: str | None = None,
+    edits: Path | None = None,
     explain: bool = False,
     force: bool = False,
     command: Sequence[str] = (),
@@ -60,7 +62,8 @@ def build_map(
     `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
     of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
-    which the map is saved too, as `map_saver -f` would. `laser` and
+    which the map is saved too, as `map_saver -f` would. `edits` is a file of loops that a person rejected or
+    added. `laser` and
     `upside_down` override how the input says the laser sits on the robot. InputError when anything given
     cannot be used, before anything is written.
     """
@@ -68,6 +71,9 @@ def build_map(
     _require_name(named)
     settled = _settled(config, settings)
     references = References.load(truth, relations)
+    if edits is not None and (also or continued is not None):
+        raise InputError("--edits: its scans are those of one log; leave out --also and --continue")
+    edited = Edits() if edits is None else load_edits(edits)
     watch = Stopwatch()
     earlier = None if continued is None else load_session(continued)
     try:
@@ -75,7 +81,12 @@ def build_map(
     except NoScans as error:
         if not error.clouds:
             raise
-        planar = {"--also": bool(also), "--laser": laser is not None, "--continue": continued is not None}
+        planar = {
+            "--also": bool(also),
+            "--laser": laser is not None,
+            "--continue": continued is not None,
+            "--edits": edits is not None,
+        }
         for option in (option for option, given in planar.items() if given):
             raise InputError(f"{option}: only for 2D scans, and {source} is mapped in 3D") from None
         made = map_clouds(source, topic, config, settings, explain=explain)
@@ -87,7 +98,7 @@ def build_map(
         if continued is not None and earlier is not None:
             notes += require_same_front_end(continued, earlier[1], settled)
         log_notes(notes)
-        made = _map_scans(recordings, settled, earlier and earlier[0], explain=explain)
+        made = _map_scans(recordings, settled, earlier and earlier[0], edited, explain=explain)
     slam_s, result = watch.seconds(), made.result
     errors: dict[str, Any] = dict(references.errors(result.trajectory, result.grid))
     if "ate_m" in errors:
@@ -109,6 +120,7 @@ def build_map(
                 "source": source,
                 **{f"also_{k}": path for k, path in enumerate(also, start=1)},
                 **({} if continued is None else {"continued": continued / GRAPH}),
+                **({} if edits is None else {"edits": edits}),
                 **references.inputs,
             },
             wall_s=watch.seconds(),
@@ -120,13 +132,21 @@ def build_map(
 
 
 def _map_scans(
-    recordings: list[Recording], config: SlamConfig, earlier: Session | None, *, explain: bool
+    recordings: list[Recording],
+    config: SlamConfig,
+    earlier: Session | None,
+    edits: Edits,
+    *,
+    explain: bool,
 ) -> Mapped:
     """Map planar scans, all of them or joined to an earlier map."""
     if earlier is not None:
         result = continue_slam(earlier, recordings, config, track)
     else:
-        result = run_slam(recordings[0], config, track, more=recordings[1:])
+        result = run_slam(recordings[0], config, track, more=recordings[1:], edits=edits)
+        for asked, loop in zip(edits.add, result.loops, strict=False):
+            if not loop.accepted:
+                log.warning(f"--edits: scan {asked.scan} at scan {asked.place}: not joined: {loop.verdict}")
     recording = result.session.recording
     read = {note for one in recordings for note in one.notes}
     log_notes(note for note in recording.notes if note not in read)

@@ -105,7 +105,7 @@ class Journal:
     def __init__(self, path: Path, header: Header) -> None:
         self._file = path.open("x")
         told = header.model_dump(mode="json", exclude={"sim"})
-        sim = header.sim.model_dump(mode="json", exclude_defaults=True)
+        sim = header.sim.model_dump(mode="json", exclude_unset=True)
         self._file.write(yaml.safe_dump({**told, **({"sim": sim} if sim else {})}, sort_keys=False))
         self._write("inputs:\n")
         self._asked: Twist | None = None

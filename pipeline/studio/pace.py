@@ -24,6 +24,7 @@ HEARTBEAT_S = 0.5
 FRAME_S = 0.1
 IDLE_S = 0.05
 """How long the thread waits at most before it looks at the clock again."""
+BUSY_S = 1.0
 LATE_S = 0.25
 """So far behind its pace a session gives up catching up."""
 log = logging.getLogger("turtlebag")
@@ -55,6 +56,7 @@ class Pace:
         self._ticks: deque[tuple[float, int]] = deque()
         self._drive: Drive | None = None
         self._driven = 0.0
+        self._doing, self._since = "", time.monotonic()
         self.failure: BaseException | None = None
         """What ended the thread, if not its `end`."""
 
@@ -66,6 +68,11 @@ class Pace:
     def running(self) -> bool:
         """Whether it does; not, once the session has ended or failed."""
         return self._thread.is_alive()
+
+    @property
+    def busy(self) -> str | None:
+        """What has kept the session for a second, `tick` or the `do` of an input; None for nothing."""
+        return (self._doing or None) if time.monotonic() - self._since > BUSY_S else None
 
     def end(self) -> None:
         """Stop after the tick that is being computed; returns when the session is the caller's again."""
@@ -104,12 +111,17 @@ class Pace:
                 self._do_what_is_asked()
                 self._stop_unless_driven()
                 if not self._over and self._may_tick():
+                    self._begin("tick")
                     self._session.tick()
                     self._count()
+                self._begin("")
                 self._show_if_wanted()
             self._show(self._session.view(), self._gait())
         except BaseException as error:
             self.failure = error
+
+    def _begin(self, doing: str) -> None:
+        self._doing, self._since = doing, time.monotonic()
 
     def _do_what_is_asked(self) -> None:
         """All that is in the queue; when the next tick is not due, wait for it there."""
@@ -154,6 +166,7 @@ class Pace:
 
     def _apply(self, entry: Input, refused: Refused) -> None:
         """The one way by which anything reaches the session; what it refuses, it does not record."""
+        self._begin(entry.do)
         try:
             done = self._session.apply(entry)
         except InputError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import socket
 from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 
 from tornado.httpserver import HTTPServer
@@ -41,6 +43,8 @@ GIANT_BYTES = 1024 * 1024
 PING_S = 20.0
 """A client that does not answer for so long is gone."""
 IDLE_S = 30.0
+LOOK_S, EXCUSE_EVERY = 0.05, 10
+"""How often to look whether the session is over, and after how many looks to tell what keeps it."""
 REFUSED, TRY_LATER = 1008, 1013
 WATCHING = "You are watching. Take control to do that."
 
@@ -54,7 +58,7 @@ class Studio:
         self._pace = Pace(session, self._show)
         self._viewers: list[Viewer] = []
         self._driver: Viewer | None = None
-        self._maps: tuple[str, ...] = ()
+        self._last: tuple[View, Gait] | None = None
 
     def start(self) -> None:
         """Let the simulated time pass."""
@@ -85,7 +89,8 @@ class Studio:
             return
         self._viewers.append(viewer)
         self._driver = self._driver or viewer
-        viewer.send(hello(self._scene, maps=self._maps, driver=self._driver is viewer))
+        maps = () if self._last is None else self._last[0].maps
+        viewer.send(hello(self._scene, maps=maps, driver=self._driver is viewer))
         self._pace.want_view()
 
     def leave(self, viewer: Viewer) -> None:
@@ -117,11 +122,21 @@ class Studio:
         self._loop.add_callback(self._send, view, gait)
 
     def _send(self, view: View, gait: Gait) -> None:
-        self._maps = view.maps
-        for viewer in list(self._viewers):
-            viewer.show(view, gait, driver=viewer is self._driver)
+        self._last = view, gait
+        self._tell(None)
         if self._viewers:
             self._pace.want_view()
+
+    def excuse(self) -> None:
+        """Tell the viewers what the session is busy with, if it has not given a new view for a while."""
+        if (busy := self._pace.busy) is not None:
+            self._tell(busy)
+
+    def _tell(self, busy: str | None) -> None:
+        if self._last is not None:
+            view, gait = self._last
+            for viewer in list(self._viewers):
+                viewer.show(view, gait, driver=viewer is self._driver, busy=busy)
 
 
 class Viewer(Guarded, WebSocketHandler):
@@ -167,12 +182,12 @@ class Viewer(Guarded, WebSocketHandler):
         """The page is gone."""
         self.studio.leave(self)
 
-    def show(self, view: View, gait: Gait, *, driver: bool) -> None:
+    def show(self, view: View, gait: Gait, *, driver: bool, busy: str | None) -> None:
         """Send what is new in a view; dropped while the frame before is still under way."""
         if self._parted or (self._written is not None and not self._written.done()):
             return
-        told = {"factor": gait.factor, "asked": gait.asked, "paused": gait.paused, "driver": driver}
-        self.send(self.frames.frame(view, {**told, "error": self.error}))
+        told = {**dataclasses.asdict(gait), "driver": driver, "busy": busy, "error": self.error}
+        self.send(self.frames.frame(view, told))
         self.error = None
 
     def refuse(self, said: str) -> None:
@@ -245,8 +260,12 @@ async def _serve(
     server.add_sockets(sockets)
     studio.start()
     ready()
-    while studio.running and not interrupted:
-        await asyncio.sleep(0.05)
+    for turn in count():
+        if interrupted or not studio.running:
+            break
+        if turn % EXCUSE_EVERY == 0:
+            studio.excuse()
+        await asyncio.sleep(LOOK_S)
     server.stop()
     try:
         await studio.end("the studio was stopped" if interrupted else "the session has ended")

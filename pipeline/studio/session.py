@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.deeds import DEEDS, map_load
 from turtlebag.pipeline.studio.diary import Diary
-from turtlebag.pipeline.studio.journal import FILE, Journal
+from turtlebag.pipeline.studio.journal import FILE, LONGEST_S, Journal
 from turtlebag.pipeline.studio.onlooker import EventLog, Trail
 from turtlebag.pipeline.studio.run import Room, Run
 from turtlebag.pipeline.studio.setup import StudioSetup
@@ -106,6 +106,8 @@ class Session:
         self._journal.tick(self.stamp_ns, self._run.hands.command)
         self._run.tick()
         self._step += 1
+        if self.stamp_ns >= LONGEST_S * 1e9:
+            self.apply(inputs.End())
 
     def metrics(self) -> dict[str, Any]:
         """How long it lasted [s], and the metrics of each task."""

@@ -79,8 +79,8 @@ def setup_of(header: Header, where: Path) -> StudioSetup:
     path = None if header.map is None else Path(header.map)
     setup = StudioSetup(header.world, header.robot, header.seed, path, header.sim)
     now = setup.header().sha256
-    for kind in sorted({*header.sha256, *now}):
-        if header.sha256.get(kind) != now.get(kind):
+    for kind, sha256 in header.sha256.items():
+        if sha256 != now.get(kind):
             name = setup.files.get(kind, kind)
             raise InputError(f"{where}: {kind} {name}: is not the file that the session was driven with")
     return setup

@@ -48,6 +48,7 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
         "sweep",
         "takeover",
         "keepout",
+        "session to drive again",
     ],
 )
 def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path, case):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.runlog import RunLog, RunLogBuilder
+from turtlebag.datasets.runlog import RunLog, RunLogBuilder, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 
@@ -23,6 +23,17 @@ def sample_log() -> RunLog:
             state="follow" if k else "wait",
         )
     return builder.build()
+
+
+def test_parts_of_a_run_log_are_one_log_again(tmp_path):
+    log = sample_log()
+    RunLog.joined([log, log]).save(tmp_path / "joined.csv")
+    with (tmp_path / "parts.csv").open("w", newline="") as file:
+        write_header(file)
+        log.write_rows(file)
+        log.write_rows(file)
+    assert (tmp_path / "joined.csv").read_bytes() == (tmp_path / "parts.csv").read_bytes()
+    assert len(RunLog.load(tmp_path / "parts.csv")) == 10
 
 
 def test_a_run_log_comes_back_from_its_file(tmp_path):

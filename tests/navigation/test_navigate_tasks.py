@@ -174,6 +174,8 @@ def test_good_entries(entry, yaw):
         ({"x": 1, "y": 2, "quaternion": [0, 0, 0, 0]}, "norm is zero"),
         ({"x": 1, "y": 2, "quaternion": [0, 0, float("inf"), 1]}, "not finite"),
         ({"x": 1, "y": 2, "quaternion": [0, 1]}, "expected"),
+        ({"x": 1, "y": 2, "wait": -1}, "wait must be 0 to 3600 s"),
+        ({"x": 1, "y": 2, "wait": "long"}, "wait must be 0 to 3600 s"),
         ({"x": 1, "y": 2, "z": 2}, "unknown key z"),
         (7, "not an entry"),
     ],

@@ -161,6 +161,21 @@ def test_laps_close_only_where_there_is_more_than_one_goal_and_misses_come_once_
     assert order.finished
 
 
+def test_a_goal_that_was_reached_is_stayed_at_as_long_as_it_says():
+    goals = [Waypoint(GOALS[0].T_map_goal, wait=4.0), Waypoint(GOALS[1].T_map_goal, wait=0.0), GOALS[2]]
+    order = GoalSequence([*goals, goals[0]], SequenceConfig(initial_wait=0.0, pause=1.0))
+    order.update(0)
+    order.close("reached", "", 10 * S)
+    assert [order.update(t) is not None for t in (14 * S - 1, 14 * S)] == [False, True]
+    order.close("reached", "", 20 * S)
+    assert order.update(20 * S) is goals[2].T_map_goal
+    order.close("reached", "", 30 * S)
+    assert [order.update(t) is not None for t in (31 * S - 1, 31 * S)] == [False, True]
+    order.close("unreachable", "no way", 40 * S)
+    assert order.finished
+    assert order.lap == (*goals, goals[0])
+
+
 def test_a_wiggle_is_a_triangle_wave_between_its_angles():
     config = WiggleConfig(angle=1.2, w=0.7, least=3.0, most=25.0)
     wiggle, heading, seen, dt = Wiggle(config), 0.0, [], 0.01

@@ -15,6 +15,7 @@ from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.stages.studio import replay
 from turtlebag.pipeline.studio.inputs import MapStart, SetGoal
 from turtlebag.pipeline.studio.journal import Header, Journal, load_session
+from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, stamp_of
 
 HEAD = "version: 1\nworld: empty\nrobot: burger\nseed: 1\n"
@@ -114,6 +115,21 @@ def test_a_session_that_cannot_be_driven_is_refused_in_a_line_with_nothing_writt
     assert said in str(error.value)
     assert "\n" not in str(error.value)
     assert [path.name for path in tmp_path.iterdir()] == ["session.yaml"]
+
+
+def test_settings_come_back_as_they_were_given(tmp_path):
+    """Also those that were set to what they are anyway: some count as given only then."""
+    given = {
+        "sensors": "realistic",
+        "lidar": {"errors": {"sigma": 0.02}},
+        "faults": {"kidnap": [[3, 0, 0, 1]]},
+    }
+    sim = SimConfig.model_validate(given)
+    Journal(tmp_path / "session.yaml", Header(world="empty", robot="burger", seed=1, sim=sim)).close()
+    back = load_session(tmp_path / "session.yaml").header.sim
+    assert back == sim
+    assert back.model_dump(exclude_unset=True) == sim.model_dump(exclude_unset=True)
+    assert back.resolved(load_robot("waffle_pi")) == sim.resolved(load_robot("waffle_pi"))
 
 
 @pytest.mark.slow

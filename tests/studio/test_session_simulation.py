@@ -108,6 +108,19 @@ def test_the_plan_keeps_out_of_what_was_drawn_which_is_saved_with_the_map(tmp_pa
     assert np.array_equal(load_map(tmp_path / "live/maps/kept.yaml").cells, load_map(arena_map).cells)
 
 
+def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(tmp_path, arena_map):
+    """It turns to and fro first, as it was told no pose."""
+    with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
+        person.do("localise_global")
+        assert not person.view.localised
+        assert person.view.particles[:, :2].std(axis=0).min() > 0.5
+        person.do("goal", pose=[-1.5, -0.5, 0.0])
+        person.wait(1.0)
+        assert "wiggle" in person.view.state
+        assert person.until_done(180.0) is not None
+        assert np.linalg.norm(person.view.T_world_base.xy - [-1.5, -0.5]) < 0.25
+
+
 def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, arena_map):
     with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
         start = person.view

@@ -119,6 +119,7 @@ def test_what_it_leaves_is_read_by_what_reads_such_files(walked):
     out, _ = walked
     names = {str(path) for path in files(out)}
     assert {"session.yaml", "metrics.json", "config.yaml", "truth/map.yaml"} <= names
+    assert not {"look", "roam"} & set(RunLog.load(out / "runlog.csv").state)
     stamps, v, _ = read_commands(out / "bags/drive")
     assert v.max() == pytest.approx(0.22, abs=0.05)
     log = RunLog.load(out / "runlog.csv")

@@ -92,7 +92,8 @@ def journeys(draw):
 
 
 @given(journeys())
-@settings(max_examples=150)
+@settings(max_examples=80)
+@pytest.mark.slow
 def test_frames_bring_a_client_to_the_view_even_if_some_are_dropped(views):
     frames, picture = Frames(itertools.count(0, 1000).__next__), Picture()
     for now, dropped in views:
@@ -186,6 +187,23 @@ def test_a_map_that_grows_starts_anew_once_in_a_while_and_sends_only_what_it_mus
         assert np.array_equal(seen(picture, now), now.cells)
     assert len(versions) <= 2 + 700 // MARGIN
     assert changed_tiles(np.zeros((70, 65)), np.eye(70, 65, k=-69)) == [[0, TILE, 64, 6]]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        layer(np.ones((100, 100)), 10, 10),
+        layer(np.ones((200, 150))),
+        layer(np.ones((200, 200)), 1, 0),
+        layer(np.ones((200, 200)), 0, 0, yaw=np.pi / 2),
+    ],
+)
+def test_another_map_has_its_own_size(other):
+    frames, picture = Frames(itertools.count(0, 1000).__next__), Picture()
+    for known in (layer(np.zeros((200, 200))), other):
+        picture.take(frames.frame(view(map=known), {}))
+        assert picture.grids["map"].shape == known.cells.shape
+        assert np.allclose(picture.places["map"]["origin"], known.origin.xyt)
 
 
 def corridors(rng, cells):

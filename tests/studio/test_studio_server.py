@@ -9,6 +9,8 @@ from studio_fakes import FakeSession, Served, connect, run
 
 from turtlebag.pipeline.studio.inputs import Drive, Stop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def session():
@@ -185,6 +187,25 @@ def test_the_socket_answers_while_the_session_computes_as_fast_as_it_can():
 
     with Served(FakeSession(tick_s=0.02)) as served:
         assert np.median(run(ask())) < 0.25
+
+
+def test_what_keeps_the_session_is_named_while_it_does(served):
+    served.session.save_s = 2.5
+
+    async def save():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        assert client.picture.head["busy"] is None
+        client.ask("map_save", name="m")
+        asked = time.monotonic()
+        await client.until(lambda p: p.head["busy"] == "map_save")
+        assert 1.0 < time.monotonic() - asked < 2.0
+        late = await connect(served.url)
+        await late.until(lambda p: p.head.get("busy") == "map_save")
+        await client.until(lambda p: p.head["busy"] is None)
+        assert 2.4 < time.monotonic() - asked < 3.2
+
+    run(save())
 
 
 def test_end_ends_for_everybody_with_a_reason(session):

@@ -1,0 +1,101 @@
+"""What a person says of loops: that two scans did not see the same place, or that they did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import load_model
+
+ScanNumber = Annotated[int, Field(ge=0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+# The scan that a person laid on a place is looked for so far about there [m], [rad].
+HAND_M, HAND_RAD = 0.5, 0.35
+# What is said of a pair of key scans holds of so many keys before and after each, too.
+BESIDE = 6
+
+
+class RejectedLoop(BaseModel):
+    """Scans, numbered from 0 in file order, that did not see the same place."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    scan: ScanNumber
+    place: ScanNumber
+
+
+class AddedLoop(RejectedLoop):
+    """Scans that did; `pose` is roughly where `scan` was taken, seen from `place` [m, rad]."""
+
+    pose: tuple[Finite, Finite, Finite]
+
+
+class Edits(BaseModel):
+    """The content of an edits file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    version: Literal[1] = 1
+    reject: tuple[RejectedLoop, ...] = ()
+    add: tuple[AddedLoop, ...] = ()
+
+    def require_scans(self, n_scans: int, source: str) -> None:
+        """InputError when a scan is named that the log does not have."""
+        for kind in ("reject", "add"):
+            for number, loop in enumerate(getattr(self, kind), start=1):
+                if max(loop.scan, loop.place) >= n_scans:
+                    raise InputError(
+                        f"--edits: {kind} {number}: {source} has no scan {max(loop.scan, loop.place)}; "
+                        f"its scans are numbered 0 to {n_scans - 1}"
+                    )
+
+
+@dataclass(frozen=True, eq=False)
+class KeyEdits:
+    """The same of key scans by their numbers: pairs (n, 2) that are no loops, the newer one first, and loops
+    (i, j, T_j_i) to be tried."""
+
+    rejected: NDArray[np.int64]
+    added: tuple[tuple[int, int, Array], ...]
+
+    @staticmethod
+    def of(edits: Edits, keys: NDArray[np.int64]) -> KeyEdits:
+        """What is said of scans, of the last key scan up to each; `keys` (k,) are the scans of the key scans.
+
+        InputError for scans so near each other in the log that there is nothing to join or to part.
+        """
+        pairs, added = [], []
+        for loop in (*edits.reject, *edits.add):
+            i, j = (max(int(np.searchsorted(keys, k, side="right")) - 1, 0) for k in (loop.scan, loop.place))
+            if abs(i - j) <= 2 * BESIDE:
+                raise InputError(
+                    f"--edits: scans {loop.scan} and {loop.place} were taken one soon after the other; name "
+                    "scans of different visits"
+                )
+            if not isinstance(loop, AddedLoop):
+                pairs.append((max(i, j), min(i, j)))
+            elif i > j:
+                added.append((i, j, np.array(loop.pose)))
+            else:
+                added.append((j, i, SE2(np.array(loop.pose)).inverse().xyt))
+        return KeyEdits(np.array(pairs, dtype=np.int64).reshape(-1, 2), tuple(added))
+
+    def rejects(self, i: int | NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether key(s) i are not to be joined with keys j (n,)."""
+        newer, older = np.maximum(i, j)[:, None], np.minimum(i, j)[:, None]
+        near = np.maximum(np.abs(newer - self.rejected[:, 0]), np.abs(older - self.rejected[:, 1]))
+        return np.asarray((near <= BESIDE).any(axis=1))
+
+
+NO_EDITS = KeyEdits(np.zeros((0, 2), dtype=np.int64), ())
+
+
+def load_edits(path: Path) -> Edits:
+    """An edits file; InputError names what is wrong."""
+    return load_model(Edits, path)
