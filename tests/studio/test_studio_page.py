@@ -139,6 +139,8 @@ def test_a_second_page_watches_until_it_takes_control(browser, session, served):
         first = await websocket_connect(address)
         await first.read_message()
         await asyncio.to_thread(look)
+        await first.write_message('{"do": "take_control"}')
+        await asyncio.to_thread(look_on)
         first.close()
 
     def look():
@@ -153,6 +155,12 @@ def test_a_second_page_watches_until_it_takes_control(browser, session, served):
         until(lambda: browser.evaluate(ENABLED))
         browser.key("w")
         until(lambda: session.asked("drive") == [{"v": 0.01, "w": 0.0}])
+
+    def look_on():
+        until(lambda: not browser.evaluate(ENABLED))
+        time.sleep(0.5)
+        assert browser.evaluate("document.getElementById('error').hidden")
+        until(lambda: session.asked("stop"))
 
     asyncio.run(watch())
 

@@ -193,6 +193,9 @@ def test_buttons_ask_for_what_they_say(page, session):
     assert session.asked("reset") == []
     click(page, "[data-do=reset]")
     until(lambda: session.asked("reset") == [{}])
+    click(page, "[data-do=reset]")
+    time.sleep(0.2)
+    assert session.asked("reset") == [{}]
 
 
 def test_time_can_stand_still_step_and_run(page, session):
@@ -228,3 +231,30 @@ def test_fingers_drive_with_the_pad_and_pinch_the_map(browser, session, served):
     browser.touch("touchEnd")
     until(lambda: browser.evaluate(FITTING)[2] > 2.0 * before)
     assert session.asked("pose_estimate") == []
+
+
+def test_the_list_of_waypoints_is_worked_by_keyboard_alone(page, session):
+    focus = "document.activeElement.ariaLabel"
+    page.key("n")
+    for text in ("1, 0, 0", "2, 0, 0"):
+        page.evaluate("document.getElementById('typed').focus()")
+        page.call("Input.insertText", text=text)
+        page.key("Enter")
+    page.evaluate("document.querySelector('#waypoints input').select()")
+    page.call("Input.insertText", text="1.5, 0.5, 1")
+    page.key("Tab")
+    assert page.evaluate(focus) == "Waypoint 1: wait in seconds"
+    page.call("Input.insertText", text="four")
+    page.key("Tab", 2)
+    until(lambda: shown_text(page, "error") == 'waypoint 1: a wait is a number of seconds, not "four"')
+    assert page.evaluate(focus) == "Delete waypoint 1"
+    page.evaluate("document.querySelector('[aria-label=\"Move waypoint 1 down\"]').focus()")
+    page.key("Enter")
+    assert page.evaluate(focus) == "Delete waypoint 2"
+    page.evaluate("document.querySelector('[aria-label=\"Delete waypoint 1\"]').focus()")
+    page.key("Enter")
+    assert page.evaluate(focus) == "Delete waypoint 1"
+    page.evaluate("document.getElementById('patrol').focus()")
+    page.key("Enter")
+    (asked,) = until(lambda: session.asked("patrol"))
+    assert asked["waypoints"] == [{"pose": [1.5, 0.5, 1.0], "wait": None}]

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -55,9 +56,10 @@ class Person:
 
     def drive(self, places, v=18):
         """Along these places by W, A, S, D: `v` steps ahead, or turning when they lie aside."""
-        steps, turns = 0, 0
+        steps, turns, end = 0, 0, time.monotonic() + 180.0
         for x, y in places:
             while True:
+                assert time.monotonic() < end, f"never came to {x}, {y}"
                 px, py, yaw = self.head["pose"]
                 if math.hypot(x - px, y - py) < 0.25:
                     break

@@ -260,7 +260,7 @@ export const LAYERS = [
   ["boxes", "Boxes", boxes, true],
   ["odom_path", "Path by odometry", () => path("odom_path", colour.odometry, 1.5), true],
   ["slam_path", "Path by SLAM", () => path("slam_path", colour.slam, 2), true],
-  ["graph", "Pose graph, loops", graph, false],
+  ["graph", "Pose graph, loops", graph, true],
   ["sectors", "Avoidance sectors", sectors, true],
   ["particles", "Particles", particles, true],
   ["scan", "Scan", () => dots("scan", 2, 3, colour.scan), true],

@@ -33,7 +33,9 @@ export class Drive {
   ask(v, w) {
     this.v = Number(v.toFixed(4)) || 0;
     this.w = Number(w.toFixed(4)) || 0;
-    this.beat();
+    // A finger asks more often than anybody needs to know: what is left out, the heartbeat sends.
+    if ((this.v || this.w) && performance.now() - this.last < SOONEST_MS) this.show(this.v, this.w);
+    else this.beat();
   }
 
   beat() {
@@ -67,12 +69,12 @@ export class Drive {
   /** A joystick: up is ahead, the middle is fine, letting go stops. */
   attach(pad, knob) {
     const move = (event) => {
+      if (pad.matches(":disabled *")) return;
       const box = pad.getBoundingClientRect(), reach = box.width / 2;
       let x = (event.clientX - box.left) / reach - 1, y = 1 - (event.clientY - box.top) / reach;
       const far = Math.hypot(x, y);
       if (far > 1) [x, y] = [x / far, y / far];
       knob.style.transform = `translate(${x * reach * 0.6}px, ${-y * reach * 0.6}px)`;
-      if (performance.now() - this.last < SOONEST_MS) return;
       const fine = (share) => Math.abs(share) < 0.12 ? 0 : share * Math.abs(share);
       this.ask(fine(y) * this.steps.max_v, -fine(x) * this.steps.max_w / 2);
     };
@@ -83,7 +85,6 @@ export class Drive {
       this.stop();
     };
     pad.addEventListener("pointerdown", (event) => {
-      if (pad.matches(":disabled *")) return;
       pad.setPointerCapture(event.pointerId);
       pad.classList.add("held");
       move(event);

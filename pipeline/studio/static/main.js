@@ -86,7 +86,6 @@ function arrived(header, blobs) {
     drive.learn(header);
     byId("where").textContent = bagged() ? header.world : `${header.world} · ${header.robot} · seed ${header.seed}`;
     document.body.classList.toggle("bagged", bagged());
-    if (bagged()) shown.add("graph");
     byId("lines").replaceChildren();
     const { world } = header, name = document.querySelector("[data-do=map_save]").elements.name;
     name.value ||= `map_${world.replace("turtlebot3_", "").replace(/[^A-Za-z0-9_-]+/g, "_") || "1"}`;
@@ -97,6 +96,7 @@ function arrived(header, blobs) {
     const { keepouts: before, head: { map } } = scene;
     take(header, blobs);
     show(header, desk.name);
+    if (!header.driver && (drive.v || drive.w)) drive.forget();
     if (scene.keepouts !== before) keepouts(send);
     if (header.map != null && header.map !== map) showAll();
     if (header.waypoints) waypoints.replace(header.waypoints.map(([x, y, yaw, wait]) => ({ pose: [x, y, yaw], wait })));
@@ -139,20 +139,22 @@ let armed = null;
 document.addEventListener("click", ({ target, detail }) => {
   const pressed = target.closest("button, summary");
   if (!pressed) return;
-  const { tool, do: name, sure, key } = pressed.dataset;
+  const { tool, do: name, sure, key } = pressed.dataset, again = armed?.pressed === pressed;
+  armed?.drop();
   if (tool) desk.choose(desk.name === tool ? "view" : tool);
   else if (key) drive.press(key);
-  else if (name && sure && armed !== pressed) arm(pressed);
+  else if (sure && !again) arm(pressed);
   else if (name) send({ do: name });
   // The keys are to drive after a click, not to press the button again.
   if (detail > 0 && pressed.tagName === "BUTTON" && !pressed.form) stage.focus({ preventScroll: true });
 });
 
+/** What cannot be undone is asked for twice, within three seconds. */
 function arm(pressed) {
   const before = pressed.textContent;
-  armed = pressed;
+  const timer = setTimeout(() => armed.drop(), 3000);
+  armed = { pressed, drop() { clearTimeout(timer); armed = null; pressed.textContent = before; } };
   pressed.textContent = pressed.dataset.sure;
-  setTimeout(() => { armed = null; pressed.textContent = before; }, 3000);
 }
 
 let byPointer = false, entered = false;

@@ -2,7 +2,7 @@
 
 import { bagAdvice, bagged, showBag } from "./bag.js";
 import { scene } from "./scene.js";
-import { button } from "./waypoints.js";
+import { button, refill } from "./waypoints.js";
 
 const MOST_LINES = 500;
 export const byId = (id) => document.getElementById(id);
@@ -131,11 +131,5 @@ export function keepouts(send) {
       send({ do: "keepout", outlines: scene.keepouts.filter((_, other) => other !== k) })));
     return row;
   });
-  if (!rows.length) {
-    const empty = document.createElement("li");
-    empty.className = "quiet";
-    empty.textContent = "None. Choose Keep out and click the corners of one; Save map keeps it.";
-    rows.push(empty);
-  }
-  byId("keepouts").replaceChildren(...rows);
+  refill(byId("keepouts"), rows, "None. Choose Keep out and click the corners of one; Save map keeps it.");
 }

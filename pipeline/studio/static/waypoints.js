@@ -15,67 +15,59 @@ export class Waypoints {
 
   replace(list) {
     this.list = list;
-    this.chosen = -1;
-    this.update();
+    this.choose(-1);
   }
 
   add(pose) {
-    this.chosen = this.list.push({ pose, wait: null }) - 1;
-    this.update();
+    this.choose(this.list.push({ pose, wait: null }) - 1);
   }
 
   move(k, pose) {
     this.list[k].pose = pose;
-    this.chosen = k;
-    this.update();
-  }
-
-  choose(k) {
-    this.chosen = k;
-    this.update();
+    this.choose(k);
   }
 
   swap(k, other) {
     [this.list[k], this.list[other]] = [this.list[other], this.list[k]];
-    this.chosen = other;
-    this.update();
+    this.choose(other, other - k);
   }
 
   remove(k) {
     this.list.splice(k, 1);
-    this.chosen = -1;
-    this.update();
+    this.choose(-1);
   }
 
-  update() {
+  /** `down`: how many rows the one that is worked on has moved. */
+  choose(k, down = 0) {
+    this.chosen = k;
+    this.keep();
+    this.build(down);
+    if (k >= 0) this.rows.children[k].scrollIntoView({ block: "nearest" });
+  }
+
+  keep() {
     try { sessionStorage.setItem(KEPT, JSON.stringify(this.list)); } catch { /* not allowed here */ }
-    this.build();
     this.changed();
   }
 
-  build() {
-    const rows = this.list.map((waypoint, k) => this.row(waypoint, k));
-    if (!rows.length) {
-      const empty = document.createElement("li");
-      empty.className = "quiet";
-      empty.textContent = "None yet. Choose Waypoint and click the map, or load a file.";
-      rows.push(empty);
-    }
-    this.rows.replaceChildren(...rows);
+  build(down = 0) {
+    const rows = this.list.map((_, k) => this.row(k));
+    refill(this.rows, rows, "None yet. Choose Waypoint and click the map, or load a file.", down);
   }
 
-  row({ pose, wait }, k) {
+  row(k) {
     const row = document.createElement("li");
     row.classList.toggle("chosen", k === this.chosen);
-    const where = field(words(pose), `Waypoint ${k + 1}: x, y, heading`, (text) => {
+    const where = field(() => words(this.list[k].pose), `Waypoint ${k + 1}: x, y, heading`, (text) => {
       const found = numbers(text, 3);
-      if (found) this.move(k, found);
-      else this.refuse(`waypoint ${k + 1}: "${text}" is not x, y, heading`);
+      if (!found) return this.refuse(`waypoint ${k + 1}: "${text}" is not x, y, heading`);
+      this.list[k].pose = found;
+      this.keep();
     });
-    const pause = field(wait ?? "", `Waypoint ${k + 1}: wait in seconds`, (text) => {
-      if (Number(text) >= 0) this.list[k].wait = text ? Number(text) : null;
-      else this.refuse(`waypoint ${k + 1}: a wait is a number of seconds, not "${text}"`);
-      this.update();
+    const pause = field(() => this.list[k].wait ?? "", `Waypoint ${k + 1}: wait in seconds`, (text) => {
+      if (!(Number(text) >= 0)) return this.refuse(`waypoint ${k + 1}: a wait is a number of seconds, not "${text}"`);
+      this.list[k].wait = text ? Number(text) : null;
+      this.keep();
     });
     pause.title = "Wait there, in seconds; empty: as long as patrols do";
     pause.placeholder = "wait";
@@ -88,12 +80,27 @@ export class Waypoints {
   }
 }
 
-function field(value, name, take) {
+function field(read, name, take) {
   const made = document.createElement("input");
-  made.value = value;
+  made.value = read();
   made.ariaLabel = name;
-  made.addEventListener("change", () => take(made.value.trim()));
+  made.addEventListener("change", () => { take(made.value.trim()); made.value = read(); });
   return made;
+}
+
+/** New rows for a list, or what to say in place of none; who works in it by keyboard stays there. */
+export function refill(list, rows, empty, down = 0) {
+  const parts = () => [...list.querySelectorAll("input, button")];
+  const at = parts().indexOf(document.activeElement), wide = parts().length / list.childElementCount;
+  if (!rows.length) {
+    rows.push(document.createElement("li"));
+    rows[0].className = "quiet";
+    rows[0].textContent = empty;
+  }
+  list.replaceChildren(...rows);
+  if (at < 0) return;
+  const now = parts(), next = now.slice(Math.min(at + down * wide, now.length - 1));
+  (next.find((part) => !part.disabled) ?? list.closest("details").querySelector("summary")).focus();
 }
 
 /** A small button with a spoken name. */
