@@ -204,6 +204,7 @@ def test_another_map_has_its_own_size(other):
         picture.take(frames.frame(view(map=known), {}))
         assert picture.grids["map"].shape == known.cells.shape
         assert np.allclose(picture.places["map"]["origin"], known.origin.xyt)
+    assert picture.places["map"]["version"] == 2
 
 
 def corridors(rng, cells):

@@ -213,6 +213,7 @@ def test_values_that_make_no_sense_are_refused_in_one_line(served, message, said
     assert said in errors[0]
 
 
+@pytest.mark.slow
 def test_a_giant_message_is_not_even_read(served):
     async def attempt():
         client = await connect(served.url)
@@ -239,6 +240,7 @@ def test_more_messages_than_a_person_sends_end_the_socket(served):
     assert len(served.session.applied) - before <= 60
 
 
+@pytest.mark.slow
 def test_random_bytes_end_the_connection_they_come_by(served):
     async def attempt(seed, opened):
         noise = np.random.default_rng(seed).bytes(20_000)
@@ -259,6 +261,7 @@ def test_random_bytes_end_the_connection_they_come_by(served):
     assert answers(served)
 
 
+@pytest.mark.slow
 def test_two_hundred_connections_and_sixteen_of_them_watch(served):
     async def crowd():
         idle = []
