@@ -158,8 +158,7 @@ def test_a_second_page_watches_until_it_takes_control(browser, session, served):
 
     def look_on():
         until(lambda: not browser.evaluate(ENABLED))
-        time.sleep(0.5)
-        assert browser.evaluate("document.getElementById('error').hidden")
+        until(lambda: shown_text(browser, "cmd") == "0.00 m/s, 0.0 rad/s")
         until(lambda: session.asked("stop"))
 
     asyncio.run(watch())
@@ -181,6 +180,9 @@ def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
         open_page(browser, server)
     until(lambda: "Closed: the studio was stopped" in shown_text(browser, "broken"))
     assert not browser.evaluate("document.getElementById('again').hidden")
+    assert browser.evaluate("document.querySelector('#tools [data-tool=goal]').disabled")
+    browser.key("w")
+    assert shown_text(browser, "cmd") == "0.00 m/s, 0.0 rad/s"
 
 
 def test_an_empty_session_says_what_to_do_first(browser, session, served):

@@ -3,7 +3,7 @@
 import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
-import { byId, keepouts, log, refuse, show } from "./panel.js";
+import { allow, byId, keepouts, log, refuse, show } from "./panel.js";
 import { listen } from "./pointer.js";
 import { begin, dark, scene, take } from "./scene.js";
 import { Connection } from "./socket.js";
@@ -114,7 +114,9 @@ function told(open, reason) {
   byId("broken").firstElementChild.textContent = reason ? `Closed: ${reason}` : "Connection lost. The robot is stopped. Reconnecting …";
   if (open) return;
   drive.forget();
-  byId("controls").disabled = true;
+  desk.choose("view");
+  scene.head = { ...scene.head, driver: false };
+  allow(false);
 }
 
 function wanted() {

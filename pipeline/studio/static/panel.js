@@ -70,8 +70,13 @@ export function show(head, deskName) {
   showBag(head);
   put(byId("stage").dataset, "blank", String(!mapped()));
   put(byId("watching"), "hidden", head.driver);
-  put(byId("controls"), "disabled", !head.driver);
-  for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !head.driver);
+  allow(head.driver);
+}
+
+/** Whether what makes the robot do something can be used. */
+export function allow(may) {
+  put(byId("controls"), "disabled", !may);
+  for (const tool of document.querySelectorAll("#tools [data-acts]")) put(tool, "disabled", !may);
 }
 
 const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
