@@ -108,6 +108,7 @@ CHECKS: dict[str, Callable[[], str]] = {
             "pillow": "PIL.Image",
             "jinja2": "jinja2",
             "dask": "dask",
+            "tornado": "tornado.web",
             "distributed": "distributed",
             "duckdb": "duckdb",
         }.items()

@@ -14,7 +14,6 @@ from studio_walk import differences, files
 from turtlebag.pipeline.cli import studio as command
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.studio.session import Session
-from turtlebag.pipeline.studio.setup import StudioSetup
 
 pytestmark = pytest.mark.slow
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{43}\n")
@@ -194,10 +193,10 @@ def test_another_address_than_this_machine_s_own_says_what_that_means(tmp_path, 
 def test_the_first_free_folder_is_taken(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     free = command._free_folder
-    assert str(free(StudioSetup("maze:1", "waffle_pi", 4))) == "data/studio/maze_1-waffle_pi-4"
+    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4"
     (tmp_path / "data/studio/maze_1-waffle_pi-4").mkdir(parents=True)
     (tmp_path / "data/studio/maze_1-waffle_pi-4-2.partial").mkdir()
-    assert str(free(StudioSetup("maze:1", "waffle_pi", 4))) == "data/studio/maze_1-waffle_pi-4-3"
+    assert str(free(("maze:1", "waffle_pi", "4"))) == "data/studio/maze_1-waffle_pi-4-3"
 
 
 def test_a_browser_is_opened_only_where_there_is_a_screen(monkeypatch):

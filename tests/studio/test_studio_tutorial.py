@@ -126,11 +126,14 @@ def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_p
         click(browser, "[data-do=map_load] button")
         until(lambda: shown_text(browser, "advice").startswith("Where is the robot?"), 60.0)
 
+        click(browser, "#pause")  # or the robot would have mended it before one looks
+        until(lambda: person.head["paused"])
         x, y, yaw = person.head["true_pose"]
         person.arrow("p", x + 0.2, y + 0.22, yaw + math.radians(20))
         until(lambda: person.head["localised"], 60.0)
         wide = until(lambda: browser.evaluate(SPREAD))
         assert person.shift() > 0.2
+        click(browser, "#pause")
         click(browser, "[data-do=wiggle]")
         person.task("wiggle", 60.0)
         until(lambda: browser.evaluate(SPREAD) < 0.25 * wide)
