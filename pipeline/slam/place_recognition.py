@@ -27,7 +27,13 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
 from turtlebag.pipeline.slam.loops import MATCHERS, LoopConfig
 from turtlebag.pipeline.slam.pose_graph import optimise
-from turtlebag.pipeline.slam.selfcheck import BAD_SHARE, MOST_PAIRS, NEAR_M, THROUGH_M, WALL_M, denied_shares
+from turtlebag.pipeline.slam.selfcheck import (
+    BAD_SHARE,
+    MOST_PAIRS,
+    NEAR_M,
+    THROUGH_M,
+    free_space_violations,
+)
 from turtlebag.pipeline.slam.submaps import (
     MOST_SHIFT,
     RESOLUTION_M,
@@ -191,7 +197,7 @@ def _settled(
         return _low_overlap(query, other, score, replace(result, overlap=float(overlap)))
     both = np.vstack([at, at_place[::2]])
     pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
-    denied = _denied(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
+    denied = free_space_violations(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
     information = result.information
     place_found = Recognised(
         query.middle, other.middle, pose, score, float(overlap),
@@ -213,16 +219,6 @@ def _low_overlap(query: Submap, other: Submap, score: float, found: Alignment) -
 
 def _alone(scan: int) -> Stretch:
     return Stretch(scan, np.array([scan]), np.zeros((1, 3)))
-
-
-def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:
-    """Share of points denied in each pair that sees enough of each other, the worse of both ways."""
-    shares = [
-        denied_shares(clouds, keys, poses, way, WALL_M, THROUGH_M)
-        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
-    ]
-    share = np.fmax(*shares)
-    return np.asarray(share[np.isfinite(share)])
 
 
 def _believed(
@@ -294,7 +290,7 @@ def _laid_out(clouds: Clouds, keys: NDArray[np.int64], stretch: list[Recognised]
     if len(pairs) == 0:
         return np.zeros(0)
     pairs = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
-    return _denied(clouds, keys, moved, pairs)
+    return free_space_violations(clouds, keys, moved, pairs)
 
 
 def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:

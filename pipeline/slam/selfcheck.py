@@ -208,6 +208,19 @@ def denied_shares(
     return out
 
 
+def free_space_violations(
+    clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]
+) -> Array:
+    """Share of points denied in each pair (n, 2) of scans at poses (k, 3) that sees enough of each other, the
+    worse of both ways."""
+    shares = [
+        denied_shares(clouds, keys, poses, way, WALL_M, THROUGH_M)
+        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
+    ]
+    share = np.fmax(*shares)
+    return np.asarray(share[np.isfinite(share)])
+
+
 def hypothesis_shares(track: Track) -> dict[str, float]:
     """How often each start of the front end won."""
     counts = np.bincount(track.source[1:], minlength=len(HYPOTHESES)) if len(track.source) > 1 else [0] * 4

@@ -1,9 +1,13 @@
-"""Which steps of a log its loops span: a break that one spans is mended."""
+"""What makes a loop believed, and which steps of a log its loops span: a break that one spans is mended."""
 
 import numpy as np
+from slam_rooms import ROOM, around_the_room, recording
 
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.align import Alignment
+from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.loop_closure import _spanned
-from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.loops import Loop, LoopConfig, LoopFinder
 
 
 def loop(i: int, j: int, verdict: str) -> Loop:
@@ -15,3 +19,28 @@ def test_accepted_loops_span_the_steps_between_their_keys():
     spanned = _spanned(record, 10)
     assert spanned.tolist() == [False, True, True, True, False, False, True, False, False]
     assert not _spanned([], 10).any()
+
+
+class Trusting:
+    """A matcher that finds whatever it is asked for."""
+
+    def match(self, clouds, query, place, start, limits):
+        return Alignment(SE2(start), 1e3 * np.eye(3), 0.9, 0.01, 0.1)
+
+    def confirms(self, clouds, query, place, pose):
+        return True
+
+
+def test_a_loop_that_would_let_visits_see_through_walls_is_not_believed():
+    true = around_the_room(150)
+    log = recording(ROOM, true, odometry=true)
+    keys = np.arange(0, 150, 4)
+    T, clouds = SE2(true[keys]), make_clouds(log, 8.0)
+    finder = LoopFinder(clouds, keys, T, [], LoopConfig(min_score=0.01), np.zeros(len(keys), np.int64))
+    finder.matcher = Trusting()
+    i, j = len(keys) - 1, 0
+    right = T[j].inverse() @ T[i]
+    assert finder.match_from(i, j, right.xyt, 0.0, 0.0).verdict == "accepted"
+    for off in (SE2.from_xyt(1.0, 0.0, 0.0), SE2.from_xyt(0.0, -1.2, 0.0), SE2.from_xyt(0.0, 0.0, 0.5)):
+        wrong = (right @ off).xyt
+        assert finder.match_from(i, j, wrong, 0.0, 0.0).verdict == "free-space violations", off.xyt
