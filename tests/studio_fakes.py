@@ -87,6 +87,9 @@ class FakeSession:
         self._events.append(Event(len(self._events) + 1, self.stamp_ns * 1e-9, entry.do, "info"))
         return entry.do
 
+    def interrupt(self):
+        pass
+
     def tick(self):
         if self.broken is not None:
             raise self.broken

@@ -163,7 +163,6 @@ def _open_browser(url: str) -> None:
 
 
 def _port(text: str) -> int:
-    port = int(text)
-    if not 0 < port < 65536:
-        raise argparse.ArgumentTypeError(f"a port is from 1 to 65535, not {port}")
-    return port
+    if not text.isdecimal() or not 0 < int(text) < 65536:
+        raise argparse.ArgumentTypeError(f"a port is from 1 to 65535, not {text}")
+    return int(text)

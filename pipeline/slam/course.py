@@ -56,8 +56,8 @@ class Course:
         self._keep(Placed(self.pose, np.zeros((3, 3)), 1.0))
         self._add_key()
 
-    def extend(self, clouds: Clouds, T_odom_base: Array, stamps_ns: NDArray[np.int64]) -> None:
-        """The log has gone on: all its scans, with odometry (n, 3) and stamps."""
+    def extend(self, clouds: Clouds, T_odom_base: Array | None, stamps_ns: NDArray[np.int64]) -> None:
+        """The log has gone on: all its scans, with stamps and odometry (n, 3), if there is any."""
         self.clouds, self.odometry, self.stamps = clouds, T_odom_base, stamps_ns
 
     def forget(self, scans: NDArray[np.bool_]) -> None:

@@ -52,6 +52,11 @@ class GrowingLog:
         return len(self._stamps)
 
     @property
+    def has_odometry(self) -> bool:
+        """Whether odometry comes with the scans."""
+        return len(self._at) > 0
+
+    @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """Stamps of all scans."""
         return self._stamps.view()

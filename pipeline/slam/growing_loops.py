@@ -24,7 +24,7 @@ class GrowingLoops(LoopFinder):
 
     def __init__(self, clouds: Clouds, pose: Array, config: LoopConfig) -> None:
         super().__init__(clouds, np.zeros(1, np.int64), SE2(pose[None]), [], config, np.zeros(1, np.int64))
-        self.sigma_m = 0.0
+        self.sigma_m: float | None = None
         """Standard deviation of the newest key searched, as seen from the first one [m]."""
         self._told = np.zeros((0, 3, 3))
         self._graph = GrowingGraph()

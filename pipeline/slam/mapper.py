@@ -79,8 +79,7 @@ class Mapper:
         else:
             self._extend(course)
             course.step()
-            blind = course.clouds.placed_by(course.scan) == "nothing"
-            self._misfits = 0 if blind or self.fit >= LOST_AGREEMENT else self._misfits + 1
+            self._judge(course)
             self._close_loops(course, self._loops)
         assert self._course is not None
         assert self._loops is not None
@@ -112,9 +111,10 @@ class Mapper:
         return 1.0 if self._course is None else self._course.placed.agreement
 
     @property
-    def sigma_m(self) -> float:
-        """Standard deviation of the robot's place on the map [m], as the graph has it."""
-        return 0.0 if self._loops is None else self._loops.sigma_m
+    def sigma_m(self) -> float | None:
+        """Standard deviation of the robot's place on the map [m], as the graph had it for the last key scan
+        that was looked for in older places; None before."""
+        return None if self._loops is None else self._loops.sigma_m
 
     @property
     def T_map_keys(self) -> SE2:
@@ -191,7 +191,16 @@ class Mapper:
         self._loops = GrowingLoops(clouds, self._course.pose, self.config.loops)
 
     def _extend(self, course: Course) -> None:
-        course.extend(self._clouds.view(), self._odometry.view(), self._stamps.view())
+        odometry = self._odometry.view() if self._log.has_odometry else None
+        course.extend(self._clouds.view(), odometry, self._stamps.view())
+
+    def _judge(self, course: Course) -> None:
+        """Count scans that do not fit. One without points says nothing where odometry carries the robot."""
+        blind = course.clouds.placed_by(course.scan) == "nothing"
+        if blind and course.odometry is None:
+            self._misfits += 1
+        elif not blind:
+            self._misfits = 0 if self.fit >= LOST_AGREEMENT else self._misfits + 1
 
     def _close_loops(self, course: Course, loops: GrowingLoops) -> None:
         """A new key scan for the graph, if there is one, and one more alignment."""

@@ -100,13 +100,14 @@ def replay(
     ):
         while not session.ended:
             now = session.stamp_ns
-            while deeds and deeds[0][0] <= now:
+            # where a bag is at its end the time stands still: the next deed comes at once
+            while deeds and (deeds[0][0] <= now or session.idle):
                 _apply(session, deeds.popleft()[1], session_file)
             asked = script.asked(now)
             if session.ended:
                 break
             session.apply(Release() if asked is None else Drive(v=asked.v, w=asked.w))
-            if interrupted or (not deeds and now >= recorded.until_ns):
+            if interrupted or (not deeds and (now >= recorded.until_ns or session.idle)):
                 session.apply(End())
             session.tick()
             clock(now, "")

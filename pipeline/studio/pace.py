@@ -77,7 +77,9 @@ class Pace:
 
     def end(self) -> None:
         """Stop after the tick that is being computed; returns when the session is the caller's again."""
-        self._todo.put(self._finish)
+        self._over = True
+        self._session.interrupt()
+        self._todo.put(lambda: None)
         self._thread.join()
 
     # What follows is called by the event loop.
@@ -131,6 +133,8 @@ class Pace:
             try:
                 deed = self._todo.get(timeout=wait) if wait > 0.0 else self._todo.get_nowait()
             except queue.Empty:
+                return
+            if self._over:
                 return
             deed()
             wait = 0.0
@@ -195,9 +199,6 @@ class Pace:
         self._asked, self._due = factor, time.monotonic()
         self._ticks.clear()
 
-    def _finish(self) -> None:
-        self._over = True
-
     def _count(self) -> None:
         now = time.monotonic()
         self._ticks.append((now, self._session.stamp_ns))
@@ -206,7 +207,7 @@ class Pace:
 
     def _gait(self) -> Gait:
         factor = 0.0
-        if not self._paused and len(self._ticks) > 1:
+        if not self._paused and not self._session.idle and len(self._ticks) > 1:
             (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
             factor = (last - first) * 1e-9 / max(now - begun, FRAME_S)
         return Gait(round(factor, 2), self._asked, self._paused)

@@ -6,7 +6,7 @@ It has the face of a `Session`, so that the same server shows it. Its simulated 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording, Scan, Trajectory
-from turtlebag.pipeline.slam.edits import AddedLoop, Edits, RejectedLoop
+from turtlebag.pipeline.slam.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
@@ -39,6 +39,8 @@ from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
 EDITS = "edits.yaml"
 DRAWN_EVERY = 60
 """While mapping, the map is drawn every so many ticks: two seconds of the bag."""
+ROUNDED_S = 0.1
+"""So much later than the bag's end may be asked for: those who ask have a rounded time."""
 ROBOT_M = 0.2
 """Radius of the disc that stands for a robot of unknown shape."""
 
@@ -86,11 +88,14 @@ class Playback:
         self._layer: MapLayer | None = None
         self._graph: ShownGraph | None = None
         self._loop: LoopMarks | None = None
-        self._scan_points: Array | None = None
+        self._scan_points: tuple[tuple[float, ...], Array] | None = None
         self._mapper: Mapper | None = None
         self._waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]] = iter(())
         self._first = 0
-        self._built: tuple[Edits, Trajectory, OccupancyGrid] | None = None
+        self._built: tuple[Edits, OccupancyGrid] | None = None
+        self._trajectory: Trajectory | None = None
+        self._T_map_odom = SE2.identity()
+        self._interrupted = False
         self._step = 0
         self._position_ns = 0
         self._scan = -1
@@ -126,7 +131,10 @@ class Playback:
             return ""
         if done is None:
             raise InputError(f"{entry.do}: there is no robot to do that; a bag is being played")
-        line = str(done(entry))
+        try:
+            line = str(done(entry))
+        except OSError as error:
+            raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
         self._journal.deed(self.stamp_ns, entry)  # type: ignore[arg-type]
         if line:
             self._events.add(self._position_ns, line)
@@ -144,6 +152,16 @@ class Playback:
             self._events.add(self._position_ns, "the bag is at its end")
         elif self._mapper is not None and self._step % DRAWN_EVERY == 0:
             self._draw()
+
+    def interrupt(self) -> None:
+        """Break off the mapping of the whole bag that may be under way; called from another thread."""
+        self._interrupted = True
+
+    def _until_interrupted(self, items: Iterable[int], description: str, total: int) -> Iterable[int]:
+        for item in items:
+            if self._interrupted:
+                raise InputError(f"{description}: broken off")
+            yield item
 
     def metrics(self) -> dict[str, Any]:
         """How long it lasted [s], and how much of the bag was played."""
@@ -184,12 +202,12 @@ class Playback:
 
     def _seek(self, deed: inputs.Seek) -> str:
         """Play from there on; the online mapper stops, because it has not seen what lies between."""
-        if deed.t * 1e9 > self._at_ns[-1]:
+        if deed.t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
             raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
         self._mapper = None
         for trail in self._trails.values():
             trail.clear()
-        self._position_ns = round(deed.t * 1e9)
+        self._position_ns = min(round(deed.t * 1e9), int(self._at_ns[-1]))
         self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
         self._play_to(self._position_ns)
         return ""
@@ -209,7 +227,6 @@ class Playback:
                     self._trails["slam"].add(T_map_base.xy)
             if self._log.T_odom_base is not None:
                 self._trails["odom"].add(self._log.T_odom_base[self._scan].xy)
-            self._scan_points = None
 
     # Mapping
 
@@ -221,7 +238,7 @@ class Playback:
         self._mapper = Mapper(self._log.lidar, self._log.T_base_lidar)
         self._first = self._scan + 1
         self._waiting = heard(self._log, self._first)
-        self._grid = self._graph = self._loop = None
+        self._grid = self._graph = self._loop = self._trajectory = None
         self._trails["slam"].clear()
         return "mapping from here on"
 
@@ -237,15 +254,21 @@ class Playback:
         if self._mapper is None or len(self._mapper) < 2:
             return
         self._set_grid(self._mapper.map())
+        self._T_map_odom = self._mapper.T_map_odom
         self._graph = graph_of_mapper(self._mapper, self._first)
         self._slam_path = ShownPath(self._slam_path.version + 1, self._mapper.trajectory.poses.xy)
         self._trails["slam"].clear()
 
     def _build(self) -> str:
         """Map the whole bag, with what was said of loops."""
-        self._mapper = None
-        result = run_slam(self._log, SlamConfig(), edits=self._edits)
-        self._built = self._edits, result.trajectory, result.grid
+        if self._built is not None and self._built[0] == self._edits and self._grid is self._built[1]:
+            return "the map of the whole bag is shown already"
+        try:
+            result = run_slam(self._log, SlamConfig(), self._until_interrupted, edits=self._edits)
+        except InputError as error:
+            raise InputError(str(error).removeprefix("--edits: ")) from None
+        self._mapper, self._trajectory = None, result.trajectory
+        self._built = self._edits, result.grid
         self._set_grid(result.grid)
         self._graph = graph_of(result)
         self._loop = None
@@ -267,7 +290,7 @@ class Playback:
         if self._built is None or self._built[0] != self._edits:
             self._events.add(self._position_ns, self._build())
         assert self._built is not None
-        self._shelf.save_map(deed.name, self._built[2], ())
+        self._shelf.save_map(deed.name, self._built[1], ())
         return f"map {deed.name} saved"
 
     def _set_grid(self, grid: OccupancyGrid) -> None:
@@ -297,7 +320,12 @@ class Playback:
 
     def _edited(self, edits: Edits, line: str) -> str:
         """Keep what was said; it is on disk at once."""
-        edits.require_scans(len(self._log), self._log.source)
+        try:
+            edits.require_scans(len(self._log), self._log.source)
+            if self._graph is not None and self._trajectory is not None:
+                KeyEdits.of(edits, self._graph.keys)
+        except InputError as error:
+            raise InputError(str(error).removeprefix("--edits: ")) from None
         told = edits.model_dump(mode="json", exclude_defaults=True)
         text = yaml.safe_dump({"version": 1, **told}, sort_keys=False, default_flow_style=None)
         partial = self._folder / f".{EDITS}"
@@ -358,16 +386,17 @@ class Playback:
         """Where the newest scan was taken, by the best that is known."""
         if self._mapper is not None and len(self._mapper):
             return self._mapper.T_map_base
-        if self._built is not None and self._graph is not None and self._scan >= 0:
-            return self._built[1].poses[self._scan]
-        return T_odom_base
+        if self._trajectory is not None and self._scan >= 0:
+            return self._trajectory.poses[self._scan]
+        return self._T_map_odom @ T_odom_base
 
     def _points(self, T_map_base: SE2) -> Array | None:
         if self._scan < 0:
             return None
-        if self._scan_points is None:
-            self._scan_points = T_map_base @ points_of(self._log, self._scan)
-        return self._scan_points
+        of = (self._scan, *T_map_base.xyt.tolist())
+        if self._scan_points is None or self._scan_points[0] != of:
+            self._scan_points = of, T_map_base @ points_of(self._log, self._scan)
+        return self._scan_points[1]
 
     def _longer(self) -> ShownPath:
         """The path as it was drawn last, and on from there."""

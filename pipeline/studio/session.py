@@ -75,6 +75,9 @@ class Session:
         """Simulated time [ns]."""
         return self._run.stamp_ns
 
+    def interrupt(self) -> None:
+        """Nothing that is done here can be broken off."""
+
     idle = False
     """Whether time stands still whatever is asked for."""
 

@@ -142,6 +142,13 @@ def test_odometry_that_drifts_does_not_carry_the_robot_off():
 
 
 @pytest.mark.slow
+def test_without_odometry_the_scans_alone_carry_the_robot():
+    mapper = Mapper(LOG.lidar, LOG.T_base_lidar)
+    given = np.array([mapper.add(LOG.scan(k), None).xyt for k in range(100)])
+    assert errors((SE2(TRUE[0]) @ SE2(given)).xyt, TRUE).max() < 0.06
+
+
+@pytest.mark.slow
 def test_finish_gives_what_the_offline_mapper_gives():
     mapper, _ = driven(LOG, 120)
     mapper.map()
@@ -184,6 +191,19 @@ def test_a_robot_carried_to_another_place_is_lost_and_says_so():
         mapper.add(away.scan(k), LOG.T_odom_base[59])
     assert mapper.lost
     assert mapper.fit < 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wheels", [True, False])
+def test_scans_without_a_return_leave_the_robot_lost_only_where_nothing_carries_it(wheels):
+    mapper = Mapper(LOG.lidar, LOG.T_base_lidar)
+    assert mapper.sigma_m is None
+    for k in range(40):
+        scan = LOG.scan(k)
+        if k >= 30:
+            scan = replace(scan, ranges=np.full_like(scan.ranges, np.inf))
+        mapper.add(scan, LOG.T_odom_base[k] if wheels else None)
+    assert mapper.lost != wheels
 
 
 @pytest.mark.slow

@@ -104,6 +104,44 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
 
 
 @pytest.mark.slow
+def test_a_build_that_is_refused_or_broken_off_changes_nothing(played):
+    played.apply(inputs.MapStart())
+    run(played, 2.0)
+    played.apply(inputs.LoopAdd(scan=5, place=3, pose=(0.0, 0.0, 0.0)))
+    with pytest.raises(InputError, match=r"^scans 5 and 3 were taken one soon after the other"):
+        played.apply(inputs.MapBuild())
+    assert played.view().mapping
+    played.apply(inputs.EditsClear())
+    played.interrupt()
+    with pytest.raises(InputError, match="broken off"):
+        played.apply(inputs.MapBuild())
+    assert played.view().mapping
+
+
+@pytest.mark.slow
+def test_the_scan_lies_where_the_robot_is_drawn_when_the_map_is_another(played):
+    run(played, 25.0)
+    played.view()
+    played.apply(inputs.MapBuild())
+    view = played.view()
+    true = LOG.scan(124)
+    assert np.hypot(*(view.T_map_base.inverse() @ view.T_odom_base).xy) > 0.05
+    ranges = np.linalg.norm(view.T_map_base.inverse() @ view.scan, axis=1)
+    np.testing.assert_allclose(ranges, true.ranges[np.isfinite(true.ranges)], atol=1e-4)
+    with pytest.raises(InputError, match="one soon after the other"):
+        played.apply(inputs.LoopAdd(scan=5, place=3, pose=(0.0, 0.0, 0.0)))
+    assert "shown already" in played.apply(inputs.MapBuild())
+
+
+def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_path):
+    told = BagSetup(bag).header().model_dump()
+    entries = [{"at": 1.0, "do": "seek", "t": 29.5}, {"at": 4.0}, {"at": 5.0, "do": "end"}]
+    file = tmp_path / "session.yaml"
+    file.write_text(yaml.safe_dump(told | {"inputs": entries}))
+    assert replay(file, tmp_path / "out", say=lambda line: None) == 0
+
+
+@pytest.mark.slow
 def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
     played.apply(inputs.LoopAdd(scan=LAST, place=LAST // 3, pose=(1.0, 1.0, 0.8)))
     assert played.apply(inputs.MapBuild()).endswith("1 of those added not believed")

@@ -138,8 +138,6 @@ def test_it_is_driven_again_to_the_same_bytes(walked, tmp_path):
     out, _ = walked
     assert replay(out / "session.yaml", tmp_path / "again", say=silent) == 0
     assert differences(out, tmp_path / "again") == []
-    assert replay(tmp_path / "again/session.yaml", tmp_path / "third", say=silent) == 0
-    assert differences(out, tmp_path / "third") == []
 
 
 def test_avoiding_in_the_house_and_a_goal_without_a_map(tmp_path):

@@ -45,6 +45,7 @@ function fromSegment([px, py], [ax, ay], [bx, by]) {
 /** What to do first, or next. */
 export function bagAdvice({ mapping, state }) {
   if (mapping) return "";
+  if (state === "at its end" && !scene.blobs.graph_nodes?.length) return "The bag is at its end: go back with the bar below, or map all of it at once.";
   if (!scene.blobs.graph_nodes?.length) return "Start mapping to map the bag while it plays, or map all of it at once.";
   return state === "playing" ? "" : "Choose Loops and click a loop: its two scans are laid on each other.";
 }

@@ -51,6 +51,7 @@ export function show(head, deskName) {
   if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
   pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"]]);
   text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
+  put(byId("mapping"), "disabled", bagged() && head.state === "at its end" && !head.mapping);
   put(byId("mapping").dataset, "on", String(head.mapping));
   const bag = byId("bag");
   if (bag.dataset.open !== String(head.recording)) {
