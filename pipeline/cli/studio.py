@@ -16,8 +16,8 @@ from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, se
 if TYPE_CHECKING:
     from socket import socket
 
+    from turtlebag.pipeline.studio.bag_setup import BagSetup
     from turtlebag.pipeline.studio.guard import Guard
-    from turtlebag.pipeline.studio.playback import BagSetup
     from turtlebag.pipeline.studio.setup import StudioSetup
 
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
         return _replay(args)
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
+    from turtlebag.pipeline.studio.bag_setup import BagSetup
     from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen, new_token
-    from turtlebag.pipeline.studio.playback import BagSetup
     from turtlebag.pipeline.studio.setup import StudioSetup
     from turtlebag.pipeline.terminal.messages import log
 

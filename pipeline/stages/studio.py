@@ -15,9 +15,10 @@ from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.takeover import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
+from turtlebag.pipeline.studio.bag_setup import BagSetup
 from turtlebag.pipeline.studio.inputs import Deed, Drive, End, Release
 from turtlebag.pipeline.studio.journal import load_session
-from turtlebag.pipeline.studio.playback import BagSetup, Playback
+from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup, setup_of
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time

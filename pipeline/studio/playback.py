@@ -7,7 +7,6 @@ It has the face of a `Session`, so that the same server shows it. Its simulated 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -19,20 +18,19 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.outputs import sha256_tree
-from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Recording, Scan, Trajectory
+from turtlebag.datasets.types import Scan, Trajectory
 from turtlebag.pipeline.slam.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.journal import FILE, BagHeader, Journal
+from turtlebag.pipeline.studio.bag_setup import BagSetup, scene_of
+from turtlebag.pipeline.studio.journal import FILE, Journal
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
 from turtlebag.pipeline.studio.onlooker import EventLog, Trail
 from turtlebag.pipeline.studio.shelf import Shelf
-from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, Scene, View
+from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
 from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
 
@@ -41,32 +39,6 @@ DRAWN_EVERY = 60
 """While mapping, the map is drawn every so many ticks: two seconds of the bag."""
 ROUNDED_S = 0.1
 """So much later than the bag's end may be asked for: those who ask have a rounded time."""
-ROBOT_M = 0.2
-"""Radius of the disc that stands for a robot of unknown shape."""
-
-
-@dataclass(frozen=True, eq=False)
-class BagSetup:
-    """A bag or log to be played. InputError, where it is first looked at, when it cannot be mapped."""
-
-    bag: Path
-
-    @cached_property
-    def recording(self) -> Recording:
-        """Its scans and odometry."""
-        recording = load_recording(self.bag)
-        if len(recording) == 0:
-            raise InputError(f"{self.bag}: no scans to play")
-        return recording
-
-    @property
-    def files(self) -> dict[str, Path]:
-        """What is read."""
-        return {"bag": self.bag}
-
-    def header(self) -> BagHeader:
-        """What its session file begins with."""
-        return BagHeader(bag=str(self.bag.resolve()), sha256=sha256_tree(self.bag))
 
 
 class Playback:
@@ -77,7 +49,7 @@ class Playback:
     def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
         self._log, self._folder = setup.recording, folder
         self._events, self._shelf = EventLog(say), Shelf(folder, None)
-        self.scene = _scene(setup.bag, self._log)
+        self.scene = scene_of(setup.bag, self._log)
         # logs whose clock goes back keep their order
         self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
         self._journal = Journal(folder / FILE, setup.header())
@@ -417,23 +389,3 @@ class Playback:
 
 
 NO_KEYS: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-
-
-def _scene(bag: Path, recording: Recording) -> Scene:
-    """The frame of the picture: where the odometry went, and what the lidar may have seen from there."""
-    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    xy = np.zeros((1, 2)) if recording.T_odom_base is None else recording.T_odom_base.xy
-    reach = min(recording.lidar.range_max, 5.0)
-    (x_min, y_min), (x_max, y_max) = xy.min(axis=0) - reach, xy.max(axis=0) + reach
-    return Scene(
-        world=bag.name,
-        robot="",
-        seed=0,
-        control_hz=CONTROL_HZ,
-        max_v=0.0,
-        max_w=0.0,
-        bounds=(float(x_min), float(y_min), float(x_max), float(y_max)),
-        outline=ROBOT_M * np.column_stack([np.cos(around), np.sin(around)]),
-        world_segments=np.zeros((0, 4)),
-        world_circles=np.zeros((0, 3)),
-    )

@@ -10,8 +10,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.navigation.config import NavigateConfig
+from turtlebag.pipeline.studio.bag_setup import BagSetup
 from turtlebag.pipeline.studio.journal import BagHeader, Header
-from turtlebag.pipeline.studio.playback import BagSetup
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.simulator import SimConfig
 from turtlebag.sim.world import World

@@ -11,7 +11,8 @@ from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.playback import BagSetup, Playback
+from turtlebag.pipeline.studio.bag_setup import BagSetup
+from turtlebag.pipeline.studio.playback import Playback
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ from studio_page import click, drag, on_screen, open_page, shown_text, until
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.edits import load_edits
-from turtlebag.pipeline.studio.playback import BagSetup, Playback
+from turtlebag.pipeline.studio.bag_setup import BagSetup
+from turtlebag.pipeline.studio.playback import Playback
 
 pytestmark = [
     pytest.mark.slow,
