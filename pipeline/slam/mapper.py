@@ -35,7 +35,7 @@ from turtlebag.pipeline.slam.steps import step_constraints
 # end may come back to after a gap.
 TIDY_SCANS, LAST_SCANS = 256, 64
 # So many key scans are enough for a place of this size, seen in one of so many directions.
-PLACE_KEYS, PLACE_M, DIRECTIONS = 2, 0.5, 4
+PLACE_KEYS, PLACE_M, DIRECTIONS = 3, 0.5, 8
 # The log is kept whole up to so many scans.
 MOST_SCANS = 20_000
 # The track is lost when so many scans in a row have less than this on what was seen before, of what could be.
