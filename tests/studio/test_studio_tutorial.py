@@ -132,6 +132,7 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
         until(lambda: person.head["localised"], 60.0)
         wide = until(lambda: browser.evaluate(SPREAD))
         assert person.shift() > 0.2
+        person.speed(0)
         click(browser, "#pause")
         click(browser, "[data-do=wiggle]")
         person.task("wiggle", 60.0)
@@ -147,7 +148,6 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
 
         click(browser, "[data-do=waypoints_load] button")
         until(lambda: browser.evaluate("document.querySelectorAll('#waypoints li').length") == 8)
-        person.speed(0)
         click(browser, "#patrol")
         person.task("patrol", 240.0)
         assert [goal["status"] for goal in person.head["goals"]] == ["reached"] * 8
