@@ -209,8 +209,8 @@ def test_time_can_stand_still_step_and_run(page, session):
     click(page, "#pause")
     page.evaluate("document.getElementById('speed').value = '4'")
     page.evaluate("document.getElementById('speed').dispatchEvent(new Event('change'))")
-    # as far as a busy machine lets it
-    until(lambda: re.match(r"([2-4]\.\d|1\.[3-9])", shown_text(page, "factor")))
+    # a busy machine takes a while to come to it
+    until(lambda: re.match(r"[34]\.\d", shown_text(page, "factor")), 60.0)
 
 
 def test_fingers_drive_with_the_pad_and_pinch_the_map(browser, session, served):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from browser import find_browser
 from studio_page import ENABLED, click, drag, on_screen, shown_text, until
+from studio_walk import differences
 
 pytestmark = [
     pytest.mark.slow,
@@ -109,7 +110,7 @@ def studio(browser, world, out):
         process.kill()
 
 
-def test_the_tutorial_in_the_window(browser, tmp_path):
+def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_path):
     with studio(browser, "turtlebot3_world", tmp_path / "live") as person:
         assert shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D."
         click(browser, "#bag button")
@@ -153,6 +154,11 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
         assert [goal["status"] for goal in person.head["goals"]] == ["reached"] * 8
         lines = browser.evaluate("document.getElementById('lines').innerText")
         assert "8 of 8 goals reached, no collisions" in lines
+
+    again = ["--replay", str(tmp_path / "live/session.yaml"), "--out", str(tmp_path / "again")]
+    subprocess.run([sys.executable, "-m", "turtlebag", "studio", "-q", *again], check=True, timeout=300)
+    assert differences(tmp_path / "live", tmp_path / "again") == []
+    assert (tmp_path / "again/bags/bag_1/metadata.yaml").exists()
 
 
 def test_avoiding_in_the_house_shows_the_sectors_and_the_decision(browser, tmp_path):
