@@ -54,6 +54,7 @@ def view(**given):
         | dict.fromkeys(("ended", "mapping", "localised"), False)
         | {"stamp_ns": 0, "owner": "navigation", "command": (0.0, 0.0), "task": "", "state": ""}
         | {"goal_index": -1, "boxes": np.zeros((0, 4))}
+        | {"mover_segments": np.zeros((0, 4)), "mover_circles": np.zeros((0, 3))}
         | given
     )
 

@@ -75,7 +75,7 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
 @pytest.mark.parametrize(
     "query", ["", "?token=", "?token=wrong", "?token=%00%ff", "?token={}x", "?token={}&token=x"]
 )
-def test_without_the_token_there_is_neither_page_nor_socket(served, query):
+def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplog):
     async def attempt():
         query_ = query.format(served.guard.token)
         page = await fetch(f"{served.place}/{query_}")
@@ -85,6 +85,7 @@ def test_without_the_token_there_is_neither_page_nor_socket(served, query):
             await connect(f"{served.place}/{query_}")
 
     run(attempt())
+    assert caplog.text == ""  # nobody can fill the terminal
 
 
 @pytest.mark.parametrize(
