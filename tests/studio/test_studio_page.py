@@ -205,6 +205,7 @@ def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
     assert browser.evaluate("document.querySelector('#tools [data-tool=goal]').disabled")
     browser.key("w")
     assert shown_text(browser, "cmd") == "0.00 m/s, 0.0 rad/s"
+    browser.leave()
 
 
 def test_an_empty_session_says_what_to_do_first(browser, session, served):

@@ -106,6 +106,7 @@ def studio(browser, world, out):
         assert process.returncode == 0, complaints
         assert "the session has ended" in shown_text(browser, "broken")
         assert browser.problems() == []
+        browser.leave()
     finally:
         process.kill()
 
