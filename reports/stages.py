@@ -50,6 +50,7 @@ class Manifest(BaseModel):
     world: str | None = None
     robot: str | None = None
     task: str | None = None
+    parts: dict[str, str | None] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +264,17 @@ class _Metrics(BaseModel):
 def read_manifest(path: Path) -> Manifest:
     """A manifest.json; InputError names the first part that is not of its kind."""
     return checked(Manifest, read_json(path), where=str(path))
+
+
+def changed_parts(stage: Stage) -> list[str]:
+    """Parts of the user's own whose source is there, and is no longer what the manifest says, in words."""
+    return [
+        f"{kind} {name}: {entry.path} is not as it was"
+        for kind, name in stage.manifest.parts.items()
+        if (entry := stage.manifest.inputs.get(kind)) is not None
+        and entry.path.is_file()
+        and sha256_file(entry.path) not in entry.sha256.values()
+    ]
 
 
 def changed_files(stage: Stage) -> list[str]:
