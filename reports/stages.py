@@ -50,7 +50,6 @@ class Manifest(BaseModel):
     world: str | None = None
     robot: str | None = None
     task: str | None = None
-    parts: dict[str, str | None] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,9 +268,9 @@ def read_manifest(path: Path) -> Manifest:
 def changed_parts(stage: Stage) -> list[str]:
     """Parts of the user's own whose source is there, and is no longer what the manifest says, in words."""
     return [
-        f"{kind} {name}: {entry.path} is not as it was"
-        for kind, name in stage.manifest.parts.items()
-        if (entry := stage.manifest.inputs.get(kind)) is not None
+        f"{kind}: {entry.path} is no longer the source it was made with"
+        for kind, entry in stage.manifest.inputs.items()
+        if entry.path.suffix == ".py"
         and entry.path.is_file()
         and sha256_file(entry.path) not in entry.sha256.values()
     ]
