@@ -11,12 +11,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import Clouds
@@ -26,7 +27,7 @@ from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
+from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.selfcheck import free_space_violations
@@ -40,8 +41,10 @@ class LoopConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
-    match: Literal["lines", "open3d"] = Field(
-        default="lines", description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP"
+    match: Annotated[str, part_of(*MATCHERS)] = Field(
+        default="lines",
+        description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP, or a class of "
+        "yours",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
     group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
@@ -52,6 +55,11 @@ class LoopConfig(BaseModel):
     inflation: float = Field(
         default=50.0, gt=0.0, description="the information of a match over that of a loop"
     )
+
+    def matcher(self) -> LoopMatch:
+        """A new matcher; InputError where it is the user's own and not to be had."""
+        made: LoopMatch = chosen(self.match, MATCHERS, LoopMatch)()
+        return made
 
     def constraint(self, place: Loop | Recognised) -> Constraint:
         """What a place come back to says in the graph."""
@@ -212,7 +220,7 @@ class LoopFinder(LoopSearch):
     ) -> None:
         super().__init__(T_map_keys, steps, config, part, known, edits)
         self.clouds, self.keys = clouds, keys
-        self.matcher = MATCHERS[config.match]()
+        self.matcher = config.matcher()
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
@@ -240,6 +248,7 @@ class LoopFinder(LoopSearch):
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
         found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
+        require_alignment(self.matcher, found)
         verdict = "accepted"
         if found.overlap < LEAST_OVERLAP or found.agreement < config.min_overlap:
             verdict = "low overlap"

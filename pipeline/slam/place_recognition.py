@@ -24,8 +24,8 @@ from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, compe
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
-from turtlebag.pipeline.slam.loops import MATCHERS, LoopConfig
+from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loops import LoopConfig
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.selfcheck import (
     BAD_SHARE,
@@ -135,7 +135,7 @@ def _candidates(
     A place that the loops have held together since is asked and looked for once, however often it was passed.
     """
     poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
-    matcher = MATCHERS[by_distance.match]()
+    matcher = by_distance.matcher()
     places = windows(len(keys), drift.broken)
 
     @cache
@@ -183,6 +183,7 @@ def _settled(
     pose = start
     for limits in (Limits(0.4, 0.15), ROUGH):
         result = matcher.match(clouds, middle, there, pose, limits)
+        require_alignment(matcher, result)
         pose = result.T_map_base.xyt
         if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
             return _low_overlap(query, other, score, result)

@@ -22,9 +22,8 @@ from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.course import Maker, track_log
 from turtlebag.pipeline.slam.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
-from turtlebag.pipeline.slam.kiss import KissIcp
-from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
@@ -45,7 +44,6 @@ from turtlebag.pipeline.slam.steps import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_chain
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
-from turtlebag.pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"loops", "recall", "refine", "posing", "grid"}
@@ -55,8 +53,6 @@ Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
     Field(description="which sensors to use; odometry alone draws the map along the wheels"),
 ]
-FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
-"""What `front_end` may be; see `turtlebag.pipeline.slam.front_end`."""
 
 
 class SlamConfig(BaseModel):
@@ -64,8 +60,9 @@ class SlamConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
-    front_end: Literal["lines", "kiss_icp", "wheels"] = Field(
-        default="lines", description="what places each scan: our line tracker, KISS-ICP, or the odometry"
+    front_end: FrontEndName = Field(
+        default="lines",
+        description="what places each scan: our line tracker, KISS-ICP, the odometry, or a class of yours",
     )
     usable_range_m: float = Field(
         default=USABLE_M, gt=0.0, description="returns beyond are not matched nor mapped"
@@ -229,7 +226,7 @@ def _session(recording: Recording, run: _Run) -> Session:
 
     def front_end(clouds: Clouds) -> Track:
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        make = run.steps.front_end or FRONT_ENDS[config.front_end]
+        make = run.steps.front_end or front_end_maker(config.front_end)
         return track_log(recording, clouds, config.tracking, usable, scans, make)
 
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
@@ -276,8 +273,8 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar" and config.front_end == "wheels":
         raise InputError("front_end=wheels needs the odometry that sensors=lidar leaves out")
-    if config.sensors == "odometry" and config.front_end == "kiss_icp":
-        raise InputError("front_end=kiss_icp needs the scans that sensors=odometry leaves out")
+    if config.sensors == "odometry" and config.front_end not in ("lines", "wheels"):
+        raise InputError(f"front_end={config.front_end} needs the scans that sensors=odometry leaves out")
     if config.sensors == "lidar":
         recording = replace(recording, T_odom_base=None, odometry=None)
     if recording.T_odom_base is None:
