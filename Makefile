@@ -46,8 +46,8 @@ help: ## list the targets
 setup: $(READY) ## make the virtual environment (every other target does this when needed)
 
 $(READY): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' 2>/dev/null \
-	  || { echo "make: needs Python 3.10 or newer with venv (on Debian: apt install python3-venv); or make PYTHON=/path/to/python3 ..." >&2; exit 2; }
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	  || { echo "make: needs Python 3.11 or newer with venv (on Debian: apt install python3-venv); or make PYTHON=/path/to/python3 ..." >&2; exit 2; }
 	@$(PYTHON) -I pipeline/setup/install.py $(@D)
 	@touch $@
 

@@ -132,7 +132,7 @@ class Client:
             try:
                 if not await self.next(left):
                     return
-            except asyncio.TimeoutError:
+            except TimeoutError:
                 return
 
     def ask(self, do: str, **fields: Any) -> None:

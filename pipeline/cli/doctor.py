@@ -111,6 +111,7 @@ CHECKS: dict[str, Callable[[], str]] = {
             "tornado": "tornado.web",
             "distributed": "distributed",
             "duckdb": "duckdb",
+            "shtab": "shtab",
         }.items()
     },
     "gtsam": _gtsam,

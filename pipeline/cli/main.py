@@ -40,6 +40,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data": ("data", "list and fetch public logs"),
     "world": ("world", "list the built-in worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
+    "completion": ("completion", "complete what you type in the shell"),
 }
 
 EXIT_OK, EXIT_INPUT = 0, 2
@@ -64,13 +65,13 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def build_parser(verb: str | None) -> argparse.ArgumentParser:
-    """The parser; only `verb`'s own arguments are loaded."""
+def build_parser(*loaded: str | None) -> argparse.ArgumentParser:
+    """The parser; of the verbs only those named get their arguments, which imports them."""
     parser = _Parser(prog="turtlebag", description="Reproducible SLAM and navigation without ROS.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, (module, summary) in VERBS.items():
-        if name != verb:
+        if name not in loaded:
             verbs.add_parser(name, help=summary, add_help=False)
             continue
         command = importlib.import_module(f"turtlebag.pipeline.cli.{module}")
