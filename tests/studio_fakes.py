@@ -176,3 +176,15 @@ def run(coroutine, most_s=30.0):
             await asyncio.sleep(0.05)
 
     return asyncio.run(closing())
+
+
+def answers(served):
+    """Whether the server still does what it is for."""
+
+    async def watch():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        client.close()
+
+    run(watch())
+    return True
