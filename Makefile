@@ -33,8 +33,8 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags mutants study-advice study-blame study-breaks
+.PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist lint test browser clean \
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -125,6 +125,8 @@ bench-navigate: $(READY) ## campaigns of runs: patrol, goals, avoidance, BARN
 	$(PY) -m benchmarks.navigate
 bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with and without a viewer   (MINUTES of patrol for its memory)
 	$(PY) -m benchmarks.studio $(if $(MINUTES),--minutes $(MINUTES))
+bench-install: $(READY) ## the wheel and all it needs from the index, beside `datasets`, and the chain   (FOR=python3.12)
+	$(PY) -m benchmarks.install $(if $(FOR),--python $(FOR))
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.kills
@@ -134,6 +136,9 @@ mutants: $(READY) ## mutation tests: make small mistakes in the code, see whethe
 
 study-advice study-blame study-breaks: study-%: $(READY) ## the studies: mapping advice, ablation with ground truth, faults
 	$(TURTLEBAG) sweep $* --out data/studies/$*
+
+dist: $(READY) ## build the sdist, and the wheel from it, into dist/
+	$(PY) -m build --no-isolation
 
 lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff check .
@@ -147,5 +152,5 @@ browser: ## find Chromium for the browser test, or install it (Debian)
 	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }
 
 clean: ## remove everything made here, the virtual environment too
-	rm -rf data .venv build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf data .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

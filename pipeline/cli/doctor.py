@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 
+from turtlebag.pipeline.setup.missing_package import INSTALL
+
 EXAMPLE = "turtlebag doctor --trial"
 
 
@@ -38,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 def _hint(error: Exception) -> str:
     """What to do about a missing package or shared library."""
     if isinstance(error, ModuleNotFoundError):
-        return " -> make -B setup"
+        return f" -> {INSTALL}"
     message = str(error)
     packages = {"libGL.so": "libgl1", "libEGL": "libegl1", "libX11": "libx11-6", "libudev": "libudev1"}
     packages |= {"libgomp": "libgomp1", "GLIBC": "(a newer system: glibc 2.35 or later)"}

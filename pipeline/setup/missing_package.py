@@ -1,5 +1,11 @@
 """What to say when a package is not there: needed before anything of ours can be imported."""
 
+from pathlib import Path
+
+IN_CHECKOUT = (Path(__file__).parents[2] / "Makefile").is_file()
+INSTALL = "make -B setup" if IN_CHECKOUT else "pip install turtlebag"
+"""What installs the packages that are missing."""
+
 
 def missing_package(error: ImportError) -> str:
     """One line that names the package and says what to do; an error within our own code is raised again."""
@@ -9,5 +15,5 @@ def missing_package(error: ImportError) -> str:
     reason = " ".join(str(error).split())
     return (
         f"turtlebag: the package {name or '?'} is missing or does not load ({reason}): "
-        "`turtlebag doctor` checks all of them, `make -B setup` reinstalls them"
+        f"`turtlebag doctor` checks all of them, `{INSTALL}` installs them"
     )

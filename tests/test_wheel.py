@@ -1,0 +1,121 @@
+"""What others install: the wheel holds all of the package and nothing else, and works where no checkout is.
+
+The packages it needs are those of the environment that runs the tests, so nothing is fetched:
+`make bench-install` installs them from the index.
+"""
+
+import json
+import re
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+
+from benchmarks.install import built, chain, run
+from turtlebag.datasets.kernels import folders
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LOCK = [Requirement(line) for line in (ROOT / "requirements.lock").read_text().splitlines()]
+ROOMS = {
+    "turtlebag": "pipeline/turtlebag",
+    **{f"turtlebag/{name}": name for name in ("datasets", "pipeline", "planners", "reports", "sim")},
+}
+WHERE = """
+import datasets, turtlebag, turtlebag.datasets as ours
+print(datasets.__file__, turtlebag.__file__, ours.__file__)
+"""
+
+
+def package_files():
+    """Every file of the checkout that belongs to the package, by its path in the package."""
+    for package, folder in ROOMS.items():
+        for path in (ROOT / folder).rglob("*"):
+            inside = path.relative_to(ROOT / folder)
+            # What is imported as turtlebag stands in a folder of the command line's package.
+            nested = folder == "pipeline" and inside.parts[0] == "turtlebag"
+            if path.is_file() and "__pycache__" not in path.parts and not nested:
+                yield f"{package}/{inside.as_posix()}"
+
+
+@pytest.mark.slow
+def test_the_wheel_works_in_an_empty_folder_beside_another_package_called_datasets(tmp_path):
+    dist, environment, empty = tmp_path / "dist", tmp_path / "environment", tmp_path / "empty"
+    wheel = built(dist)
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    info = {
+        name for name in names if name.startswith(f"turtlebag-{PROJECT['project']['version']}.dist-info/")
+    }
+    assert names - info == set(package_files())
+    (sdist,) = dist.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        assert {Path(name).parts[1] for name in archive.getnames() if "/" in name} >= {"LICENSE", "README.md"}
+
+    empty.mkdir()
+    run([sys.executable, "-m", "venv", "--without-pip", environment], empty)
+    python = environment / "bin/python"
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        python,
+        "install",
+        "--no-deps",
+        "--no-index",
+        "--no-compile",
+    ]
+    run([*pip, wheel], empty)
+    packages = next(environment.glob("lib/python*/site-packages"))
+    (packages / "datasets.py").touch()
+    (packages / "theirs.pth").write_text(sysconfig.get_path("purelib"))
+    imported, _ = run([python, "-c", WHERE], empty)
+    assert [Path(file).relative_to(packages).as_posix() for file in imported.split()] == [
+        "datasets.py",
+        "turtlebag/__init__.py",
+        "turtlebag/datasets/__init__.py",
+    ]
+    stages = dict(chain(environment, empty, NUMBA_CACHE_DIR=str(next(folders()))))
+    assert list(stages) == ["record", "map", "navigate", "report"]
+    assert "turtlebot3_world" in (empty / "report/index.html").read_text()
+
+
+def test_the_lock_has_one_version_of_each_package_in_the_range_that_is_asked_for():
+    pins = {
+        canonicalize_name(line.name): line for line in LOCK if line.marker is None or line.marker.evaluate()
+    }
+    extras = PROJECT["project"]["optional-dependencies"]
+    todo = [Requirement(line) for line in PROJECT["project"]["dependencies"] + extras["dev"]]
+    assert all("==" not in str(wanted) for wanted in todo)
+    seen = set()
+    while todo:  # and what those need, and so on
+        wanted = todo.pop()
+        name = canonicalize_name(wanted.name)
+        (version,) = re.fullmatch(r"==([\w.]+)", str(pins[name].specifier)).groups()
+        assert wanted.specifier.contains(version), wanted
+        if name not in seen:
+            seen.add(name)
+            needs = [Requirement(line) for line in metadata.requires(name) or ()]
+            todo += [need for need in needs if need.marker is None or need.marker.evaluate({"extra": ""})]
+    assert seen == set(pins)
+
+
+def test_the_dockerfile_is_the_commands_of_the_readme():
+    (start,) = re.findall(r"^## Start\n+```\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
+    commands = [line.partition(" #")[0].strip() for line in start.splitlines()]
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    assert [line[4:] for line in lines if line.startswith("RUN make ")] == commands[:1]
+    assert [json.loads(line[4:]) for line in lines if line.startswith("CMD ")] == [commands[1].split()]
+    python = re.search(r"^FROM python:([\d.]+)", "\n".join(lines), re.M)[1]
+    assert SpecifierSet(PROJECT["project"]["requires-python"]).contains(python)
+    (told,) = re.findall(r"Python ([\d.]+) or newer", (ROOT / "README.md").read_text())
+    assert PROJECT["project"]["requires-python"] == f">={told}"
