@@ -9,7 +9,6 @@ from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import read_mapping
 from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, add_world, pose, start_of
 
 EXAMPLE = (
@@ -154,10 +153,9 @@ def _keepout(text: str | None) -> tuple[Array, ...] | None:
         return None
     if text == "none":
         return ()
-    from turtlebag.planners.tasks.waypoints import parse_polygons
+    from turtlebag.planners.tasks.waypoints import load_keepout
 
-    data = read_mapping(Path(text))
-    return parse_polygons(data.get("keepout"), f"--keepout {text}")
+    return load_keepout(Path(text))
 
 
 def _positive(text: str) -> float:

@@ -57,7 +57,7 @@ def plan(
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
         require_free(option, pose, costmap, spec.model, map_path)
-    found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
+    found, reason, planning_s = search(costmap, spec, T_map_start, T_map_goal, config, seed)
     metrics = plan_metrics(costmap, spec, found, reason, config)
     others: dict[str, Plan | None] = {}
     times: dict[str, float] = {config.plan.ompl.name: planning_s}
@@ -65,7 +65,7 @@ def plan(
         metrics["planners"] = []
         for other in rivals(config):
             name: str = other.plan.ompl.name
-            others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
+            others[name], why, times[name] = search(costmap, spec, T_map_start, T_map_goal, other, seed)
             metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
             log.info("%s", _line(metrics["planners"][-1], times[name]))
     with staged_output(out, force=force) as folder:
@@ -116,9 +116,10 @@ def _line(metrics: dict[str, Any], seconds: float) -> str:
     )
 
 
-def _search(
+def search(
     costmap: Costmap, spec: RobotSpec, start: SE2, goal: SE2, config: PlanStageConfig, seed: int
 ) -> tuple[Plan | None, str, float]:
+    """The path, or None and why there is none; and the wall time it took [s]."""
     watch = Stopwatch()
     plan_seed = int(stream(seed, "plan").integers(2**31))
     try:
