@@ -78,6 +78,14 @@ def require(part: type, contract: type, name: str | None = None) -> None:
         _require_method(part, method, contract, name or _label(part))
 
 
+def require_attributes(part: object, contract: type) -> None:
+    """InputError unless a part that was made has all that the contract asks for besides methods."""
+    named = [key for key, value in vars(contract).items() if isinstance(value, property)]
+    for key in [*named, *inspect.get_annotations(contract)]:
+        if inspect.getattr_static(part, key, _found) is _found:
+            raise InputError(f"{_label(type(part))}: has no {key}, which a {contract.__name__} has")
+
+
 def name_of(part: type) -> str:
     """`module:Class` of a class; InputError when that does not lead back to it."""
     name = _label(part)

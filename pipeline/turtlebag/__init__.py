@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turtlebag.api.making import verbose
     from turtlebag.api.online import Localiser, Mapper
     from turtlebag.api.outputs import Bag, Map
-    from turtlebag.api.planning import NoPath, Planner
+    from turtlebag.api.planning import Planner
     from turtlebag.api.results import Localisation, Plan, Report, Run
     from turtlebag.api.simulation import Simulator
     from turtlebag.api.steps import localise, map, navigate, plan, record, report
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from turtlebag.datasets.errors import InputError
     from turtlebag.datasets.se2 import SE2
     from turtlebag.datasets.types import LidarSpec, Scan
+    from turtlebag.planners.planner import NoPath
 
 _HOMES = {
     "turtlebag.api.steps": ("record", "map", "localise", "navigate", "plan", "report"),
@@ -37,7 +38,8 @@ _HOMES = {
     "turtlebag.api.tables": ("Trajectory", "Table"),
     "turtlebag.api.simulation": ("Simulator",),
     "turtlebag.api.online": ("Mapper", "Localiser"),
-    "turtlebag.api.planning": ("Planner", "NoPath"),
+    "turtlebag.api.planning": ("Planner",),
+    "turtlebag.planners.planner": ("NoPath",),
     "turtlebag.api.making": ("verbose",),
     "turtlebag.datasets.errors": ("InputError",),
     "turtlebag.datasets.se2": ("SE2",),

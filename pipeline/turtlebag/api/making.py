@@ -154,14 +154,18 @@ def path_of(value: PathLike | None) -> Path | None:
     return None if value is None else Path(value)
 
 
+def part_name(part: Any) -> Any:
+    """The name `module:Class` of a class of the user's; anything else as it is."""
+    return name_of(part) if inspect.isclass(part) else part
+
+
 def setting_words(settings: Mapping[str, Any] | None) -> list[str]:
     """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names."""
     return [f"{key}={_value_text(value, key)}" for key, value in (settings or {}).items()]
 
 
 def _value_text(value: Any, key: str) -> str:
-    if inspect.isclass(value):
-        return name_of(value)
+    value = part_name(value)
     if isinstance(value, str) and value and parsed(value, where=key) == value:
         return value
     try:

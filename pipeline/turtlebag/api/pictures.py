@@ -32,7 +32,7 @@ MARGIN_M = 0.3
 
 
 def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", mood: str = "neutral") -> str:
-    """HTML that reads the same on light and dark pages: a title, a sentence, facts by their names, a picture."""
+    """HTML that reads the same on light and dark pages: title, sentence, facts by name, picture."""
     rows = "".join(
         f'<tr style="background:none"><td style="text-align:left;color:#5f6873;padding:1px 12px 1px 0;'
         f'vertical-align:top">{html.escape(name)}</td><td style="text-align:left;padding:1px 0">'
@@ -44,7 +44,8 @@ def card(title: str, said: str, facts: Mapping[str, str], picture: str = "", moo
     return (
         f'<div style="display:inline-block;max-width:{WIDTH_PX + 30}px;background:#fefefe;color:#1c2024;'
         f"border:1px solid #d5dae0;border-left:4px solid {MOODS[mood]};border-radius:4px;padding:8px 12px;"
-        f'font:14px system-ui,sans-serif"><b>{html.escape(title)}</b>{sentence}{table if rows else ""}{picture}</div>'
+        f'font:14px system-ui,sans-serif"><b>{html.escape(title)}</b>{sentence}{table if rows else ""}'
+        f"{picture}</div>"
     )
 
 

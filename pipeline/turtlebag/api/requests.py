@@ -16,6 +16,7 @@ from turtlebag.api.making import PathLike, Pose, TemporaryFolder, pose_of, requi
 from turtlebag.api.outputs import as_map
 from turtlebag.api.tasks import Avoid, Explore, Goal, Patrol, Task
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.planners.tasks.waypoints import load_keepout
@@ -47,7 +48,7 @@ class _Told:
 
 def asked_for(
     map: PathLike | None,
-    task: Task,
+    task: Task | str,
     *,
     world: PathLike | None,
     robot: PathLike | None,
@@ -60,8 +61,9 @@ def asked_for(
 ) -> Asked:
     """The run that the arguments of `turtlebag.navigate` ask for; InputError where they do not fit."""
     files, on = TemporaryFolder(), None if map is None else as_map(map)
-    told = _of_task(task, files.path)
-    name = type(task).__name__.lower()
+    own = isinstance(task, str) and is_own(task)
+    told = _Told({}, {}) if own else _of_task(task, files.path)
+    name = str(task) if own else type(task).__name__.lower()
     if on is None and isinstance(task, Patrol):
         raise InputError("map: a patrol needs one; give the map to drive by")
     if isinstance(task, Avoid | Explore) and (on is not None or wiggle or keepout is not None):
@@ -74,7 +76,7 @@ def asked_for(
     start_pose = None if start is None else pose_of(start, "start")
     guess = None if on is None else told_pose(initial_pose, "start", "global")
     request = Request(
-        task=name,  # type: ignore[arg-type]
+        task=name,
         seed=require_seed(seed),
         map_path=None if on is None else on.yaml,
         start=start_pose,
@@ -110,7 +112,7 @@ def told_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
     return pose_of(value, "initial_pose")
 
 
-def _of_task(task: Task, folder: Path) -> _Told:
+def _of_task(task: Task | str, folder: Path) -> _Told:
     if isinstance(task, Goal):
         goal, timeout = pose_of((task.x, task.y, task.yaw), "goal"), _seconds(task.timeout, "timeout")
         return _Told({"goal": goal, "timeout_s": timeout}, {"goal": goal, "timeout": timeout})
@@ -127,7 +129,7 @@ def _of_task(task: Task, folder: Path) -> _Told:
     if isinstance(task, Explore):
         duration = _seconds(task.duration, "duration")
         return _Told({"duration_s": duration}, {"duration": duration})
-    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid() or Explore(), not {task!r}")
+    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {task!r}")
 
 
 def _seconds(value: float | None, what: str) -> float | None:

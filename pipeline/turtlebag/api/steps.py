@@ -17,6 +17,7 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     command_line,
+    part_name,
     path_of,
     pose_of,
     pose_text,
@@ -34,10 +35,10 @@ Settings = Mapping[str, Any]
 
 
 def record(
-    world: str | PathLike,
-    robot: str | PathLike | None = None,
+    world: PathLike | type,
+    robot: PathLike | None = None,
     *,
-    teleop: str | PathLike = "tour",
+    teleop: PathLike = "tour",
     seed: int = 1,
     start: Pose | None = None,
     config: PathLike | None = None,
@@ -47,20 +48,20 @@ def record(
 ) -> Bag:
     """Drive a simulated robot and record what it saw.
 
-    `world` and `robot` are names or files (default: the world's own robot), `teleop` a script, or a bag whose
-    commands are driven again; `start` is the true pose in the world. A drive that got stuck is kept, and
-    its `notes` say so. InputError for unknown names and a start in an obstacle.
+    `world` is a name, a file or a class, `robot` a name or a file (default: the world's own), `teleop` a
+    script, or a bag whose commands are driven again; `start` is the true pose in the world. A drive that
+    got stuck is kept, and its `notes` say so. InputError for unknown names and a start in an obstacle.
     """
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.record import record as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    words = setting_words(settings)
+    words, named = setting_words(settings), part_name(world)
     T_start = None if start is None else pose_of(start, "start")
-    given = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "start": T_start}
+    given = {"world": named, "robot": robot, "teleop": teleop, "seed": seed, "start": T_start}
     with step("record", out, force=force, inputs=[teleop, config]) as now:
         code = stage(
-            os.fspath(world),
+            os.fspath(named),
             None if robot is None else os.fspath(robot),
             os.fspath(teleop),
             require_seed(seed),
@@ -186,8 +187,8 @@ def plan(
     start: Pose,
     goal: Pose,
     *,
-    robot: str | PathLike | None = None,
-    planner: str | None = None,
+    robot: PathLike | None = None,
+    planner: str | type | None = None,
     compare: bool = False,
     seed: int = 0,
     config: PathLike | None = None,
@@ -197,16 +198,15 @@ def plan(
 ) -> Plan:
     """Plan a path over a map from a pose to another, both in the map's frame.
 
-    `robot` is a name or a file (default: the one that made the map, else burger), `planner` one of OMPL's;
-    `compare` asks all of them. Where there is no path, `success` is False and the verdict says why.
-    InputError for a start or goal off the map or in an obstacle.
+    `robot` is a name or a file (default: the one that made the map, else burger), `planner` one of OMPL's
+    or a class; `compare` asks all of OMPL's. Where there is no path, `success` is False and the verdict
+    says why. InputError for a start or goal off the map or in an obstacle.
     """
-    from turtlebag.pipeline.stages.plan import PlanStageConfig
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, planner_settings
     from turtlebag.pipeline.stages.plan import plan as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    chosen = {} if planner is None else {"plan.ompl.planner": planner}
-    words, on = setting_words({**(settings or {}), **chosen}), as_map(map)
+    words, on, by = setting_words(settings), as_map(map), part_name(planner)
     T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
     name = os.fspath(robot) if robot is not None else on.robot or "burger"
     given = {
@@ -214,8 +214,11 @@ def plan(
         "robot": name,
         "start": T_start,
         "goal": T_goal,
+        "planner": by,
         "compare": compare,
         "seed": seed,
+        "config": config,
+        "set": words,
     }
     with step("plan", out, force=force, inputs=[map, config]) as now:
         stage(
@@ -225,10 +228,10 @@ def plan(
             T_goal,
             now.out,
             seed=require_seed(seed),
-            config=load_config(PlanStageConfig, path_of(config), words),
+            config=load_config(PlanStageConfig, path_of(config), [*words, *planner_settings(by)]),
             compare=compare,
             force=force,
-            command_line=command_line("plan", **given, seed=seed, config=config, set=words, out=now.out),
+            command_line=command_line("plan", **given, out=now.out),
         )
         return Plan.of(now)
 
@@ -265,9 +268,9 @@ def report(
 def navigate(
     map: PathLike | None = None,
     *,
-    task: Task,
-    world: str | PathLike | None = None,
-    robot: str | PathLike | None = None,
+    task: Task | type,
+    world: PathLike | type | None = None,
+    robot: PathLike | None = None,
     seed: int = 0,
     start: Pose | None = None,
     initial_pose: Pose | Literal["start", "global"] | None = "start",
@@ -298,8 +301,8 @@ def navigate(
     with step("navigate", out, force=force, inputs=[map, takeover, config]) as now:
         asked = asked_for(
             map,
-            task,
-            world=world,
+            part_name(task),
+            world=part_name(world),
             robot=robot,
             seed=seed,
             start=start,
