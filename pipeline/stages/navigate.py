@@ -160,7 +160,8 @@ def _opening(arena: World, mission: Mission) -> str:
         "avoid": "drive around and avoid obstacles",
         "explore": "explore and map",
     }
-    return f"{tasks.get(request.task, f'task {request.task}')}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+    doing = tasks.get(request.task, f"task {request.task}")
+    return f"{doing}: {mission.robot.name} in {arena.name}, seed {request.seed}"
 
 
 def _length_s(mission: Mission) -> float | None:
