@@ -32,14 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan, planner_settings
     from turtlebag.pipeline.stages.settings import load_config
 
-    settings = list(args.settings)
-    if args.planner is not None:
-        ours = args.planner in get_args(PlannerName)
-        settings += ["plan.planner=ompl", f"plan.ompl.planner={args.planner}"] if ours else []
-        settings += [] if ours else [f"plan.planner={args.planner}"]
+    settings = [*args.settings, *planner_settings(args.planner)]
     return plan(
         args.map,
         args.robot,

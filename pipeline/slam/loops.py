@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
@@ -29,7 +30,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import free_space_violations
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
@@ -97,6 +98,7 @@ def close_loops(
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> LoopFinder:
     """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
@@ -104,7 +106,7 @@ def close_loops(
     broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
     poses with loops closed, the loop constraints, and the record of all candidates.
     """
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits)
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits, back_end)
     for batch in batches:
         finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
     return finder
@@ -217,14 +219,15 @@ class LoopFinder(LoopSearch):
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
         edits: KeyEdits = NO_EDITS,
+        back_end: BackEnd = GTSAM,
     ) -> None:
         super().__init__(T_map_keys, steps, config, part, known, edits)
         self.clouds, self.keys = clouds, keys
-        self.matcher = config.matcher()
+        self.matcher, self.back_end = config.matcher(), back_end
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
-        self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
+        self.poses[:n] = solved(self.back_end, SE2(self.poses[:n]), graph).xyt
         if n < len(self.poses):
             move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
             self.poses[n:] = (move @ SE2(self.poses[n:])).xyt

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
@@ -26,7 +27,7 @@ from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.loops import LoopConfig
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import (
     BAD_SHARE,
     MOST_PAIRS,
@@ -91,6 +92,7 @@ def recall(
     config: RecallConfig,
     by_distance: LoopConfig,
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
@@ -111,8 +113,8 @@ def recall(
     free = relaxed(steps, released)
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
-    closed = optimise(SE2(poses), [*free, *firm])
-    return Recall(optimise(closed, [*free, *loops]), loops, record, part, released)
+    closed = solved(back_end, SE2(poses), [*free, *firm])
+    return Recall(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:

@@ -16,6 +16,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
@@ -46,7 +47,7 @@ from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
 # Settings that the front end does not read; of all others a change starts it anew.
-LATER = {"loops", "recall", "refine", "posing", "grid"}
+LATER = {"back_end", "loops", "recall", "refine", "posing", "grid"}
 
 
 Sensors = Annotated[
@@ -72,6 +73,7 @@ class SlamConfig(BaseModel):
     )
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip in turns")
     tracking: TrackingConfig = TrackingConfig()
+    back_end: BackEndName = "gtsam"
     loops: LoopConfig = LoopConfig()
     recall: RecallConfig = RecallConfig()
     refine: RefineConfig = RefineConfig()
@@ -302,22 +304,24 @@ def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
     """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
     config = _by_odometry(config) if config.sensors == "odometry" else config
     matcher = config.loops.match if config.loops.enabled else None
-    return {"front_end": config.front_end, "loops.match": matcher}
+    return {"front_end": config.front_end, "loops.match": matcher, "back_end": config.back_end}
 
 
 def _optimised(
     clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], run: _Run
 ) -> Graph:
     """The graph after loop closure and joint refinement of all key poses."""
-    config, keys = run.config, track.keys
+    config, keys, back_end = run.config, track.keys, make_back_end(run.config.back_end)
     edits = KeyEdits.of(run.edits, keys)
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
         start, configs = closed.T_map_keys, (config.loops, config.recall)
-        closed = run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress, edits)
+        closed = run.steps.close_graph(
+            clouds(), keys, start, chain, steps, configs, run.progress, edits, back_end
+        )
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
         T_map_keys, constraints = refine(
-            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits
+            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits, back_end
         )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)

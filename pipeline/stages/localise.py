@@ -20,13 +20,14 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
-from turtlebag.datasets.types import Recording, Trajectory, seconds
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory, seconds
 from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.reports.metrics.navigation import localisation_errors
@@ -76,7 +77,8 @@ def localise(
     """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
     With a truth, 0 needs `true_success` of the metrics: at the end the robot is where the filter believes.
-    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a truth folder.
+    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a
+    record's truth folder, or the record.
     """
     watch = Stopwatch()
     config = config or LocaliseConfig()
@@ -84,7 +86,8 @@ def localise(
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
     recording = in_step(recording, *compared_turns(recording))
-    true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
+    truth = None if truth is None else truth_folder(truth)
+    true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
@@ -148,7 +151,7 @@ def run_amcl(
     """The filter over all scans in file order."""
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
-    amcl = started(grid, recording, initial_pose, config, rng, localiser)
+    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng, localiser)
     poses, converged, updated, particles, update_s = [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
@@ -179,7 +182,8 @@ def doubt(amcl: Localiser) -> str | None:
 
 def started(
     grid: OccupancyGrid,
-    recording: Recording,
+    lidar: LidarSpec,
+    T_base_lidar: SE2,
     initial_pose: SE2 | str,
     config: AmclConfig,
     rng: np.random.Generator,
@@ -187,7 +191,7 @@ def started(
 ) -> Localiser:
     """The filter with its first cloud; InputError when the map has nothing to localise on."""
     try:
-        amcl = make_localiser(localiser, grid, recording.lidar, recording.T_base_lidar, config, rng)
+        amcl = make_localiser(localiser, grid, lidar, T_base_lidar, config, rng)
         if isinstance(initial_pose, SE2):
             amcl.initialise(initial_pose)
         else:

@@ -19,6 +19,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.slam.back_end import make_back_end
 from turtlebag.pipeline.slam.edits import Edits, load_edits
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
 from turtlebag.pipeline.slam.front_ends import front_end_maker
@@ -185,6 +186,7 @@ def _settled(config: Path | None, settings: Sequence[str]) -> SlamConfig | Input
         settled = load_config(SlamConfig, config, settings)
         front_end_maker(settled.front_end)
         settled.loops.matcher()
+        make_back_end(settled.back_end)
         return settled
     except InputError as error:
         return error

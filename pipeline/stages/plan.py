@@ -59,7 +59,7 @@ def plan(
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
         require_free(option, pose, costmap, spec.model, map_path)
-    found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
+    found, reason, planning_s = search(costmap, spec, T_map_start, T_map_goal, config, seed)
     metrics = plan_metrics(costmap, spec, found, reason, config)
     others: dict[str, Plan | None] = {}
     times: dict[str, float] = {config.plan.name: planning_s}
@@ -67,7 +67,7 @@ def plan(
         metrics["planners"] = []
         for other in rivals(config):
             name = other.plan.name
-            others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
+            others[name], why, times[name] = search(costmap, spec, T_map_start, T_map_goal, other, seed)
             metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
             log.info("%s", _line(metrics["planners"][-1], times[name]))
     parts = {"plan.planner": config.plan.planner}
@@ -99,6 +99,15 @@ def plan(
     return 0
 
 
+def planner_settings(name: str | None) -> list[str]:
+    """What the option --planner stands for: one of OMPL's, or a class of the user's."""
+    if name is None:
+        return []
+    if name in get_args(PlannerName):
+        return ["plan.planner=ompl", f"plan.ompl.planner={name}"]
+    return [f"plan.planner={name}"]
+
+
 def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
     """The same settings with every planner that the space allows, the chosen one among them."""
     out = [config] if is_own(config.plan.planner) else []
@@ -123,9 +132,10 @@ def _line(metrics: dict[str, Any], seconds: float) -> str:
     )
 
 
-def _search(
+def search(
     costmap: Costmap, spec: RobotSpec, start: SE2, goal: SE2, config: PlanStageConfig, seed: int
 ) -> tuple[Plan | None, str, float]:
+    """The path, or None and why there is none; and the wall time it took [s]."""
     watch = Stopwatch()
     plan_seed = int(stream(seed, "plan").integers(2**31))
     try:
