@@ -20,7 +20,8 @@ from urllib.parse import urlsplit
 UNFINISHED = ".unfinished"
 READY = ".ready"
 LOG = "install.log"
-# The lock is complete, so nothing has to be resolved; compiling is done apart, on every core.
+# The lock is complete, so nothing has to be resolved; compiling is done apart, on every core, our own sources
+# too: where Python is told to keep no bytecode, each process would compile them anew.
 PIP = (
     "-m",
     "pip",
@@ -131,8 +132,9 @@ def _fill(environment: Path, project: Path, handle: int) -> None:
     _run([python, *PIP, "-r", str(lock)], log, what, handle)
     own = ("--no-build-isolation", "--editable", str(project))
     _run([python, *PIP, *own], log, what, handle)
+    sources = [str(environment / "lib"), *map(str, project.glob("[!.]*"))]
     with suppress(Failed):  # a file for another Python; whoever imports it is told
-        _run([python, *COMPILE, str(environment / "lib")], log, "the packages could not be compiled", handle)
+        _run([python, *COMPILE, *sources], log, "the sources could not be compiled", handle)
     (environment / UNFINISHED).unlink()
 
 
