@@ -36,8 +36,9 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
-from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, NoPath, Plan, PlanConfig, plan_path
+from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
 from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
+from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
 from turtlebag.reports.figures.planners import planner_boxes
 from turtlebag.reports.figures.style import save_png, styled

@@ -65,6 +65,14 @@ class RunLog:
                 [int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k], self.owner[k]]
             )
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every column by its name in the file, (n,) each."""
+        poses = np.concatenate([self.T_world_base.xyt, self.T_map_base.xyt, self.T_odom_base.xyt], axis=1)
+        words = (np.array(self.state, dtype=object), np.array(self.owner, dtype=object))
+        flags = (self.contact_visible, self.contact_low, self.goal_index)
+        arrays = (self.t_ns, *poses.T, self.v, self.w, self.clearance_m, *flags, *words)
+        return dict(zip(COLUMNS, arrays, strict=True))
+
     @staticmethod
     def joined(parts: Sequence[RunLog]) -> RunLog:
         """Logs that follow on one another as one; at least one."""

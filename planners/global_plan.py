@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
@@ -24,6 +25,7 @@ from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.lattice import Lattice, inner_disc_joins
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import free_from
+from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
 from turtlebag.planners.wavefront import descend, wave
@@ -48,6 +50,8 @@ class PlanConfig(BaseModel):
     """Distances in metres."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
+    """`ompl`, or a class of yours."""
     ompl: OmplConfig = OmplConfig()
     margins: tuple[Annotated[float, Field(ge=0.0, le=10.0)], ...] = Field(
         default=(0.10, 0.07, 0.04, 0.0), min_length=1
@@ -66,22 +70,10 @@ class PlanConfig(BaseModel):
     snap: float = Field(default=0.35, ge=0.0, le=10.0)
     """How far the start may be moved to reach free floor, when the robot is too close to an obstacle."""
 
-
-class NoPath(Exception):
-    """There is certainly no path, or none was found; the text says which and why."""
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A path in the map frame, (n,) poses from start to goal, and how it came about.
-
-    `planner` is what found it: the planner asked, or one of the last resorts.
-    """
-
-    poses: SE2
-    length: float
-    margin: float
-    planner: str
+    @property
+    def name(self) -> str:
+        """What is asked for a path: a planner of OMPL, or a class of the user's."""
+        return self.ompl.name if self.planner == "ompl" else self.planner
 
 
 def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
@@ -93,12 +85,36 @@ def fits(costmap: Costmap, model: RobotModel, T_map_base: SE2) -> bool:
 def plan_path(
     costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, config: PlanConfig, seed: int
 ) -> Plan:
-    """A collision-free path for the footprint; raises NoPath with the reason."""
-    start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
+    """A collision-free path for the footprint by the planner of the settings; raises NoPath with the reason.
+
+    InputError where that is the user's own and not to be had, or gives back something else.
+    """
     if not fits(costmap, model, T_map_goal):
         raise NoPath("the goal is in an obstacle or off the map")
-    if config.ompl.space != "disc":
-        return _plan_poses(costmap, model, start, goal, config, seed)
+    planner: GlobalPlanner = chosen(config.planner, {"ompl": OmplPlanner}, GlobalPlanner)(config)
+    plan = planner.plan(costmap, model, T_map_start, T_map_goal, seed)
+    require_plan(planner, plan)
+    return plan
+
+
+class OmplPlanner:
+    """OMPL on the floor of a disc, then the footprint in every heading."""
+
+    def __init__(self, config: PlanConfig) -> None:
+        self._config = config
+
+    def plan(self, costmap: Costmap, model: RobotModel, T_map_start: SE2, T_map_goal: SE2, seed: int) -> Plan:
+        """As in `GlobalPlanner`."""
+        start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
+        if self._config.ompl.space != "disc":
+            return _plan_poses(costmap, model, start, goal, self._config, seed)
+        return _plan_disc(costmap, model, start, goal, self._config, seed)
+
+
+def _plan_disc(
+    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
+) -> Plan:
+    """A path of the disc round the footprint, or of the footprint itself where that has none."""
     way, reason = _disc_way(costmap, model, start, goal, config, seed)
     if way is None:
         oriented = _oriented_way(costmap, model, start, goal, config)

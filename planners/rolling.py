@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap, nearest_free
-from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
+from turtlebag.planners.planner import NoPath
 from turtlebag.planners.wavefront import wave
 
 RIM_M = 0.8

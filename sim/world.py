@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
@@ -43,3 +44,19 @@ class World:
     def rasterize(self, z: float, resolution: float = 0.05) -> OccupancyGrid:
         """The true map at height z, as a perfect lidar there would draw it (see turtlebag.sim.rasterize)."""
         return true_map(self.crossing(z), z, self.bounds, self.spawn.xy, resolution)
+
+
+class WorldMaker(Protocol):
+    """Makes a world for `--world module:Class` or, with `options`, `--world module:Class:options`."""
+
+    def __init__(self, options: str) -> None:
+        """With what follows its name, empty where nothing does; InputError for options that it has not."""
+        ...
+
+    def world(self) -> World:
+        """The world, the same for the same options: at least one thing to see, and room to start at `spawn`.
+
+        `name` is what logs and reports call it; `bounds` (x_min, x_max, y_min, y_max) hold all shapes: those
+        of its true map.
+        """
+        ...

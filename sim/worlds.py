@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import Answer, find, is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.clutter import cluttered
@@ -15,7 +16,7 @@ from turtlebag.sim.generators import GENERATORS, LIMITS
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.sdf import load_sdf
 from turtlebag.sim.shapes import Solid, contains, sections
-from turtlebag.sim.world import World
+from turtlebag.sim.world import World, WorldMaker
 from turtlebag.sim.world_files import GeneratorSpec, WorldSpec
 
 FOLDER = Path(__file__).parent / "worlds"
@@ -30,6 +31,7 @@ def load_world(name_or_path: str) -> World:
 
     Options of a world follow its name: `turtlebot3_house:gate=open`. Generated worlds are named by
     generator and seed: `maze:7`, `office:3`, `forest:5,density=0.5`. A .world or .sdf file is imported.
+    `module:Class` or `module:Class:options` is a `WorldMaker` of the user's own.
     Any of them may be followed by `+clutter:SEED,boxes=3,movers=2`: things that no map of it shows.
     """
     base, plus, clutter = name_or_path.partition("+clutter:")
@@ -41,9 +43,12 @@ def load_world(name_or_path: str) -> World:
     if name in GENERATORS:
         return _generated(name_or_path, name, settings)
     if name not in world_names() and not name.endswith((".yaml", ".yml")) and "/" not in name:
+        if own := own_world(name_or_path):
+            return _own(*own)
         raise InputError(
             f"unknown world '{name_or_path}': known are {', '.join(world_names())}, "
-            f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, or a .yaml, .world or .sdf file"
+            f"{', '.join(f'{generator}:SEED' for generator in GENERATORS)}, a .yaml, .world or .sdf file, "
+            "or a class of yours (module:Class)"
         )
     path = find_named(name, FOLDER, "world")
     data = read_mapping(path)
@@ -71,10 +76,40 @@ def load_world(name_or_path: str) -> World:
     )
 
 
+def own_world(name: str) -> tuple[str, str] | None:
+    """`module:Class` and its options of a world's name, where it could be that of a class of the user's."""
+    module, _, rest = name.partition("+clutter:")[0].partition(":")
+    part, _, options = rest.partition(":")
+    theirs = module in (*GENERATORS, *world_names()) or module.endswith((".yaml", ".yml", ".world", ".sdf"))
+    return None if theirs or not is_own(f"{module}:{part}") else (f"{module}:{part}", options)
+
+
 def own_files(world_name: str, robot_name: str | None) -> dict[str, Path]:
     """World and robot as a manifest's inputs, as far as they are files of the user's own."""
+    if own := own_world(world_name):
+        return source_files({"world": own[0]}) | own_files("", robot_name)
     named = {"world": world_name.partition("+clutter:")[0].partition(":")[0], "robot": robot_name or ""}
     return {kind: Path(name) for kind, name in named.items() if Path(name).is_file()}
+
+
+def require_world(maker: WorldMaker, world: object) -> None:
+    """InputError unless it is what `world` must return: something to see, finite, with a map that fits."""
+    answer = Answer(maker, "world")
+    answer.require_a(World, world)
+    assert isinstance(world, World)
+    answer.require_finite("spawn", world.spawn.xyt, 3)
+    answer.require_finite("bounds", np.array(world.bounds, dtype=np.float64), 4)
+    if not world.shapes:
+        raise answer.wrong("a world has a shape at least")
+    _mappable(world.bounds, world.name)
+
+
+def _own(part: str, options: str) -> World:
+    """The world that a class of the user's makes."""
+    maker: WorldMaker = find(part, WorldMaker)(options)
+    world = maker.world()
+    require_world(maker, world)
+    return world
 
 
 def _generated(where: str, name: str, settings: str) -> World:

@@ -13,6 +13,16 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 
 
+class OrOwn(tuple[str, ...]):
+    """Choices of an option, besides which it takes a class of the user's, module:Class."""
+
+    def __contains__(self, name: object) -> bool:
+        """Whether it is one of the choices, or could be such a class."""
+        from turtlebag.datasets.parts import is_own  # NumPy, which --help does without
+
+        return super().__contains__(name) or (isinstance(name, str) and is_own(name))
+
+
 def epilog(example: str) -> dict[str, Any]:
     """What makes an argument parser end its help with an example, in one line that can be copied."""
     raw = argparse.RawDescriptionHelpFormatter
@@ -46,7 +56,8 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 def add_world(parser: argparse.ArgumentParser, seed_value: int) -> None:
     """What is simulated: --world, --robot, --seed and --start."""
-    parser.add_argument("--world", required=True, metavar="W", help="world: a name or a YAML or SDF file")
+    text = "world: a name, a YAML or SDF file, or a class of yours (module:Class)"
+    parser.add_argument("--world", required=True, metavar="W", help=text)
     parser.add_argument(
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )

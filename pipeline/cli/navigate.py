@@ -9,8 +9,7 @@ from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import read_mapping
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, add_world, pose, start_of
+from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_world, pose, start_of
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -40,7 +39,9 @@ ON_A_MAP = ("initial_pose", "wiggle", "keepout")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's arguments."""
     add_world(parser, 0)
-    parser.add_argument("--task", required=True, choices=TASKS, help="task to run")
+    parser.add_argument(
+        "--task", required=True, choices=OrOwn(TASKS), help="task to run, or a class of yours"
+    )
     add_map(parser, "navigate", required=False)
     parser.add_argument(
         "--initial-pose",
@@ -124,7 +125,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _refuse_unused(args: argparse.Namespace) -> None:
-    """InputError for the first option given that the task would not look at."""
+    """InputError for the first option given that the task would not look at; of the user's own who knows."""
+    if args.task not in TASKS:
+        return
     given = [name for name in TAKEN_BY if getattr(args, name) not in (None, False)]
     for name in given:
         option = f"--{name.replace('_', '-')}"
@@ -154,10 +157,9 @@ def _keepout(text: str | None) -> tuple[Array, ...] | None:
         return None
     if text == "none":
         return ()
-    from turtlebag.planners.tasks.waypoints import parse_polygons
+    from turtlebag.planners.tasks.waypoints import load_keepout
 
-    data = read_mapping(Path(text))
-    return parse_polygons(data.get("keepout"), f"--keepout {text}")
+    return load_keepout(Path(text))
 
 
 def _positive(text: str) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, add_seed, pose
+from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_seed, pose
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", required=True, metavar="X,Y,YAW", help="goal pose")
     names = get_args(PlannerName)
     text = f"OMPL planner: {', '.join(names)} (default: BITstar for a disc, else RRTConnect)"
-    parser.add_argument("--planner", choices=names, metavar="P", help=text)
+    parser.add_argument("--planner", choices=OrOwn(names), metavar="P", help=f"{text}, or a class of yours")
     parser.add_argument("--compare", action="store_true", help="run every planner and compare the paths")
     add_seed(parser, 0)
     add_config(parser)
@@ -32,12 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan, planner_settings
     from turtlebag.pipeline.stages.settings import load_config
 
-    settings = list(args.settings)
-    if args.planner is not None:
-        settings.append(f"plan.ompl.planner={args.planner}")
+    settings = [*args.settings, *planner_settings(args.planner)]
     return plan(
         args.map,
         args.robot,

@@ -133,6 +133,11 @@ class Amcl:
         return self._cloud.weights.copy()
 
     @property
+    def pushes(self) -> int:
+        """How often it was seen that someone had pushed the standing robot."""
+        return self.push.pushes
+
+    @property
     def agreement(self) -> float:
         """Share of the scans of late that the map explains at the estimate, 0 to 1."""
         return self.watch.fast

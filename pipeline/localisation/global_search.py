@@ -16,8 +16,9 @@ import numpy as np
 from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.beams import Beams, spread
-from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid
+from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
@@ -179,3 +180,9 @@ def path_probabilities(
                 p += z_hit * np.exp(-0.5 * (d / sigma) ** 2)
             out[i, j] = p
     return out
+
+
+def global_search(grid: OccupancyGrid, lidar: LidarSpec, config: AmclConfig) -> GlobalSearch:
+    """The search for a lidar on a map, by the settings."""
+    field = distance_field(grid, config.likelihood_max_dist)
+    return GlobalSearch(grid, field, config, config.range_limits(lidar)[1])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets.parts import part_of
+from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore import ExploreConfig
 from turtlebag.pipeline.navigation.lost import RelocaliseConfig
@@ -23,7 +25,7 @@ from turtlebag.planners.tasks.sequence import SequenceConfig
 from turtlebag.planners.tasks.wiggle import WiggleConfig
 from turtlebag.sim.simulator import SimConfig
 
-ControllerName = Literal["pursuit", "dwa"]
+ControllerName = Annotated[str, part_of("pursuit", "dwa")]
 
 
 class MaplessConfig(BaseModel):
@@ -56,6 +58,7 @@ class NavigateConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     sim: SimConfig = SimConfig()
+    localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()
     costmap: CostmapConfig = CostmapConfig()
     live: LiveConfig = LiveConfig()

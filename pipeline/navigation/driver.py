@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any, Protocol
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
@@ -11,8 +12,43 @@ from turtlebag.pipeline.navigation.sensing import Sensing, Sight
 from turtlebag.planners.live import LiveLayer
 
 
+class Task(Protocol):
+    """A task in closed loop: `--task module:Class`. It never sees the truth.
+
+    Whoever derives from `Driver` has all of it but `step` and `stand_by`.
+    """
+
+    sensing: Sensing
+    """That of the kit, or one of its own; it is shown every observation, in `step` and `stand_by`."""
+    state: str
+    """One word on what it is doing, for the run log."""
+    goal_index: int
+    """Which goal it pursues, -1 for none."""
+    finished: bool
+    """Whether the task is over; it is asked no more then."""
+    estimate: SE2 | None
+    """Where it takes itself to be in the map; None when it does not know, or needs no map."""
+
+    def __init__(self, kit: Any, mission: Any) -> None:
+        """With a `turtlebag.pipeline.navigation.drivers.Kit`, what drivers are made of, and a
+        `turtlebag.pipeline.navigation.setup.Mission`, what was asked for: the map, if one was given."""
+        ...
+
+    def step(self, observation: Observation) -> Twist:
+        """The command for the next control period, within the limits of the robot."""
+        ...
+
+    def stand_by(self, observation: Observation) -> None:
+        """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
+        ...
+
+    def resume(self, last: Twist) -> None:
+        """Drive again from the next step on, after the command that someone else gave last."""
+        ...
+
+
 class Driver(ABC):
-    """A task in closed loop. It never sees the truth."""
+    """What the tasks share. It never sees the truth."""
 
     def __init__(self, sensing: Sensing) -> None:
         self.sensing = sensing

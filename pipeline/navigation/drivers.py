@@ -9,9 +9,13 @@ import numpy as np
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.parts import find, require_attributes
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.global_search import global_search
+from turtlebag.pipeline.localisation.localisers import make_localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -25,7 +29,7 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.dwa import Dwa
-from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
@@ -73,10 +77,12 @@ def make_navigator(
     """A driver on a map and its localiser, which was told no pose yet."""
     config, robot = kit.config, kit.robot
     lidar = robot.lidar.spec(config.sim.lidar.turning)
-    amcl = Amcl(grid, lidar, robot.T_base_lidar, config.amcl, stream(kit.seed, "amcl"))
+    parts = grid, lidar, robot.T_base_lidar, config.amcl
+    amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"))
     localiser = Localiser(amcl, kit.sensing.odometry, kit.publisher)
     tools = kit.tools(LiveLayer(costmap, config.live))
-    aliasing = Aliasing(amcl.search, stream(kit.seed, "rivals"))
+    search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
+    aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     guard, wiggle = Guard(robot.model, config.avoid), Wiggle(config.wiggle)
     finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, guard, wiggle)
     return NavigationDriver(tools, kit.sensing, sequence, finder), localiser
@@ -111,8 +117,14 @@ def nothing_known() -> Costmap:
 
 
 def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
-    """The local controller that the configuration names."""
+    """The local controller that the configuration names; InputError where it is not to be had."""
     period = 1.0 / CONTROL_HZ
     if config.controller == "dwa":
         return Dwa(robot.model, config.dwa, config.pursuit, period)
-    return Pursuit(robot.model, config.pursuit, period)
+    if config.controller == "pursuit":
+        return Pursuit(robot.model, config.pursuit, period)
+    own: Controller = find(config.controller, Controller)(robot.model, period)
+    require_attributes(own, Controller)
+    require_twist(own, "brake", own.brake(Twist()))
+    require_twist(own, "ramp", own.ramp(Twist(), Twist()))
+    return own

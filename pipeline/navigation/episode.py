@@ -10,7 +10,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
-from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.explore import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
 from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
@@ -85,7 +85,7 @@ def _cut_short(stamp_ns: int, interrupted: Sequence[int]) -> str:
     return f"the run ended after {MAX_SIMULATED_S:g} s" if stamp_ns > MAX_SIMULATED_S * 1e9 else ""
 
 
-def _owner(driver: Driver, mission: Mission, takeovers: Source | None) -> CommandOwner:
+def _owner(driver: Task, mission: Mission, takeovers: Source | None) -> CommandOwner:
     """The driver, and whoever may take over from it."""
     config, model = mission.config, mission.robot.model
     monitor = CollisionMonitor(model, config.monitor) if config.takeover.monitor else None

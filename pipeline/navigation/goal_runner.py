@@ -12,7 +12,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
-from turtlebag.planners.control.interface import Controller
+from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor, moved
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import (
@@ -21,8 +21,9 @@ from turtlebag.planners.footprint import (
     path_clearance,
     sample_footprint,
 )
-from turtlebag.planners.global_plan import NoPath, PlanConfig, plan_path
+from turtlebag.planners.global_plan import PlanConfig, plan_path
 from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.planner import NoPath
 from turtlebag.planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 from turtlebag.planners.tasks.sequence import Status
 
@@ -168,6 +169,7 @@ class GoalRunner:
             if verdict is not None or self._route is None:
                 return controller.brake(tick.last), verdict
         wanted = controller.command(tick.pose, tick.last, self.tools.live.costmap)
+        require_twist(controller, "command", wanted)
         self.state = controller.state
         return self._guarded(wanted, tick), self._held_up(tick, wanted)
 

@@ -1,4 +1,4 @@
-"""AMCL in closed loop: feeds it sweeps with the odometry that belongs to them, publishes what it says."""
+"""A localiser in closed loop: feeds it sweeps with the odometry of their time, publishes what it says."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
-from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation import interface
 from turtlebag.pipeline.localisation.pose_hypotheses import Glimpse
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
@@ -22,7 +22,7 @@ class Localiser:
     PARTICLES_SHOWN = 500
     GLIMPSES = 5
 
-    def __init__(self, amcl: Amcl, odometry: OdometryBuffer, publisher: BagWriter) -> None:
+    def __init__(self, amcl: interface.Localiser, odometry: OdometryBuffer, publisher: BagWriter) -> None:
         self.amcl = amcl
         self._publisher = publisher
         self._odometry = odometry
@@ -66,14 +66,15 @@ class Localiser:
 
     def observe(self, observation: Observation) -> None:
         """Take in one observation, which the odometry buffer has seen already."""
-        scan, pushes = observation.scan, self.amcl.push.pushes
+        scan, pushes = observation.scan, self.amcl.pushes
         self.pushed = False
         if scan is None or not self.amcl.initialised:
             return
         T_odom_base = self._odometry.at(scan.stamp_ns)
         self._seen = (scan, T_odom_base, self._odometry.at(sweep_end_ns(scan)))
         updated = self.amcl.update(*self._seen)
-        self.pushed = self.amcl.push.pushes > pushes
+        interface.require_estimate(self.amcl)
+        self.pushed = self.amcl.pushes > pushes
         self.T_map_odom = self.amcl.T_map_odom
         T_map_base = self.T_map_odom @ T_odom_base
         self.scan_poses.append((scan.stamp_ns, T_map_base))

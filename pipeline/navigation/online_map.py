@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Imu, Observation, Recording, Trajectory
+from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 
@@ -36,10 +38,14 @@ class OnlineMap:
         scan = observation.scan
         if scan is None or (self.mapper is None and scan.stamp_ns < self._stamps[0]):
             return  # of a sweep that began before the map no one knows where
-        self.mapper = self.mapper or Mapper(scan.lidar, self._T_base_lidar, self._config)
-        self.mapper.add(scan, Trajectory(np.array(self._stamps), SE2.stack(self._odometry)), self._imu)
-        self.T_map_odom = self.mapper.T_map_odom
+        self.add(scan, Trajectory(np.array(self._stamps), SE2.stack(self._odometry)), self._imu)
         self._stamps, self._odometry, self._imu = [], [], []
+
+    def add(self, scan: Scan, odometry: SE2 | Trajectory | None, imu: Sequence[Imu] = ()) -> None:
+        """Place a scan; see `Mapper.add`."""
+        self.mapper = self.mapper or Mapper(scan.lidar, self._T_base_lidar, self._config)
+        self.mapper.add(scan, odometry, imu)
+        self.T_map_odom = self.mapper.T_map_odom
 
     def distrust(self) -> None:
         """The robot has been pushing against something here: its scans since it came are not drawn.

@@ -11,10 +11,11 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.parts import find, is_own, require_attributes
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver import Driver
+from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.drivers import (
     Kit,
     make_avoider,
@@ -33,8 +34,7 @@ from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
 from turtlebag.sim.robots import RobotSpec
 
-Task = Literal["goal", "patrol", "avoid", "explore"]
-TASKS: tuple[Task, ...] = ("goal", "patrol", "avoid", "explore")
+TASKS = ("goal", "patrol", "avoid", "explore")
 DEFAULT_DURATION_S = 60.0
 DEFAULT_EXPLORE_S = 1800.0
 MAX_SIMULATED_S = 4 * 3600.0
@@ -47,7 +47,8 @@ SINGLE_GOAL = {"initial_wait": 0.0, "timeout": 600.0}
 class Request:
     """What a run is asked to do. `initial_pose` is a pose, `start`, `global`, or None for none told."""
 
-    task: Task
+    task: str
+    """One of TASKS, or a class of the user's, a `Task`."""
     seed: int
     map_path: Path | None = None
     start: SE2 | None = None
@@ -94,7 +95,10 @@ def prepare(
         raise InputError(f"--laps {request.laps}: at most {MAX_LAPS}")
     if request.task in ("avoid", "explore"):
         return Mission(request, config, robot, None, None, ())
-    places = _places(request)
+    own = is_own(request.task)
+    if own and request.map_path is None:
+        return Mission(request, config, robot, None, None, ())
+    places = WaypointFile(()) if own and request.waypoints_path is None else _places(request)
     if request.map_path is None and request.task == "goal" and request.goal is not None:
         return Mission(request, _with_options(config, request), robot, None, None, places.waypoints)
     if request.map_path is None:
@@ -146,7 +150,7 @@ def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:
     return config.model_copy(update={"sequence": config.sequence.model_copy(update=changes)})
 
 
-Made = tuple[Driver, Localiser | None, GoalSequence | None]
+Made = tuple[Task, Localiser | None, GoalSequence | None]
 DriverMaker = Callable[[Mission, Observation, BagWriter, Callable[[str], None]], Made]
 
 
@@ -156,6 +160,10 @@ def make_driver(
     """The driver of a mission, the localiser it uses and the goals it works through."""
     request, config, robot = mission.request, mission.config, mission.robot
     kit = Kit(robot, config, request.seed, Sensing(robot.T_base_lidar), publisher)
+    if is_own(request.task):
+        task: Task = find(request.task, Task)(kit, mission)
+        require_attributes(task, Task)
+        return task, None, None
     if request.task == "avoid":
         return make_avoider(kit, request.duration_s or DEFAULT_DURATION_S, say), None, None
     if request.task == "explore":

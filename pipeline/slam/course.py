@@ -18,7 +18,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
 from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds
 from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
-from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
+from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 # Key scans in the coarse search's field, and the size of its cells, which is that of its blur [m].
@@ -84,6 +84,7 @@ class Course:
         else:
             wait_s = float(self.stamps[self.scan] - self.stamps[before]) / 1e9
             placed = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
+            require_placed(self._front_end, placed)
             self.velocity = between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
         for scan, pose in placed.revised:

@@ -8,9 +8,11 @@ the `Track` that loops and refinement start from. So a front end is one method, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.track import HYPOTHESES
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,12 @@ class Placed:
 
 
 class FrontEnd(Protocol):
-    """Places scans. It is made for a `Course` on which the first scan stands, a key scan that has points."""
+    """Places the scans of a log one after another. It may change nothing that it is given."""
+
+    def __init__(self, course: Any) -> None:
+        """Begin with a `turtlebag.pipeline.slam.course.Course` on which the first scan stands, a key scan
+        that has points: the log as far as it is tracked, to be read at any step."""
+        ...
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """Where the next scan was taken.
@@ -56,3 +63,18 @@ class FrontEnd(Protocol):
         Where nothing can be said the pose expected is, with information of zero.
         """
         ...
+
+
+def require_placed(front_end: FrontEnd, placed: object) -> None:
+    """InputError unless it is what `step` must return."""
+    answer = Answer(front_end, "step")
+    answer.require_a(Placed, placed)
+    assert isinstance(placed, Placed)
+    answer.require_finite("T_track_base", placed.T_track_base, 3)
+    answer.require_finite("information", placed.information, 3, 3)
+    for what in ("overlap", "known", "rmse"):
+        answer.require_finite(what, getattr(placed, what))
+    if placed.source not in range(len(HYPOTHESES)):
+        raise answer.wrong(f"source must be 0 to {len(HYPOTHESES) - 1}, an index into track.HYPOTHESES")
+    for _, pose in placed.revised:
+        answer.require_finite("a revised pose", pose, 3)

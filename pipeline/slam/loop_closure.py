@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD, NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
@@ -48,6 +49,7 @@ def close_graph(
     configs: tuple[LoopConfig, RecallConfig],
     progress: Progress,
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> Closed:
     """Close all loops of a track.
 
@@ -56,17 +58,19 @@ def close_graph(
     added comes before all that; what was rejected is not tried.
     """
     by_distance, by_looks = configs
-    added, T_map_keys = _added(clouds, keys, T_map_keys, chain, steps, by_distance, edits)
+    added, T_map_keys = _added(clouds, keys, T_map_keys, chain, steps, by_distance, edits, back_end)
     known = [by_distance.constraint(loop) for loop in added if loop.accepted]
 
     def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
         batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
-        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known, edits)
+        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known, edits, back_end)
 
     finder = close(T_map_keys, chain.segments(), known)
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], chain.broken)
-    found = recall(clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance, edits)
+    found = recall(
+        clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance, edits, back_end
+    )
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
         finder = close(found.T_map_keys, found.part, [*known, *found.loops])
@@ -83,6 +87,7 @@ def _added(
     steps: list[Constraint],
     config: LoopConfig,
     edits: KeyEdits,
+    back_end: BackEnd,
 ) -> tuple[list[Loop], SE2]:
     """The loops that a person added, aligned and judged like all, and the poses that those believed give."""
     finder = LoopFinder(clouds, keys, T_map_keys, steps, config, chain.segments())
@@ -92,7 +97,7 @@ def _added(
         return added, T_map_keys
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
-    return added, optimise(optimise(T_map_keys, [*steps, *firm]), [*steps, *loops])
+    return added, solved(back_end, solved(back_end, T_map_keys, [*steps, *firm]), [*steps, *loops])
 
 
 def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:

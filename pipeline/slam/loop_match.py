@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.align import ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
@@ -44,7 +45,11 @@ ROUGH = Limits(ROUGH_GATE_M, ROUGH_SIGMA_M)
 
 
 class LoopMatch(Protocol):
-    """Aligns two stretches of a log."""
+    """Aligns two stretches of a log. It may change nothing that it is given."""
+
+    def __init__(self) -> None:
+        """One is made for each log."""
+        ...
 
     def match(
         self, clouds: Clouds, query: Stretch, place: Stretch, start: Array, limits: Limits
@@ -60,3 +65,14 @@ class LoopMatch(Protocol):
     def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
         """A second opinion on a pose (3,) that is in doubt."""
         ...
+
+
+def require_alignment(matcher: LoopMatch, found: object) -> None:
+    """InputError unless it is what `match` must return."""
+    answer = Answer(matcher, "match")
+    answer.require_a(Alignment, found)
+    assert isinstance(found, Alignment)
+    answer.require_finite("T_map_base", found.T_map_base.xyt, 3)
+    answer.require_finite("information", found.information, 3, 3)
+    for what in ("overlap", "known", "rmse"):
+        answer.require_finite(what, getattr(found, what))

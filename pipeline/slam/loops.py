@@ -11,14 +11,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
@@ -26,9 +28,9 @@ from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch
+from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import free_space_violations
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
@@ -40,8 +42,10 @@ class LoopConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
-    match: Literal["lines", "open3d"] = Field(
-        default="lines", description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP"
+    match: Annotated[str, part_of(*MATCHERS)] = Field(
+        default="lines",
+        description="what aligns and judges loops: our point-to-line alignment, Open3D's ICP, or a class of "
+        "yours",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
     group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
@@ -52,6 +56,11 @@ class LoopConfig(BaseModel):
     inflation: float = Field(
         default=50.0, gt=0.0, description="the information of a match over that of a loop"
     )
+
+    def matcher(self) -> LoopMatch:
+        """A new matcher; InputError where it is the user's own and not to be had."""
+        made: LoopMatch = chosen(self.match, MATCHERS, LoopMatch)()
+        return made
 
     def constraint(self, place: Loop | Recognised) -> Constraint:
         """What a place come back to says in the graph."""
@@ -89,6 +98,7 @@ def close_loops(
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> LoopFinder:
     """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
@@ -96,7 +106,7 @@ def close_loops(
     broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
     poses with loops closed, the loop constraints, and the record of all candidates.
     """
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits)
+    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits, back_end)
     for batch in batches:
         finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
     return finder
@@ -209,14 +219,15 @@ class LoopFinder(LoopSearch):
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
         edits: KeyEdits = NO_EDITS,
+        back_end: BackEnd = GTSAM,
     ) -> None:
         super().__init__(T_map_keys, steps, config, part, known, edits)
         self.clouds, self.keys = clouds, keys
-        self.matcher = MATCHERS[config.match]()
+        self.matcher, self.back_end = config.matcher(), back_end
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()
-        self.poses[:n] = optimise(SE2(self.poses[:n]), graph).xyt
+        self.poses[:n] = solved(self.back_end, SE2(self.poses[:n]), graph).xyt
         if n < len(self.poses):
             move = SE2(self.poses[n - 1]) @ SE2(before).inverse()
             self.poses[n:] = (move @ SE2(self.poses[n:])).xyt
@@ -240,6 +251,7 @@ class LoopFinder(LoopSearch):
         if score < config.min_score:
             return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
         found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
+        require_alignment(self.matcher, found)
         verdict = "accepted"
         if found.overlap < LEAST_OVERLAP or found.agreement < config.min_overlap:
             verdict = "low overlap"

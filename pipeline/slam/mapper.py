@@ -22,13 +22,14 @@ from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
 from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.front_ends import front_end_maker
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds, Rows
 from turtlebag.pipeline.slam.growing_log import GrowingLog
 from turtlebag.pipeline.slam.growing_loops import GrowingLoops
 from turtlebag.pipeline.slam.occupancy import make_grid
 from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
 from turtlebag.pipeline.slam.refine import refine
-from turtlebag.pipeline.slam.slam import FRONT_ENDS, SlamConfig, run_slam
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.steps import step_constraints
 
 # After every so many scans those that are no key scans are dropped, but for the last ones, which the front
@@ -186,7 +187,7 @@ class Mapper:
         self._motion.append(np.zeros((1, KNOTS, 3)) if motion is None else motion.xyt)
 
     def _begin(self) -> None:
-        clouds, make = self._clouds.view(), FRONT_ENDS[self.config.front_end]
+        clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)
         self._course = Course(clouds, self._log.last(), self.config.tracking, self._usable, make)
         self._loops = GrowingLoops(clouds, self._course.pose, self.config.loops)
 

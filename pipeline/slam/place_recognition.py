@@ -19,14 +19,15 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch
-from turtlebag.pipeline.slam.loops import MATCHERS, LoopConfig
-from turtlebag.pipeline.slam.pose_graph import optimise
+from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loops import LoopConfig
+from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import (
     BAD_SHARE,
     MOST_PAIRS,
@@ -91,6 +92,7 @@ def recall(
     config: RecallConfig,
     by_distance: LoopConfig,
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
@@ -111,8 +113,8 @@ def recall(
     free = relaxed(steps, released)
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
-    closed = optimise(SE2(poses), [*free, *firm])
-    return Recall(optimise(closed, [*free, *loops]), loops, record, part, released)
+    closed = solved(back_end, SE2(poses), [*free, *firm])
+    return Recall(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
@@ -135,7 +137,7 @@ def _candidates(
     A place that the loops have held together since is asked and looked for once, however often it was passed.
     """
     poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
-    matcher = MATCHERS[by_distance.match]()
+    matcher = by_distance.matcher()
     places = windows(len(keys), drift.broken)
 
     @cache
@@ -183,6 +185,7 @@ def _settled(
     pose = start
     for limits in (Limits(0.4, 0.15), ROUGH):
         result = matcher.match(clouds, middle, there, pose, limits)
+        require_alignment(matcher, result)
         pose = result.T_map_base.xyt
         if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
             return _low_overlap(query, other, score, result)

@@ -24,31 +24,38 @@ WEAK = 1e-4
 G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 
 
-def optimise(T_map_keys: Poses, constraints: Sequence[Constraint], iterations: int = 30) -> Poses:
-    """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
-    import gtsam  # takes a quarter of a second, and most runs need no graph
+class Gtsam:
+    """GTSAM's factor graph; what `turtlebag.pipeline.slam.back_end.BackEnd` asks for, and in space too."""
 
-    if isinstance(T_map_keys, SE2):
-        start, pose = T_map_keys.xyt, lambda xyt: gtsam.Pose2(*xyt)
-        prior, between = gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2
-    else:
-        start, pose = T_map_keys, gtsam.Pose3
-        prior, between = gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
-    graph.add(prior(0, pose(start[0]), held))
-    for c in constraints:
-        graph.add(between(c.i, c.j, pose(c.T_i_j), noise_model(c)))
-    for k, T in enumerate(start):
-        values.insert(k, pose(T))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(iterations)
-    parameters.setRelativeErrorTol(1e-5)
-    found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    if isinstance(T_map_keys, SE2):
-        poses = [found.atPose2(k) for k in range(len(start))]
-        return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
-    return np.array([found.atPose3(k).matrix() for k in range(len(start))])
+    def optimise(self, T_map_keys: Poses, constraints: Sequence[Constraint], iterations: int = 30) -> Poses:
+        """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
+        import gtsam  # takes a quarter of a second, and most runs need no graph
+
+        if isinstance(T_map_keys, SE2):
+            start, pose = T_map_keys.xyt, lambda xyt: gtsam.Pose2(*xyt)
+            prior, between = gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2
+        else:
+            start, pose = T_map_keys, gtsam.Pose3
+            prior, between = gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
+        graph.add(prior(0, pose(start[0]), held))
+        for c in constraints:
+            graph.add(between(c.i, c.j, pose(c.T_i_j), noise_model(c)))
+        for k, T in enumerate(start):
+            values.insert(k, pose(T))
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setMaxIterations(iterations)
+        parameters.setRelativeErrorTol(1e-5)
+        found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        if isinstance(T_map_keys, SE2):
+            poses = [found.atPose2(k) for k in range(len(start))]
+            return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
+        return np.array([found.atPose3(k).matrix() for k in range(len(start))])
+
+
+GTSAM = Gtsam()
+optimise = GTSAM.optimise
 
 
 def relative(T_a: Poses, T_b: Poses) -> Poses:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import scipy
@@ -34,11 +35,12 @@ from turtlebag.pipeline.slam.align import (
     find_partner,
     observable,
 )
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_icp import match_points
-from turtlebag.pipeline.slam.pose_graph import Poses, optimise, relative, vectors
+from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise, relative, vectors
 from turtlebag.pipeline.slam.threads import in_parts
 
 # Key scans farther apart than this see too little of the same to be partners [m].
@@ -59,6 +61,7 @@ def refine(
     steps: Sequence[Constraint],
     config: RefineConfig,
     edits: KeyEdits = NO_EDITS,
+    back_end: BackEnd = GTSAM,
 ) -> tuple[SE2, list[Constraint]]:
     """Refined poses of the key scans and the pair constraints of the last round.
 
@@ -73,7 +76,7 @@ def refine(
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
         return pair_constraints(clouds, keys, poses, pairs, gate, sigma)
 
-    return in_rounds(T_map_keys, steps, config.rounds, matched)
+    return in_rounds(T_map_keys, steps, config.rounds, matched, partial(solved, back_end))
 
 
 def in_rounds(
@@ -81,6 +84,7 @@ def in_rounds(
     steps: Sequence[Constraint],
     rounds: int,
     matched: Callable[[Poses, float], list[Constraint]],
+    solve: Callable[[Poses, Sequence[Constraint], int], Poses] = optimise,
 ) -> tuple[Poses, list[Constraint]]:
     """Pairs matched at the poses there are and the graph solved, until nothing moves.
 
@@ -91,7 +95,7 @@ def in_rounds(
     for round_ in range(rounds):
         f: float = round_ / max(rounds - 1, 1)
         constraints = [*steps, *matched(poses, f)]
-        new = optimise(poses, constraints, iterations=5)
+        new = solve(poses, constraints, 5)
         moved = np.abs(vectors(relative(poses, new))).max()
         poses = new
         if f == 1.0 or (moved < 5e-4 and round_ > 2):

@@ -16,15 +16,15 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
+from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.course import Maker, track_log
 from turtlebag.pipeline.slam.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
-from turtlebag.pipeline.slam.kiss import KissIcp
-from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
@@ -45,18 +45,15 @@ from turtlebag.pipeline.slam.steps import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_chain
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
-from turtlebag.pipeline.slam.wheels import Wheels
 
 # Settings that the front end does not read; of all others a change starts it anew.
-LATER = {"loops", "recall", "refine", "posing", "grid"}
+LATER = {"back_end", "loops", "recall", "refine", "posing", "grid"}
 
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
     Field(description="which sensors to use; odometry alone draws the map along the wheels"),
 ]
-FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
-"""What `front_end` may be; see `turtlebag.pipeline.slam.front_end`."""
 
 
 class SlamConfig(BaseModel):
@@ -64,8 +61,9 @@ class SlamConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "both"
-    front_end: Literal["lines", "kiss_icp", "wheels"] = Field(
-        default="lines", description="what places each scan: our line tracker, KISS-ICP, or the odometry"
+    front_end: FrontEndName = Field(
+        default="lines",
+        description="what places each scan: our line tracker, KISS-ICP, the odometry, or a class of yours",
     )
     usable_range_m: float = Field(
         default=USABLE_M, gt=0.0, description="returns beyond are not matched nor mapped"
@@ -75,6 +73,7 @@ class SlamConfig(BaseModel):
     )
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip in turns")
     tracking: TrackingConfig = TrackingConfig()
+    back_end: BackEndName = "gtsam"
     loops: LoopConfig = LoopConfig()
     recall: RecallConfig = RecallConfig()
     refine: RefineConfig = RefineConfig()
@@ -229,7 +228,7 @@ def _session(recording: Recording, run: _Run) -> Session:
 
     def front_end(clouds: Clouds) -> Track:
         scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        make = run.steps.front_end or FRONT_ENDS[config.front_end]
+        make = run.steps.front_end or front_end_maker(config.front_end)
         return track_log(recording, clouds, config.tracking, usable, scans, make)
 
     if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
@@ -276,8 +275,8 @@ def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, 
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar" and config.front_end == "wheels":
         raise InputError("front_end=wheels needs the odometry that sensors=lidar leaves out")
-    if config.sensors == "odometry" and config.front_end == "kiss_icp":
-        raise InputError("front_end=kiss_icp needs the scans that sensors=odometry leaves out")
+    if config.sensors == "odometry" and config.front_end not in ("lines", "wheels"):
+        raise InputError(f"front_end={config.front_end} needs the scans that sensors=odometry leaves out")
     if config.sensors == "lidar":
         recording = replace(recording, T_odom_base=None, odometry=None)
     if recording.T_odom_base is None:
@@ -305,22 +304,24 @@ def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
     """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
     config = _by_odometry(config) if config.sensors == "odometry" else config
     matcher = config.loops.match if config.loops.enabled else None
-    return {"front_end": config.front_end, "loops.match": matcher}
+    return {"front_end": config.front_end, "loops.match": matcher, "back_end": config.back_end}
 
 
 def _optimised(
     clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], run: _Run
 ) -> Graph:
     """The graph after loop closure and joint refinement of all key poses."""
-    config, keys = run.config, track.keys
+    config, keys, back_end = run.config, track.keys, make_back_end(run.config.back_end)
     edits = KeyEdits.of(run.edits, keys)
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
         start, configs = closed.T_map_keys, (config.loops, config.recall)
-        closed = run.steps.close_graph(clouds(), keys, start, chain, steps, configs, run.progress, edits)
+        closed = run.steps.close_graph(
+            clouds(), keys, start, chain, steps, configs, run.progress, edits, back_end
+        )
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
         T_map_keys, constraints = refine(
-            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits
+            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits, back_end
         )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)

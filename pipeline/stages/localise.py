@@ -15,16 +15,19 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
-from turtlebag.datasets.types import Recording, Trajectory, seconds
+from turtlebag.datasets.types import LidarSpec, Recording, Trajectory, seconds
 from turtlebag.datasets.yaml_files import config_text, read_mapping
-from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
+from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
+from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.reports.metrics.navigation import localisation_errors
@@ -34,6 +37,7 @@ class LocaliseConfig(BaseModel):
     """Settings of the stage."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()
 
 
@@ -73,7 +77,8 @@ def localise(
     """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
     With a truth, 0 needs `true_success` of the metrics: at the end the robot is where the filter believes.
-    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a truth folder.
+    `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a
+    record's truth folder, or the record.
     """
     watch = Stopwatch()
     config = config or LocaliseConfig()
@@ -81,12 +86,13 @@ def localise(
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
     recording = in_step(recording, *compared_turns(recording))
-    true_trajectory = load_tum(truth / "trajectory.tum") if truth is not None else None
+    truth = None if truth is None else truth_folder(truth)
+    true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
     else:
-        result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"))
+        result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"), config.localiser)
         try:
             outcome = _metrics(result, true_trajectory)
         except ValueError as error:
@@ -98,8 +104,10 @@ def localise(
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(config))
-        inputs = {"bag": bag, **map_files(map_yaml)} | ({"truth": truth} if truth else {})
-        extra = {"update_ms": _milliseconds(result)} if result else {}
+        parts: dict[str, str | None] = {"localiser": config.localiser}
+        inputs = {"bag": bag, **map_files(map_yaml), **source_files(parts)}
+        inputs |= {"truth": truth} if truth else {}
+        extra = {"parts": parts, **({"update_ms": _milliseconds(result)} if result else {})}
         wall_s = watch.seconds()
         write_manifest(folder, "localise", command, inputs, seed=seed, wall_s=wall_s, extra=extra)
     if result is not None:
@@ -138,20 +146,22 @@ def run_amcl(
     initial_pose: SE2 | str,
     config: AmclConfig,
     rng: np.random.Generator,
+    localiser: str = "amcl",
 ) -> Localisation:
     """The filter over all scans in file order."""
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
-    amcl = started(grid, recording, initial_pose, config, rng)
+    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng, localiser)
     poses, converged, updated, particles, update_s = [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
         end = None if T_odom_base_end is None else T_odom_base_end[i]
         updated.append(amcl.update(recording.scan(i), T_odom_base[i], end))
         update_s.append(watch.seconds())
-        poses.append(amcl.T_map_base(T_odom_base[i]))
+        require_estimate(amcl)
+        poses.append(amcl.T_map_odom @ T_odom_base[i])
         converged.append(amcl.converged)
-        particles.append(amcl.size)
+        particles.append(len(amcl.particles))
     return Localisation(
         Trajectory(recording.stamps_ns, SE2.stack(poses)),
         np.array(converged),
@@ -163,7 +173,7 @@ def run_amcl(
     )
 
 
-def doubt(amcl: Amcl) -> str | None:
+def doubt(amcl: Localiser) -> str | None:
     """Why the filter's pose is not to be believed now; None when it is."""
     if not amcl.agrees:
         return "the last scans disagree with the map"
@@ -172,14 +182,16 @@ def doubt(amcl: Amcl) -> str | None:
 
 def started(
     grid: OccupancyGrid,
-    recording: Recording,
+    lidar: LidarSpec,
+    T_base_lidar: SE2,
     initial_pose: SE2 | str,
     config: AmclConfig,
     rng: np.random.Generator,
-) -> Amcl:
+    localiser: str = "amcl",
+) -> Localiser:
     """The filter with its first cloud; InputError when the map has nothing to localise on."""
     try:
-        amcl = Amcl(grid, recording.lidar, recording.T_base_lidar, config, rng)
+        amcl = make_localiser(localiser, grid, lidar, T_base_lidar, config, rng)
         if isinstance(initial_pose, SE2):
             amcl.initialise(initial_pose)
         else:

@@ -13,13 +13,16 @@ from turtlebag.datasets.files import unchanged
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.datasets.yaml_files import config_text
+from turtlebag.pipeline.slam.back_end import make_back_end
 from turtlebag.pipeline.slam.edits import Edits, load_edits
 from turtlebag.pipeline.slam.explain import loop_record, write_explanation
+from turtlebag.pipeline.slam.front_ends import front_end_maker
 from turtlebag.pipeline.slam.pose_graph import write_g2o
 from turtlebag.pipeline.slam.sessions import Session
 from turtlebag.pipeline.slam.slam import SlamConfig, chosen_parts, continue_slam, run_slam
@@ -122,6 +125,7 @@ def build_map(
                 **({} if continued is None else {"continued": continued / GRAPH}),
                 **({} if edits is None else {"edits": edits}),
                 **references.inputs,
+                **source_files(made.manifest.get("parts", {})),
             },
             wall_s=watch.seconds(),
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
@@ -176,10 +180,14 @@ def _notes(recording: Recording, *, several: bool) -> Iterable[str]:
 
 
 def _settled(config: Path | None, settings: Sequence[str]) -> SlamConfig | InputError:
-    """The settings, read before anything else; what is wrong with them for planar scans is an error only
-    once the input turns out to be planar."""
+    """The settings, read before anything else, with the parts they name there; what is wrong with them for
+    planar scans is an error only once the input turns out to be planar."""
     try:
-        return load_config(SlamConfig, config, settings)
+        settled = load_config(SlamConfig, config, settings)
+        front_end_maker(settled.front_end)
+        settled.loops.matcher()
+        make_back_end(settled.back_end)
+        return settled
     except InputError as error:
         return error
 

@@ -34,7 +34,7 @@ class References:
     @staticmethod
     def load(truth: Path | None, relations: Path | None) -> References:
         """Those of the command line, checked before the work starts; InputError for what is none."""
-        folder = None if truth is None else _truth_folder(truth)
+        folder = None if truth is None else truth_folder(truth)
         true_map = None if folder is None else folder / "map.yaml"
         named = {"truth": folder, "relations": relations}
         return References(
@@ -59,7 +59,8 @@ class References:
         return found
 
 
-def _truth_folder(path: Path) -> Path:
+def truth_folder(path: Path) -> Path:
+    """The truth folder of a record, given itself or the record; InputError when there is none."""
     for folder in (path, path / "truth"):
         if (folder / "trajectory.tum").is_file():
             return folder

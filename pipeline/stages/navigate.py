@@ -12,6 +12,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files, save_map
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
+from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
@@ -104,7 +105,7 @@ def navigate_in(
         ):
             news = News(_opening(arena, mission), log.info, clock)
             episode = drive(simulator, mission, bag, say, takeovers, news=news, interrupted=interrupted)
-        metrics, loop_s = episode.metrics, watch.seconds()
+        metrics, loop_s, parts = episode.metrics, watch.seconds(), _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
         if episode.grid is not None:
@@ -118,13 +119,14 @@ def navigate_in(
             folder,
             stage="navigate",
             command=command_line,
-            inputs={**_inputs(request), **(files or {})},
+            inputs={**_inputs(request), **(files or {}), **source_files(parts)},
             seed=request.seed,
             wall_s=watch.seconds(),
             extra={
                 "world": arena.name,
                 "robot": mission.robot.name,
                 "task": request.task,
+                "parts": parts,
                 "out": str(out),
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
             },
@@ -138,6 +140,17 @@ def navigate_in(
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
 
+def _parts(mission: Mission) -> dict[str, str | None]:
+    """The exchangeable parts of a run by the settings that choose them; None: not used."""
+    config, on_a_map = mission.config, mission.grid is not None
+    return {
+        "task": mission.request.task,
+        "localiser": config.localiser if on_a_map else None,
+        "plan.planner": config.plan.planner,
+        "controller": config.controller if on_a_map else config.mapless.controller,
+    }
+
+
 def _opening(arena: World, mission: Mission) -> str:
     """What is going to be done, in one line."""
     request, laps = mission.request, mission.config.sequence.laps
@@ -147,7 +160,8 @@ def _opening(arena: World, mission: Mission) -> str:
         "avoid": "drive around and avoid obstacles",
         "explore": "explore and map",
     }
-    return f"{tasks[request.task]}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+    doing = tasks.get(request.task, f"task {request.task}")
+    return f"{doing}: {mission.robot.name} in {arena.name}, seed {request.seed}"
 
 
 def _length_s(mission: Mission) -> float | None:

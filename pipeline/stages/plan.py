@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.parts import is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.yaml_files import config_text
@@ -19,8 +20,9 @@ from turtlebag.pipeline.navigation.pose_check import require_free
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import path_clearance, sample_footprint
-from turtlebag.planners.global_plan import NoPath, Plan, PlanConfig, plan_path
+from turtlebag.planners.global_plan import PlanConfig, plan_path
 from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
+from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.sim.robots import RobotSpec, load_robot
 
 
@@ -57,17 +59,18 @@ def plan(
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
         require_free(option, pose, costmap, spec.model, map_path)
-    found, reason, planning_s = _search(costmap, spec, T_map_start, T_map_goal, config, seed)
+    found, reason, planning_s = search(costmap, spec, T_map_start, T_map_goal, config, seed)
     metrics = plan_metrics(costmap, spec, found, reason, config)
     others: dict[str, Plan | None] = {}
-    times: dict[str, float] = {config.plan.ompl.name: planning_s}
+    times: dict[str, float] = {config.plan.name: planning_s}
     if compare:
         metrics["planners"] = []
         for other in rivals(config):
-            name: str = other.plan.ompl.name
-            others[name], why, times[name] = _search(costmap, spec, T_map_start, T_map_goal, other, seed)
+            name = other.plan.name
+            others[name], why, times[name] = search(costmap, spec, T_map_start, T_map_goal, other, seed)
             metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
             log.info("%s", _line(metrics["planners"][-1], times[name]))
+    parts = {"plan.planner": config.plan.planner}
     with staged_output(out, force=force) as folder:
         _write_path(folder / "path.csv", found)
         for name, other_found in others.items():
@@ -78,12 +81,13 @@ def plan(
             folder,
             stage="plan",
             command=command_line,
-            inputs=map_files(map_path),
+            inputs={**map_files(map_path), **source_files(parts)},
             seed=seed,
             wall_s=watch.seconds(),
             extra={
                 "robot": spec.name,
                 "out": str(out),
+                "parts": parts,
                 "planning_s": round(planning_s, 6),
                 **({"planners_s": {n: round(s, 6) for n, s in times.items()}} if compare else {}),
             },
@@ -95,15 +99,27 @@ def plan(
     return 0
 
 
+def planner_settings(name: str | None) -> list[str]:
+    """What the option --planner stands for: one of OMPL's, or a class of the user's."""
+    if name is None:
+        return []
+    if name in get_args(PlannerName):
+        return ["plan.planner=ompl", f"plan.ompl.planner={name}"]
+    return [f"plan.planner={name}"]
+
+
 def rivals(config: PlanStageConfig) -> list[PlanStageConfig]:
     """The same settings with every planner that the space allows, the chosen one among them."""
-    out = []
+    out = [config] if is_own(config.plan.planner) else []
+    by_ompl: dict[str, Any] = {"planner": "ompl"}
     for planner in get_args(PlannerName):
         try:
             ompl = OmplConfig.model_validate({**config.plan.ompl.model_dump(), "planner": planner})
         except ValidationError:
             continue  # this planner cannot work in this space
-        out.append(config.model_copy(update={"plan": config.plan.model_copy(update={"ompl": ompl})}))
+        out.append(
+            config.model_copy(update={"plan": config.plan.model_copy(update=by_ompl | {"ompl": ompl})})
+        )
     return out
 
 
@@ -116,9 +132,10 @@ def _line(metrics: dict[str, Any], seconds: float) -> str:
     )
 
 
-def _search(
+def search(
     costmap: Costmap, spec: RobotSpec, start: SE2, goal: SE2, config: PlanStageConfig, seed: int
 ) -> tuple[Plan | None, str, float]:
+    """The path, or None and why there is none; and the wall time it took [s]."""
     watch = Stopwatch()
     plan_seed = int(stream(seed, "plan").integers(2**31))
     try:
@@ -132,8 +149,9 @@ def plan_metrics(
     costmap: Costmap, spec: RobotSpec, found: Plan | None, reason: str, config: PlanStageConfig
 ) -> dict[str, Any]:
     """Length, clearance of the footprint along the path, and what found it."""
-    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.ompl.name}
-    metrics["space"] = config.plan.ompl.space
+    metrics: dict[str, Any] = {"success": found is not None, "planner": config.plan.name}
+    if not is_own(config.plan.planner):
+        metrics["space"] = config.plan.ompl.space
     if found is None:
         return {**metrics, "reason": reason}
     poses = np.ascontiguousarray((costmap.T_grid_map @ found.poses).xyt)

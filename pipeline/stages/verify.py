@@ -32,7 +32,15 @@ from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
 from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
-from turtlebag.reports.stages import Group, Stage, changed_files, load_stage, read_json, read_manifest
+from turtlebag.reports.stages import (
+    Group,
+    Stage,
+    changed_files,
+    changed_parts,
+    load_stage,
+    read_json,
+    read_manifest,
+)
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
@@ -125,6 +133,7 @@ def _check_stage(
     name = f"{group.name}/{stage.label}"
     found.files += len(stage.outputs)
     found.problems += [f"{name}/{path}: does not match its manifest" for path in changed_files(stage)]
+    found.problems += [f"{name}: {said}" for said in changed_parts(stage)]
     disagreement = truth_disagreement(stage)
     if disagreement is not None and disagreement > TRUTH_AGREES_M:
         apart = shown(disagreement, "cm")

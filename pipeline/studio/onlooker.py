@@ -11,6 +11,7 @@ import numpy as np
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.slam.factors import Constraint
@@ -130,6 +131,7 @@ class Onlooker:
         if localiser is None or not localiser.amcl.initialised:
             return None
         amcl = localiser.amcl
+        assert isinstance(amcl, Amcl)
         return self._cached.get("particles", (amcl.watch, amcl.watch.updates), lambda: amcl.particles.xyt)
 
     def plan(self, path: SE2 | None) -> Array | None:

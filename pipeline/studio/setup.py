@@ -60,8 +60,8 @@ class StudioSetup:
     def header(self) -> Header:
         """What its session file begins with."""
         return Header(
-            world=_absolute(self.world, "world" in self.files),
-            robot=_absolute(self.robot_name, "robot" in self.files),
+            world=_absolute(self.world),
+            robot=_absolute(self.robot_name),
             seed=self.seed,
             map=None if self.map_path is None else str(self.map_path.resolve()),
             sha256={kind: sha256_file(path) for kind, path in self.files.items()},
@@ -69,10 +69,10 @@ class StudioSetup:
         )
 
 
-def _absolute(name: str, is_file: bool) -> str:
+def _absolute(name: str) -> str:
     """The name of a file, which options may follow, from wherever it is read."""
     file = name.partition("+clutter:")[0].partition(":")[0]
-    return str(Path(file).resolve()) + name[len(file) :] if is_file else name
+    return str(Path(file).resolve()) + name[len(file) :] if Path(file).is_file() else name
 
 
 def setup_of(header: Header | BagHeader, where: Path) -> StudioSetup | BagSetup:

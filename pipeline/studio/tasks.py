@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.drivers import Kit, make_avoider, make_explorer, make_mapless
@@ -119,6 +120,7 @@ class WiggleDriver(Driver):
     def spread(self) -> str:
         """How narrow the cloud is, for people."""
         amcl = self._localiser.amcl
+        assert isinstance(amcl, Amcl)
         if not amcl.watch.updates:
             return "no scan was used yet"
         std = np.sqrt(np.diag(amcl.covariance))

@@ -16,6 +16,7 @@ from turtlebag.datasets.errors import InputError
 
 Item = TypeVar("Item")
 log = logging.getLogger("turtlebag")
+_bars = False
 _above: list[Callable[[str], None]] = []
 """Writes a line above the bar or status line that is on the terminal now, if any."""
 
@@ -55,6 +56,13 @@ def set_verbosity(level: int) -> None:
     # Where there is no home it warns, twice, of the temporary folder that it finds by itself.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     log.setLevel({-1: logging.ERROR, 0: logging.INFO}.get(level, logging.DEBUG))
+    show_bars(level >= 0)
+
+
+def show_bars(on: bool) -> None:
+    """Whether progress is shown at all: the commands ask for it, those who call from Python may not."""
+    global _bars
+    _bars = on
 
 
 def quiet() -> bool:
@@ -135,7 +143,7 @@ def drawing() -> Iterator[Callable[[str], None]]:
 
 
 def _shown() -> bool:
-    return not quiet() and sys.stderr.isatty() and not _above
+    return _bars and sys.stderr.isatty() and not _above
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.costmap import Costmap
@@ -29,10 +30,18 @@ class SpeedLimits:
 
 
 class Controller(Protocol):
-    """A local controller; poses are in the frame of its path (map, or odom for mapless goals)."""
+    """A local controller; poses are in the frame of its path (map, or odom for mapless goals).
+
+    It is asked once a control period while a path is followed. What it says passes the collision monitor,
+    which may slow it down: `last` tells what became of it.
+    """
 
     state: str
     """One word on what it is doing, for the log."""
+
+    def __init__(self, model: RobotModel, period: float) -> None:
+        """Drive such a robot, with a command every `period` [s]."""
+        ...
 
     def set_path(self, poses: SE2) -> None:
         """Follow a new path, (n,) poses; the last one is the goal."""
@@ -87,3 +96,12 @@ class Ramped:
     def brake(self, last: Twist) -> Twist:
         """The next command on the way to a standstill, as hard as the robot itself may brake."""
         return ramped(Twist(), last, self.hardest)
+
+
+def require_twist(part: object, method: str, command: object) -> None:
+    """InputError unless a method has returned a command: `v` [m/s] and `w` [rad/s], finite."""
+    answer = Answer(part, method)
+    answer.require_a(Twist, command)
+    assert isinstance(command, Twist)
+    answer.require_finite("v", command.v)
+    answer.require_finite("w", command.w)

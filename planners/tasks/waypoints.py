@@ -13,7 +13,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import parsed
+from turtlebag.datasets.yaml_files import parsed, read_mapping
 
 KEYS = {"waypoints", "keepout"}
 MOST_WAIT_S = 3600.0
@@ -126,6 +126,11 @@ def _yaw_of(value: Any) -> tuple[float, str]:
         return math.nan, "invalid quaternion: its norm is zero or not finite"
     x, y, z, w = (quaternion / norm).tolist()
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)), ""
+
+
+def load_keepout(path: Path) -> tuple[Array, ...]:
+    """The keep-out polygons of a YAML file that has them under `keepout`, (n, 2) each, in the map frame."""
+    return parse_polygons(read_mapping(path).get("keepout"), f"--keepout {path}")
 
 
 def parse_polygons(data: Any, where: str) -> tuple[Array, ...]:

@@ -1,0 +1,224 @@
+"""Parts of a user's own: classes named `module:Class`, wherever the name of a part of ours is accepted.
+
+What a part must be is said by a `Protocol`: its methods with their parameters, `__init__` among them where
+the part is made with something. The module is found as `python -m` finds one, in the current folder first.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.files import Signature, require_same, signatures
+
+_OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+_found: dict[str, Path] = {}
+"""Files of the parts found so far by their names: what a manifest names, and where an error came up."""
+_read: dict[Path, dict[Path, Signature]] = {}
+
+
+def is_own(name: str) -> bool:
+    """Whether it names a class of the user's."""
+    return _OWN.fullmatch(name) is not None
+
+
+def part_of(*ours: str) -> AfterValidator:
+    """Of a setting that names a part, as `Annotated[str, part_of("lines")]`: ours or `module:Class`.
+
+    The class is not looked for yet: settings can be read where it is not.
+    """
+
+    def known(name: str) -> str:
+        if name in ours or is_own(name):
+            return name
+        raise ValueError(f"'{name}' is none of {', '.join(ours)}, nor a class of yours (module:Class)")
+
+    return AfterValidator(known)
+
+
+def chosen(name: str, ours: Mapping[str, Callable[..., Any]], contract: type) -> Any:
+    """What a setting names: one of ours, or a class of the user's, as in `find`."""
+    return ours[name] if name in ours else find(name, contract)
+
+
+def find(name: str, contract: type) -> type:
+    """The class `module:Class`, which has all that the contract, a Protocol, asks for.
+
+    InputError in one line when the module cannot be imported, has no such class, or the class lacks a method
+    or takes other parameters.
+    """
+    if not is_own(name):
+        raise InputError(f"{name}: name a class of yours as module:Class")
+    module_name, _, qualname = name.partition(":")
+    module = _imported(module_name, name)
+    found = _attribute(module, qualname)
+    if not inspect.isclass(found):
+        raise InputError(f"{name}: {_place(module)} has no class {qualname}{_classes_of(module)}")
+    require(found, contract, name)
+    file = getattr(sys.modules.get(found.__module__), "__file__", None)
+    if file is not None and name not in _found:
+        _found[name] = Path(file)
+        _read[Path(file)] = signatures(Path(file))
+    return found
+
+
+def require(part: type, contract: type, name: str | None = None) -> None:
+    """InputError unless the class has the methods of the contract, and they take what its methods take."""
+    for method in _methods(contract):
+        _require_method(part, method, contract, name or _label(part))
+
+
+def require_attributes(part: object, contract: type) -> None:
+    """InputError unless a part that was made has all that the contract asks for besides methods."""
+    named = [key for key, value in vars(contract).items() if isinstance(value, property)]
+    for key in [*named, *inspect.get_annotations(contract)]:
+        if inspect.getattr_static(part, key, _found) is _found:
+            raise InputError(f"{_label(type(part))}: has no {key}, which a {contract.__name__} has")
+
+
+def name_of(part: type) -> str:
+    """`module:Class` of a class; InputError when that does not lead back to it."""
+    name = _label(part)
+    if _attribute(sys.modules.get(part.__module__), part.__qualname__) is not part:
+        raise InputError(f"{name}: this name does not lead to the class: define it at the top of a module")
+    return name
+
+
+def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
+    """The files that parts of the user's own are written in, for a manifest's inputs.
+
+    `names` are parts by what they are (`front_end`); ours have none, nor has a class typed in a notebook.
+    InputError when a file is no longer the one that was imported.
+    """
+    files: dict[str, Path] = {}
+    for kind, name in names.items():
+        if name is not None and name in _found:
+            file, here = _found[name], Path.cwd()
+            require_same(file, _read[file])
+            files[kind] = file.relative_to(here) if file.is_relative_to(here) else file
+    return files
+
+
+def told_of(error: BaseException) -> str | None:
+    """An error that came up in a part of the user's own, in one line that says where; None for any other."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if Path(frame.filename) in _read:
+            return f"{frame.filename}, line {frame.lineno}, in {frame.name}: {_said(error)}"
+    return None
+
+
+class Answer(NamedTuple):
+    """What a method of a part gave back, for the one who must be told that it is wrong."""
+
+    part: object
+    method: str
+
+    def require_a(self, kind: type, value: object) -> None:
+        """InputError unless it is of this kind."""
+        if not isinstance(value, kind):
+            raise self.wrong(f"must return a {kind.__name__}, not {_shown(value)}")
+
+    def require_finite(self, what: str, value: object, *shape: int) -> None:
+        """InputError unless `what` of it is finite, an array of this shape or a number."""
+        numbers = np.asarray(value) if isinstance(value, (np.ndarray, np.number, float, int)) else None
+        if numbers is None or numbers.shape != shape or numbers.dtype.kind not in "fiu":
+            asked = f"an array of shape {shape}" if shape else "a number"
+            raise self.wrong(f"{what} must be {asked}, not {_shown(value)}")
+        if not np.isfinite(numbers).all():
+            raise self.wrong(f"{what} is not finite")
+
+    def wrong(self, text: str) -> InputError:
+        """The error that says what is wrong with it."""
+        return InputError(f"{_label(type(self.part))}: {self.method}: {text}")
+
+
+def _label(part: type) -> str:
+    return f"{part.__module__}:{part.__qualname__}"
+
+
+def _shown(value: object) -> str:
+    """What a value is, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
+def _imported(module: str, name: str) -> Any:
+    if module not in sys.modules and str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise InputError(f"{name}: {module} cannot be imported: {_said(error)}") from error
+        raise InputError(
+            f"{name}: no module {error.name} in this folder or among the installed packages"
+        ) from None
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{name}: {module} cannot be imported: {_said(error)}") from error
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+
+
+def _attribute(module: Any, qualname: str) -> Any:
+    found = module
+    for part in qualname.split("."):
+        found = getattr(found, part, None)
+    return found
+
+
+def _place(module: Any) -> str:
+    file = getattr(module, "__file__", None)
+    return module.__name__ if file is None else f"{module.__name__} ({file})"
+
+
+def _classes_of(module: Any) -> str:
+    """What classes are written in a module, for one who mistyped."""
+    written = [key for key, value in vars(module).items() if inspect.isclass(value)]
+    own = [key for key in written if vars(module)[key].__module__ == module.__name__]
+    return f"; it has {', '.join(own)}" if own else ""
+
+
+def _methods(contract: type) -> list[str]:
+    """Names of the methods that a Protocol asks for; `__init__` where it says so itself."""
+    return [
+        key
+        for key, value in vars(contract).items()
+        if inspect.isfunction(value)
+        and (not key.startswith("_") or (key == "__init__" and value.__module__ == contract.__module__))
+    ]
+
+
+def _require_method(part: type, method: str, contract: type, name: str) -> None:
+    """InputError unless the method can be called with what the contract's takes."""
+    _, *asked = inspect.signature(getattr(contract, method)).parameters.values()
+    made = method == "__init__"
+    given = part if made else getattr(part, method, None)
+    text = f"{contract.__name__}{'' if made else '.' + method}({', '.join(p.name for p in asked)})"
+    if not callable(given):
+        raise InputError(f"{name}: has no method {method}; the contract is {text}")
+    try:
+        signature = inspect.signature(given)
+    except ValueError:  # of compiled code
+        return
+    unbound = not made and inspect.isfunction(inspect.getattr_static(part, method))
+    positional = [p for p in asked if p.kind is not p.KEYWORD_ONLY]
+    keywords = [p.name for p in asked if p.kind is p.KEYWORD_ONLY]
+    try:
+        signature.bind(*([None] if unbound else []), *positional, **dict.fromkeys(keywords))
+    except TypeError:
+        raise InputError(
+            f"{name}: {'is made with' if made else method} {signature}; the contract is {text}"
+        ) from None

@@ -1,0 +1,21 @@
+"""The front ends there are, by the names that the setting `front_end` gives them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from turtlebag.datasets.parts import chosen, part_of
+from turtlebag.pipeline.slam.course import Maker
+from turtlebag.pipeline.slam.front_end import FrontEnd
+from turtlebag.pipeline.slam.kiss import KissIcp
+from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.wheels import Wheels
+
+FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}
+FrontEndName = Annotated[str, part_of(*FRONT_ENDS)]
+
+
+def front_end_maker(name: str) -> Maker:
+    """What makes the front end of that name; InputError where it is the user's own and not to be had."""
+    maker: Maker = chosen(name, FRONT_ENDS, FrontEnd)
+    return maker

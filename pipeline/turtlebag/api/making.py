@@ -1,0 +1,187 @@
+"""What all steps share: where files go, the command line that does the same, warnings and errors."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import logging
+import os
+import re
+import shutil
+import tempfile
+import threading
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.claims import claimed
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import name_of
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.yaml_files import parsed
+from turtlebag.pipeline.terminal.messages import log, show_bars
+
+PathLike = str | os.PathLike[str]
+Pose = SE2 | Sequence[float] | np.ndarray
+"""x, y [m] and yaw [rad]: three numbers, or an SE2."""
+
+# Without a handler of its own a library's warnings would be printed.
+log.addHandler(logging.NullHandler())
+_printed = logging.StreamHandler()
+IN_PYTHON = {"set": "settings", "force": "force=True", "wiggle": "wiggle=True"}
+FARTHEST = 1e9
+
+
+def verbose(on: bool = True) -> None:
+    """Show messages on stderr as the commands do, in a terminal progress bars too; False: nothing again."""
+    show_bars(on)
+    log.removeHandler(_printed)
+    if on:
+        log.addHandler(_printed)
+    log.setLevel(logging.INFO if on else logging.NOTSET)
+
+
+class TemporaryFolder:
+    """A folder that lives as long as somebody holds this."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="turtlebag-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+@dataclass
+class Step:
+    """One step under way: where it writes, what must live as long as its result, and its warnings so far."""
+
+    out: Path
+    kept: list[object] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def step(
+    verb: str, out: PathLike | None, *, force: bool = False, inputs: Sequence[PathLike | None] = ()
+) -> Iterator[Step]:
+    """Run a stage in here: into `out`, or where that is None into a folder as short-lived as the result.
+
+    What is wrong is an InputError in terms of Python, not of the command line. Inputs must not change, and
+    live as long as the result where they are objects.
+    """
+    folder = None if out is not None else TemporaryFolder()
+    given = [one for one in inputs if one is not None]
+    now = Step(Path(out) if folder is None else folder.path / verb, [folder, *given])  # type: ignore[arg-type]
+    with in_python(), _heard(now.notes), claimed(now.out, force=force, inputs=[Path(one) for one in given]):
+        yield now
+
+
+@contextmanager
+def in_python() -> Iterator[None]:
+    """InputErrors of within name the arguments of Python in place of the command line's options."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(re.sub(r"--([a-z]+(?:-[a-z]+)*)", _argument, str(error))) from error.__cause__
+
+
+def _argument(option: re.Match[str]) -> str:
+    return IN_PYTHON.get(option[1], option[1].replace("-", "_"))
+
+
+@contextmanager
+def _heard(notes: list[str]) -> Iterator[None]:
+    """Put the warnings of this thread into the list meanwhile."""
+    me = threading.get_ident()
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.thread == me:
+                notes.append(record.getMessage().removeprefix("note: "))
+
+    listener = Listener(logging.WARNING)
+    log.addHandler(listener)
+    try:
+        yield
+    finally:
+        log.removeHandler(listener)
+
+
+def require_finished(code: int) -> None:
+    """KeyboardInterrupt when a stage that keeps what it has was interrupted."""
+    if code >= 128:
+        raise KeyboardInterrupt
+
+
+def command_line(verb: str, *inputs: PathLike, **options: Any) -> list[str]:
+    """The command that does the same, for the manifest; options that are None or False are left out."""
+    words = ["turtlebag", verb, *(os.fspath(one) for one in inputs)]
+    for name, value in options.items():
+        option = f"--{name.replace('_', '-')}"
+        for one in value if isinstance(value, (list, tuple)) else [value]:
+            if one is True:
+                words.append(option)
+            elif one is not None and one is not False:
+                text = _option_text(one)
+                words += [f"{option}={text}"] if text.startswith("-") else [option, text]
+    return words
+
+
+def _option_text(value: Any) -> str:
+    if isinstance(value, SE2):
+        return pose_text(value)
+    return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
+
+
+def pose_of(value: Pose, what: str) -> SE2:
+    """A pose from three numbers; InputError names `what` when it is none."""
+    try:
+        xyt = value.xyt if isinstance(value, SE2) else np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        xyt = np.zeros(0)
+    if xyt.shape != (3,) or not np.isfinite(xyt).all() or np.abs(xyt).max() > FARTHEST:
+        shown = " ".join(repr(value.xyt if isinstance(value, SE2) else value).split())
+        raise InputError(
+            f"{what}: expected three finite numbers x, y, yaw in metres and radians, not {shown}"
+        )
+    return SE2.from_xyt(*(float(number) for number in xyt))
+
+
+def pose_text(pose: SE2) -> str:
+    """A pose as the command line takes it, every digit kept."""
+    return ",".join(repr(float(number)) for number in pose.xyt)
+
+
+def path_of(value: PathLike | None) -> Path | None:
+    """A path, where there is one."""
+    return None if value is None else Path(value)
+
+
+def part_name(part: Any) -> Any:
+    """The name `module:Class` of a class of the user's; anything else as it is."""
+    return name_of(part) if inspect.isclass(part) else part
+
+
+def setting_words(settings: Mapping[str, Any] | None) -> list[str]:
+    """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names."""
+    return [f"{key}={_value_text(value, key)}" for key, value in (settings or {}).items()]
+
+
+def _value_text(value: Any, key: str) -> str:
+    value = part_name(value)
+    if isinstance(value, str) and value and parsed(value, where=key) == value:
+        return value
+    try:
+        return json.dumps(value, default=np.ndarray.tolist)
+    except TypeError:
+        raise InputError(f"settings {key}: expected a number, text, list or class, not {value!r}") from None
+
+
+def require_seed(seed: int) -> int:
+    """A seed; InputError for what is none."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed: expected a whole number, 0 or more, not {seed!r}")
+    return int(seed)

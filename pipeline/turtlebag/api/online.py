@@ -1,0 +1,253 @@
+"""Mapping and localising scan by scan, with observations of the simulator or with arrays of one's own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from turtlebag.api.checks import checked_imu, checked_odometry, checked_scan, require_kind
+from turtlebag.api.making import (
+    PathLike,
+    Pose,
+    in_python,
+    path_of,
+    pose_of,
+    require_seed,
+    setting_words,
+)
+from turtlebag.api.outputs import as_map
+from turtlebag.api.tables import Trajectory
+from turtlebag.datasets import types
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import Imu, Observation, Scan
+from turtlebag.pipeline.localisation.interface import Localiser as AnyLocaliser
+from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
+from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.stages.localise import load_localise_config, started
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.sim.robots import load_robot
+
+
+class _Listener:
+    """Where the laser sits, and the order of what is heard."""
+
+    def __init__(self, robot: PathLike, laser: Pose | None) -> None:
+        spec = load_robot(os.fspath(robot)) if laser is None else None
+        self.T_base_lidar = spec.T_base_lidar if spec is not None else pose_of(laser or (), "laser")
+        self.scan: Scan | None = None
+        self.odometry: SE2 | types.Trajectory | None = None
+        self.observed_ns: int | None = None
+
+    def heard(self, scan: Scan, odometry: Any) -> tuple[Scan, SE2 | types.Trajectory | None]:
+        """A scan and its odometry, checked against what came before; InputError says what is wrong."""
+        checked = checked_scan(scan, self.scan)
+        first = self.scan is None
+        moved = checked_odometry(odometry, self.odometry, first)
+        self.scan, self.odometry = checked, moved
+        return checked, moved
+
+    def observed(self, observation: Observation) -> None:
+        """InputError for what is no observation, or not later than the last one."""
+        require_kind(observation, Observation, "observation")
+        if self.observed_ns is not None and observation.stamp_ns <= self.observed_ns:
+            raise InputError(f"observation: its stamp {observation.stamp_ns} is not after the last one's")
+        self.observed_ns = observation.stamp_ns
+
+
+class Mapper:
+    """Maps while the robot drives: every scan is placed as it comes, loops are closed a little at a time.
+
+    Give it the observations of a simulator (`observe`), or scans of your own (`add`), not both. `robot` tells
+    where the laser sits, or `laser` does, its pose on the robot. The map's frame is the odometry's at the
+    first scan, the robot's own without odometry. Settings are those of `map`; `front_end` is a name or a
+    class. Work and memory grow with the area seen, not with the time driven.
+    """
+
+    def __init__(
+        self,
+        robot: PathLike = "burger",
+        *,
+        laser: Pose | None = None,
+        front_end: str | type | None = None,
+        config: PathLike | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        """InputError for an unknown robot or setting."""
+        chosen = {} if front_end is None else {"front_end": front_end}
+        with in_python():
+            self._heard = _Listener(robot, laser)
+            slam = load_config(SlamConfig, path_of(config), setting_words({**(settings or {}), **chosen}))
+            self._online = OnlineMap(self._heard.T_base_lidar, slam)
+
+    def __len__(self) -> int:
+        return 0 if self._online.mapper is None else len(self._online.mapper)
+
+    def observe(self, observation: Observation) -> Array | None:
+        """Take in what the simulator's robot sensed; the pose (3,) where that brought a scan, else None."""
+        self._heard.observed(observation)
+        before = len(self)
+        with in_python():
+            self._online.observe(observation)
+        return self.pose if len(self) > before else None
+
+    def add(
+        self, scan: Scan, odometry: Pose | types.Trajectory | None = None, imu: Sequence[Imu] = ()
+    ) -> Array:
+        """Place a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
+
+        `odometry` is the pose of the base in the odometry's frame at that stamp, or a trajectory of it since
+        the last scan's, to the end of the sweep; the same kind for every scan, or none. `imu` are the samples
+        since the last scan. InputError for stamps that do not increase, arrays of another shape, numbers that
+        are not finite, and kinds that change; the scan is then not taken in.
+        """
+        samples = checked_imu(imu)
+        with in_python():
+            self._online.add(*self._heard.heard(scan, odometry), samples)
+        return self.pose
+
+    @property
+    def pose(self) -> Array:
+        """Where the newest scan was taken, by all that is known now: x, y, yaw in the map, (3,)."""
+        return self._mapper.T_map_base.xyt
+
+    @property
+    def T_map_odom(self) -> SE2:
+        """The odometry's frame on the map."""
+        return self._mapper.T_map_odom
+
+    @property
+    def lost(self) -> bool:
+        """Whether the newest scans fit so little that their poses are guesses."""
+        return self._mapper.lost
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of all scans by all that is known now, (n, 3)."""
+        return Trajectory.of(self._mapper.trajectory)
+
+    def map(self) -> OccupancyGrid:
+        """The map of what was seen so far: `cells` (rows, columns) int8, `resolution` [m], `T_map_grid`."""
+        with in_python():
+            return self._mapper.map()
+
+    def finish(self) -> tuple[Trajectory, OccupancyGrid]:
+        """Poses and map as `map` makes them of all scans, which takes as long."""
+        with in_python():
+            trajectory, grid = self._mapper.finish()
+        return Trajectory.of(trajectory), grid
+
+    @property
+    def _mapper(self) -> Any:
+        if self._online.mapper is None:
+            raise InputError("no scan yet: observe or add one first")
+        return self._online.mapper
+
+
+class Localiser:
+    """Finds the robot on a map, scan by scan (AMCL, or a class of yours by the setting `localiser`).
+
+    `initial_pose` is where it is on the map at the first scan, or "global" to search the whole of it. Give it
+    the observations of a simulator (`observe`), or scans of your own (`add`), not both. Settings are those of
+    `localise`, and so is what comes out.
+    """
+
+    def __init__(
+        self,
+        map: PathLike | OccupancyGrid,
+        robot: PathLike = "burger",
+        *,
+        initial_pose: Pose | Literal["global"],
+        laser: Pose | None = None,
+        seed: int = 1,
+        config: PathLike | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        """InputError for an unknown robot or setting, or an unreadable map."""
+        told = initial_pose if isinstance(initial_pose, str) else pose_of(initial_pose, "initial_pose")
+        if isinstance(told, str) and told != "global":
+            raise InputError(f"initial_pose: expected x, y, yaw or global, not {told!r}")
+        with in_python():
+            self._heard = _Listener(robot, laser)
+            self._config = load_localise_config(path_of(config), setting_words(settings))
+            self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
+        self._told, self._rng = told, stream(require_seed(seed), "amcl")
+        self._buffer = OdometryBuffer()
+        self._localiser: AnyLocaliser | None = None
+        self._T_odom_base = SE2.identity()
+
+    def observe(self, observation: Observation) -> Array | None:
+        """Take in what the simulator's robot sensed; the pose (3,) where that brought a scan, else None."""
+        self._heard.observed(observation)
+        self._buffer.add(observation.odometry.stamp_ns, observation.odometry.T_odom_base)
+        scan = observation.scan
+        if scan is None:
+            return None
+        return self._update(scan, self._buffer.at(scan.stamp_ns), self._buffer.at(sweep_end_ns(scan)))
+
+    def add(self, scan: Scan, odometry: Pose, odometry_end: Pose | None = None) -> Array:
+        """Take in a scan: x, y [m] and yaw [rad] of the base in the map at its stamp, (3,).
+
+        `odometry` is the pose of the base in the odometry's frame at that stamp, `odometry_end` at the end of
+        the sweep, by which the motion of a turning lidar is undone. InputError as of `Mapper.add`.
+        """
+        start = pose_of(odometry, "odometry")
+        end = None if odometry_end is None else pose_of(odometry_end, "odometry_end")
+        heard, _ = self._heard.heard(scan, start)
+        return self._update(heard, start, end)
+
+    @property
+    def pose(self) -> Array:
+        """Where the newest scan was taken: x, y [m] and yaw [rad] in the map, (3,)."""
+        return (self._started.T_map_odom @ self._T_odom_base).xyt
+
+    @property
+    def T_map_odom(self) -> SE2:
+        """The odometry's frame on the map."""
+        return self._started.T_map_odom
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of x, y [m] and yaw [rad] at the last scan that was used, (3, 3)."""
+        return self._started.covariance
+
+    @property
+    def particles(self) -> Array:
+        """Poses that are thought possible: x, y, yaw, (n, 3)."""
+        return self._started.particles.xyt
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is sure of one place."""
+        return self._localiser is not None and self._localiser.converged
+
+    @property
+    def lost(self) -> bool:
+        """Whether it is not sure of one place, or the scans do not agree with the map there."""
+        return self._localiser is None or self._localiser.lost
+
+    def _update(self, scan: Scan, T_odom_base: SE2, T_odom_base_end: SE2 | None) -> Array:
+        with in_python():
+            if self._localiser is None:
+                self._localiser = started(
+                    self._grid,
+                    scan.lidar,
+                    self._heard.T_base_lidar,
+                    self._told,
+                    self._config.amcl,
+                    self._rng,
+                    self._config.localiser,
+                )
+            self._localiser.update(scan, T_odom_base, T_odom_base_end)
+        self._T_odom_base = T_odom_base
+        return self.pose
+
+    @property
+    def _started(self) -> AnyLocaliser:
+        if self._localiser is None:
+            raise InputError("no scan yet: observe or add one first")
+        return self._localiser

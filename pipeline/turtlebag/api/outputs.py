@@ -1,0 +1,277 @@
+"""Recordings and maps as objects, and what all outputs share: files that are read when they are asked for.
+
+Made from a path they load what the commands wrote. What the steps return without `out=` lives in a temporary
+folder, which goes with the last object that needs it.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.api.making import PathLike, Step, TemporaryFolder
+from turtlebag.api.tables import Table, Trajectory
+from turtlebag.datasets import types
+from turtlebag.datasets.bags.reader import bag_info
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.recordings import load_recording
+from turtlebag.datasets.se2 import Array
+from turtlebag.reports.stages import Stage, load_stage
+
+Self = TypeVar("Self", bound="Output")
+
+
+class Output:
+    """A finished output. It is a path too: whatever takes a path takes this."""
+
+    kind: ClassVar[str]
+    """What `report` calls such an output."""
+    notes: tuple[str, ...] = ()
+    """Warnings of the step that has just made it: what was repaired on reading, what is doubtful."""
+    _kept: tuple[object, ...] = ()
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = Path(path)
+        """Where it lies."""
+        self.stage = self._load()
+        """Its manifest, configuration and files; None where it is no output of ours."""
+
+    def __fspath__(self) -> str:
+        return os.fspath(self.path)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'' if self._temporary else self.path}): {self.verdict}"
+
+    @classmethod
+    def of(cls: type[Self], step: Step) -> Self:
+        """What a step has just made."""
+        made = cls(step.out)
+        made.notes, made._kept = tuple(step.notes), tuple(step.kept)
+        return made
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Its metrics.json, in SI units and radians; empty where there is none."""
+        return {} if self.stage is None else self.stage.metrics
+
+    @property
+    def verdict(self) -> str:
+        """How it came out, in a sentence."""
+        return self._mood_and_verdict[1]
+
+    def _load(self) -> Stage | None:
+        stage = load_stage(self.path)
+        if stage.kind != self.kind:
+            raise InputError(f"{self.path}: is an output of {stage.kind}, not of {self.kind}")
+        return stage
+
+    @cached_property
+    def _mood_and_verdict(self) -> tuple[str, str]:
+        from turtlebag.reports.content import stage_metrics, verdict
+
+        return (
+            ("neutral", str(self.path))
+            if self.stage is None
+            else verdict(self.stage, stage_metrics(self.stage))
+        )
+
+    @property
+    def _temporary(self) -> bool:
+        return any(isinstance(one, TemporaryFolder) for one in self._kept)
+
+    def _title(self) -> str:
+        return type(self).__name__
+
+    def _facts(self) -> dict[str, str]:
+        return {}
+
+    def _picture(self) -> str:
+        return ""
+
+    def _repr_html_(self) -> str:
+        from turtlebag.api.pictures import card
+
+        mood, verdict = self._mood_and_verdict
+        facts = self._facts()
+        facts |= {f"note {number}": text for number, text in enumerate(self.notes, start=1)}
+        facts |= {} if self._temporary else {"in": str(self.path)}
+        return card(self._title(), verdict, facts, self._picture(), mood)
+
+
+def optional(path: types.Trajectory | None, frame: str) -> Trajectory | None:
+    """A trajectory as an array, where there is one."""
+    return None if path is None else Trajectory.of(path, frame)
+
+
+class Bag(Output):
+    """A recording: what `record` wrote, or any bag or log that `map` reads (.mcap, .db3, .bag, CARMEN)."""
+
+    kind = "record"
+
+    def _load(self) -> Stage | None:
+        if (self.path / "manifest.json").is_file():
+            return super()._load()
+        if not self.path.exists():
+            raise InputError(f"{self.path}: no such file or folder")
+        return None
+
+    @property
+    def world(self) -> str | None:
+        """The world it was recorded in, where it is known."""
+        return None if self.stage is None else self.stage.fact("world")
+
+    @property
+    def robot(self) -> str | None:
+        """The robot that recorded it, where it is known."""
+        return None if self.stage is None else self.stage.fact("robot")
+
+    @cached_property
+    def recording(self) -> types.Recording:
+        """All that mapping may know of it: stamps, ranges, lidar, odometry; never the truth."""
+        return load_recording(self.path)
+
+    @property
+    def ranges(self) -> NDArray[np.float32]:
+        """The scans, (n_scans, n_beams) [m]; inf where nothing came back, NaN where a beam is invalid."""
+        return self.recording.ranges
+
+    @property
+    def odometry(self) -> Trajectory | None:
+        """Poses of the base by the wheels, as often as the recording has them; None without odometry."""
+        recording = self.recording
+        if recording.odometry is not None:
+            return Trajectory.of(recording.odometry, "odom")
+        if recording.T_odom_base is None:
+            return None
+        return Trajectory(recording.stamps_ns, recording.T_odom_base, "odom")
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """True poses of the base at the scans, in the world; None where nobody knows."""
+        return None if self.stage is None else optional(self.stage.truth, "world")
+
+    @property
+    def topics(self) -> Table:
+        """Name, type, message count and mean rate of each topic; InputError for a log, which has none."""
+        topics = bag_info(self.path).topics
+        return Table(
+            {
+                "topic": [topic.name for topic in topics],
+                "type": [topic.msgtype for topic in topics],
+                "messages": [topic.count for topic in topics],
+                "rate_hz": [topic.rate_hz() for topic in topics],
+            }
+        )
+
+    def _title(self) -> str:
+        return "Recording" if self.world is None else f"Recording of {self.robot} in {self.world}"
+
+    def _facts(self) -> dict[str, str]:
+        lidar = self.recording.lidar
+        return {"lidar": f"{lidar.n_beams} beams, {lidar.range_min:g} to {lidar.range_max:g} m"}
+
+    def _picture(self) -> str:
+        from turtlebag.api.pictures import scene
+
+        true_map = None if self.stage is None else self.stage.true_map
+        return scene(true_map, {"truth": self.truth, "odometry": self.odometry})
+
+
+class Map(Output):
+    """An occupancy grid and the path along which it was seen: what `map` wrote, or any map_server YAML."""
+
+    kind = "map"
+
+    def _load(self) -> Stage | None:
+        self.yaml = self.path / "map.yaml" if self.path.is_dir() else self.path
+        """The file of the map itself."""
+        if not self.yaml.is_file():
+            raise InputError(
+                f"{self.path}: no map in it (expected a map's YAML file, or a folder with map.yaml)"
+            )
+        stage = load_stage(self.path) if (self.path / "manifest.json").is_file() else None
+        return stage if stage is not None and stage.kind == self.kind else None
+
+    @cached_property
+    def occupancy(self) -> OccupancyGrid:
+        """Cells and their place in one."""
+        return load_map(self.yaml) if self.stage is None or self.stage.map is None else self.stage.map
+
+    @property
+    def grid(self) -> NDArray[np.int8]:
+        """Cells (rows, columns), row 0 at the lowest y: -1 unknown, 0 free .. 100 occupied."""
+        return self.occupancy.cells
+
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell [m]."""
+        return self.occupancy.resolution
+
+    @property
+    def origin(self) -> Array:
+        """x, y [m] and yaw [rad] of the outer corner of cell (0, 0) in the map's frame, (3,)."""
+        return self.occupancy.T_map_grid.xyt
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """x_min, x_max, y_min, y_max [m], as `pyplot.imshow(m.grid, origin="lower", extent=...)` takes it."""
+        return self.occupancy.extent()
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the base at the scans, (n, 3) in the map's frame; InputError for a map that has none."""
+        path = None if self.stage is None else optional(self.stage.trajectory, "map")
+        if path is None:
+            raise InputError(f"{self.path}: has no trajectory; only maps made by turtlebag have one")
+        return path
+
+    @property
+    def world(self) -> str | None:
+        """The world that was mapped, where it is known."""
+        return None if self._bag is None else self._bag.world
+
+    @property
+    def robot(self) -> str | None:
+        """The robot that saw it, where it is known."""
+        return None if self._bag is None else self._bag.robot
+
+    @cached_property
+    def _bag(self) -> Bag | None:
+        """The recording that it was made from, where that still is in its place."""
+        source = None if self.stage is None else self.stage.input_paths().get("source")
+        if source is None:
+            return None
+        record = next((at for at in (source, source.parent) if (at / "manifest.json").is_file()), None)
+        return None if record is None or load_stage(record).kind != Bag.kind else Bag(record)
+
+    def _title(self) -> str:
+        return "Map" if self.world is None else f"Map of {self.world}"
+
+    def _facts(self) -> dict[str, str]:
+        rows, columns = self.occupancy.shape
+        size = f"{columns * self.resolution:.1f} x {rows * self.resolution:.1f} m"
+        facts = {"size": f"{size}, cells of {100 * self.resolution:g} cm"}
+        if "loops" in self.metrics:
+            loops = self.metrics["loops"]
+            facts["graph"] = (
+                f"{self.metrics['keyframes']} key scans of {self.metrics['scans']}, {loops['accepted']} of "
+                f"{loops['proposed']} loops accepted"
+            )
+        return facts
+
+    def _picture(self) -> str:
+        from turtlebag.api.pictures import scene
+
+        return scene(self.occupancy, {"map": None if self.stage is None else self.stage.trajectory})
+
+
+def as_map(map: PathLike) -> Map:
+    """A map from what was given as one."""
+    return map if isinstance(map, Map) else Map(map)

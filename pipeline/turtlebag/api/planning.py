@@ -1,0 +1,66 @@
+"""Paths over one map, one after another."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from turtlebag.api.making import (
+    PathLike,
+    Pose,
+    in_python,
+    part_name,
+    path_of,
+    pose_of,
+    require_seed,
+    setting_words,
+)
+from turtlebag.api.outputs import as_map
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.navigation.pose_check import require_free
+from turtlebag.pipeline.stages.plan import PlanStageConfig, planner_settings, search
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.planners.costmap import costmap_from_grid
+from turtlebag.planners.planner import NoPath
+from turtlebag.sim.robots import load_robot
+
+
+class Planner:
+    """Plans paths for a robot over a map; what takes long to prepare of the map is prepared once.
+
+    `planner` is one of OMPL's or a class, `robot` a name or a file (default: the one that made the map, else
+    burger); settings are those of `plan`. The same seed gives the same path.
+    """
+
+    def __init__(
+        self,
+        map: PathLike,
+        robot: PathLike | None = None,
+        *,
+        planner: str | type | None = None,
+        seed: int = 0,
+        config: PathLike | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        """InputError for an unknown robot or planner, or an unreadable map."""
+        with in_python():
+            words = [*setting_words(settings), *planner_settings(part_name(planner))]
+            self._config = load_config(PlanStageConfig, path_of(config), words)
+            self._map, self._seed = as_map(map), require_seed(seed)
+            self._robot = load_robot(os.fspath(robot or self._map.robot or "burger"))
+            self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
+
+    def plan(self, start: Pose, goal: Pose) -> Array:
+        """Poses (n, 3) of x, y [m], yaw [rad] from start to goal in the map's frame.
+
+        NoPath says why there is none; InputError where start or goal is off the map or in an obstacle.
+        """
+        T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
+        with in_python():
+            for what, pose in (("start", T_start), ("goal", T_goal)):
+                require_free(what, pose, self._costmap, self._robot.model, self._map.yaml)
+            found, reason, _ = search(self._costmap, self._robot, T_start, T_goal, self._config, self._seed)
+        if found is None:
+            raise NoPath(reason)
+        return found.poses.xyt

@@ -1,0 +1,200 @@
+"""Runs, localisations, plans and reports as objects."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from turtlebag.api.outputs import Bag, Map, Output, optional
+from turtlebag.api.tables import Table, Trajectory
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.reports.content import stage_metrics, verdict
+from turtlebag.reports.draw_localise import read_path
+from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest
+
+GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
+
+
+Part = TypeVar("Part", bound=Output)
+
+
+class _OnAMap(Output):
+    """An output that was made with a map given."""
+
+    @cached_property
+    def _given_map(self) -> OccupancyGrid | None:
+        path = None if self.stage is None else self.stage.input_paths().get("map")
+        return load_map(path) if path is not None and path.is_file() else None
+
+
+class Run(_OnAMap):
+    """What `navigate` drove."""
+
+    kind = "navigate"
+
+    @property
+    def success(self) -> bool:
+        """Whether the task was truly done: all goals reached where the robot truly was, and no collision."""
+        return bool(self.metrics.get("true_success"))
+
+    @property
+    def goals(self) -> Table:
+        """A row a goal: x, y, yaw, status, time_s, error_m, error_rad (against the truth; NaN: unknown)."""
+        goals = self.metrics.get("goals") or []
+        return Table({name: [goal.get(name) for goal in goals] for name in GOAL_COLUMNS})
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """The robot's estimate at the scans; without a map its odometry. None before the first scan."""
+        return None if self.stage is None else optional(self.stage.trajectory, "map")
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """True poses at the scans, in the world. None before the first scan."""
+        return None if self.stage is None else optional(self.stage.truth, "world")
+
+    @cached_property
+    def log(self) -> Table:
+        """A row every 1/30 s: true, estimated, odometry pose, command, clearance, contacts, goal, state."""
+        return Table(RunLog.load(self.path / "runlog.csv").columns())
+
+    @property
+    def bag(self) -> Bag:
+        """What the robot recorded meanwhile."""
+        return self._with(Bag(self.path / "bag"))
+
+    @property
+    def map(self) -> Map:
+        """The map that the task explore made; InputError for a run that made none."""
+        if not (self.path / "map.yaml").is_file():
+            raise InputError(f"{self.path}: made no map; only the task explore does")
+        return self._with(Map(self.path / "map.yaml"))
+
+    def _with(self, part: Part) -> Part:
+        """A part of this output, which keeps it."""
+        part._kept = (self, *self._kept)
+        return part
+
+    def _title(self) -> str:
+        stage = self.stage
+        return "Run" if stage is None else f"{str(stage.fact('task')).capitalize()} of {stage.fact('robot')}"
+
+    def _facts(self) -> dict[str, str]:
+        found = self.metrics
+        error = found.get("localisation_error_m")
+        return {
+            "drove": f"{found['distance_m']:.1f} m in {found['time_s']:.0f} s",
+            **({"localised": f"{100 * error['rmse']:.1f} cm RMSE"} if error else {}),
+            "clearance": f"{100 * found['min_clearance_m']:.0f} cm at least",
+        }
+
+    def _picture(self) -> str:
+        from turtlebag.api.pictures import scene
+
+        stage = self.stage
+        assert stage is not None
+        grid = next((one for one in (self._given_map, stage.map, stage.true_map) if one is not None), None)
+        believed = "estimate" if self.metrics.get("localisation_error_m") else "odometry"
+        paths = {"truth": stage.truth, believed: stage.trajectory}
+        return scene(grid, paths, self.metrics.get("goals") or [])
+
+
+class Localisation(_OnAMap):
+    """Where `localise` says a recorded robot was on a map."""
+
+    kind = "localise"
+
+    @property
+    def success(self) -> bool:
+        """Whether the filter knew its place at the end: by the truth where it was given."""
+        return bool(self.metrics.get("true_success", self.metrics.get("success")))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses of the base as known at each scan, (n, 3) in the map's frame; odometry if rejected."""
+        assert self.stage is not None
+        assert self.stage.trajectory is not None
+        return Trajectory.of(self.stage.trajectory)
+
+    def _facts(self) -> dict[str, str]:
+        found = self.metrics
+        if "agreement" not in found:
+            return {}
+        return {"scans": str(found["scans"]), "agreement": f"{found['agreement']:.0%} of the latest scans"}
+
+    def _picture(self) -> str:
+        from turtlebag.api.pictures import scene
+
+        return scene(self._given_map, {"estimate": self.trajectory})
+
+
+class Plan(_OnAMap):
+    """A path that `plan` found, or why there is none."""
+
+    kind = "plan"
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a path."""
+        return bool(self.metrics.get("success"))
+
+    @cached_property
+    def poses(self) -> Array:
+        """x, y [m] and yaw [rad] from start to goal in the map's frame, (n, 3); (0, 3) without a path."""
+        return read_path(self.path / "path.csv").xyt
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path [m]; NaN without one."""
+        return float(self.metrics.get("length_m", np.nan))
+
+    def _picture(self) -> str:
+        from turtlebag.api.pictures import scene
+
+        stamps = np.zeros(len(self.poses), dtype=np.int64)
+        return scene(self._given_map, {"plan": Trajectory(stamps, SE2(self.poses))})
+
+
+class Report(Output):
+    """The page that `report` made."""
+
+    kind = "report"
+
+    @property
+    def page(self) -> Path:
+        """The page itself, for a browser."""
+        return self.path / "index.html"
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Numbers of every stage by world and stage."""
+        return read_json(self.path / "metrics.json")
+
+    def _load(self) -> None:
+        manifest = read_manifest(self.path / "manifest.json")
+        if manifest.stage != self.kind:
+            raise InputError(f"{self.path}: is an output of {manifest.stage}, not of {self.kind}")
+        self._places = {name: self.path / place for name, place in manifest.folders.items()}
+        self._shows = f"{len(self._places)} outputs"
+
+    @cached_property
+    def _mood_and_verdict(self) -> tuple[str, str]:
+        moods = [verdict(stage, stage_metrics(stage))[0] for stage in self._stages.values()]
+        return next((mood for mood in ("bad", "good") if mood in moods), "neutral"), self._shows
+
+    @property
+    def _stages(self) -> dict[str, Stage]:
+        """The outputs that it shows, as far as they are still there."""
+        found = {name: place for name, place in self._places.items() if (place / "manifest.json").is_file()}
+        return {name: load_stage(place) for name, place in found.items()}
+
+    def _facts(self) -> dict[str, str]:
+        told = {name: verdict(stage, stage_metrics(stage))[1] for name, stage in self._stages.items()}
+        return {**told, "page": str(self.page)}

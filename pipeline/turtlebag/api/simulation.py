@@ -1,0 +1,123 @@
+"""A robot in a simulated world, step by step."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from turtlebag.api.making import (
+    PathLike,
+    Pose,
+    in_python,
+    part_name,
+    path_of,
+    pose_of,
+    require_seed,
+    setting_words,
+)
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.types import Observation, Twist
+from turtlebag.pipeline.stages.record import RecordOptions, Scene
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.sim import simulator
+from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import Truth
+from turtlebag.sim.world import World
+
+
+class Simulator:
+    """Steps of 1/30 s: velocities in, what the robot senses out. A context manager, which closes it.
+
+    The same world, robot, settings, seed and commands give the same observations to the last bit, those that
+    `record` writes down. Settings are `record`'s: `{"sim.sensors": "clean"}`.
+    """
+
+    def __init__(
+        self,
+        world: PathLike | type,
+        robot: PathLike | None = None,
+        *,
+        seed: int = 1,
+        start: Pose | None = None,
+        config: PathLike | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        """`start` is the true pose in the world (default: its spawn). InputError for unknown names."""
+        with in_python():
+            sim = load_config(RecordOptions, path_of(config), setting_words(settings)).sim
+            T_start = None if start is None else pose_of(start, "start")
+            by = None if robot is None else os.fspath(robot)
+            self._scene = Scene.load(os.fspath(part_name(world)), by, require_seed(seed), sim, T_start)
+            self._simulator = simulator.Simulator(
+                self._scene.world, self._scene.robot, self._scene.sim, self._scene.seed
+            )
+            self.reset()
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give back what the physics takes."""
+        self._simulator.close()
+
+    @property
+    def world(self) -> World:
+        """The world, with its `bounds` (x_min, x_max, y_min, y_max) [m]."""
+        return self._scene.world
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot: its footprint, limits and sensors."""
+        return self._scene.robot
+
+    @property
+    def observation(self) -> Observation:
+        """What the robot sensed last: `odometry`, `joints`, `imu`, and `scan` where a sweep has ended."""
+        return self._observation
+
+    @property
+    def truth(self) -> Truth:
+        """What only the simulator knows: true pose and twist in the world, and contacts."""
+        return self._simulator.truth
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the start."""
+        return self._observation.stamp_ns * 1e-9
+
+    def clearance(self) -> float:
+        """Distance from the robot to the nearest thing [m]."""
+        return self._simulator.clearance()
+
+    def reset(self, start: Pose | None = None) -> Observation:
+        """Start again, at another true pose if one is given; InputError for one in an obstacle."""
+        with in_python():
+            T_start = self._scene.start if start is None else pose_of(start, "start")
+            self._observation = self._simulator.reset(T_start)
+        return self._observation
+
+    def step(self, v: float = 0.0, w: float = 0.0) -> Observation:
+        """Drive for 1/30 s at v [m/s] forward and w [rad/s] to the left, as far as the motors can follow.
+
+        InputError for what is no finite number.
+        """
+        command = Twist(_speed(v, "v"), _speed(w, "w"))
+        self._observation = self._simulator.step(command)
+        return self._observation
+
+    def __repr__(self) -> str:
+        return f"Simulator: {self.robot.name} in {self.world.name}, {self.time_s:.1f} s"
+
+
+def _speed(value: float, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not abs(number) < 1e6:
+        raise InputError(f"{what}: expected a finite speed in m/s or rad/s, not {value!r}")
+    return number

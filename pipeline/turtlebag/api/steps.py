@@ -1,0 +1,328 @@
+"""The steps of the command line as functions: same stages, same settings, same bytes.
+
+All of them take `out`, a folder to keep the result in (it must not exist, unless `force` replaces it);
+without it nothing stays. `config` is a YAML file of settings and `settings` changes single ones by their
+dotted names, as `--config` and `--set` do: `{"loops.match": "open3d"}`. A part of your own is given by its
+class.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from turtlebag.api.making import (
+    PathLike,
+    Pose,
+    command_line,
+    part_name,
+    path_of,
+    pose_of,
+    pose_text,
+    require_finished,
+    require_seed,
+    setting_words,
+    step,
+)
+from turtlebag.api.outputs import Bag, Map, as_map
+from turtlebag.api.results import Localisation, Plan, Report, Run
+from turtlebag.api.tasks import Task
+from turtlebag.datasets.errors import InputError
+
+Settings = Mapping[str, Any]
+
+
+def record(
+    world: PathLike | type,
+    robot: PathLike | None = None,
+    *,
+    teleop: PathLike = "tour",
+    seed: int = 1,
+    start: Pose | None = None,
+    config: PathLike | None = None,
+    settings: Settings | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Bag:
+    """Drive a simulated robot and record what it saw.
+
+    `world` is a name, a file or a class, `robot` a name or a file (default: the world's own), `teleop` a
+    script, or a bag whose commands are driven again; `start` is the true pose in the world. A drive that
+    got stuck is kept, and its `notes` say so. InputError for unknown names and a start in an obstacle.
+    """
+    from turtlebag.pipeline.stages.record import RecordOptions
+    from turtlebag.pipeline.stages.record import record as stage
+    from turtlebag.pipeline.stages.settings import load_config
+
+    words, named = setting_words(settings), part_name(world)
+    T_start = None if start is None else pose_of(start, "start")
+    given = {"world": named, "robot": robot, "teleop": teleop, "seed": seed, "start": T_start}
+    with step("record", out, force=force, inputs=[teleop, config]) as now:
+        code = stage(
+            os.fspath(named),
+            None if robot is None else os.fspath(robot),
+            os.fspath(teleop),
+            require_seed(seed),
+            now.out,
+            sim=load_config(RecordOptions, path_of(config), words).sim,
+            start=T_start,
+            force=force,
+            command=command_line("record", **given, config=config, set=words, out=now.out),
+        )
+        require_finished(code)
+        return Bag.of(now)
+
+
+def map(
+    source: PathLike,
+    *,
+    front_end: str | type | None = None,
+    truth: PathLike | None = None,
+    relations: PathLike | None = None,
+    also: Sequence[PathLike] = (),
+    continued: PathLike | None = None,
+    laser: Pose | None = None,
+    upside_down: bool = False,
+    topic: str | None = None,
+    edits: PathLike | None = None,
+    explain: bool = False,
+    config: PathLike | None = None,
+    settings: Settings | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Map:
+    """Build a map from a recording: a Bag, a folder, a bag file or a CARMEN log.
+
+    `front_end` is a name or a class (`turtlebag.pipeline.slam.front_end` says what it must have). `truth` (a
+    recording) and `relations` (a benchmark's file) only add errors to the metrics. `also` are later
+    recordings of the same place, `continued` an earlier map that the recording is added to. `laser` and
+    `upside_down` override how the laser sits on the robot. InputError for what cannot be mapped.
+    """
+    from turtlebag.pipeline.stages.map import build_map
+
+    words = setting_words({**(settings or {}), **({} if front_end is None else {"front_end": front_end})})
+    T_base_lidar = None if laser is None else pose_of(laser, "laser")
+    if upside_down and T_base_lidar is None:
+        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
+    given: dict[str, Any] = {
+        "truth": truth,
+        "relations": relations,
+        "also": list(also),
+        "continue": continued,
+    }
+    given |= {"topic": topic, "config": config, "set": words, "edits": edits, "explain": explain}
+    laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
+    inputs = [source, truth, relations, *also, continued, edits, config]
+    with step("map", out, force=force, inputs=inputs) as now:
+        build_map(
+            Path(source),
+            now.out,
+            truth=path_of(truth),
+            relations=path_of(relations),
+            config=path_of(config),
+            settings=words,
+            laser=T_base_lidar,
+            upside_down=upside_down,
+            also=[Path(one) for one in also],
+            continued=path_of(continued),
+            topic=topic,
+            edits=path_of(edits),
+            explain=explain,
+            force=force,
+            command=command_line("map", source, **given, laser=laser_text, out=now.out),
+        )
+        return Map.of(now)
+
+
+def localise(
+    source: PathLike,
+    map: PathLike,
+    *,
+    initial_pose: Pose | Literal["global"] | None = None,
+    truth: PathLike | None = None,
+    laser: Pose | None = None,
+    upside_down: bool = False,
+    seed: int = 1,
+    config: PathLike | None = None,
+    settings: Settings | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Localisation:
+    """Find where a recorded robot was on a map, scan by scan (AMCL).
+
+    `initial_pose` is where it starts on the map, or "global" to search the whole of it; without one the
+    result is rejected. `truth` is a recording; it only adds errors to the metrics. InputError for a recording
+    without odometry or a map without walls.
+    """
+    from turtlebag.api.requests import told_pose
+    from turtlebag.pipeline.stages.localise import load_localise_config
+    from turtlebag.pipeline.stages.localise import localise as stage
+
+    words, on = setting_words(settings), as_map(map).yaml
+    told = told_pose(initial_pose, "global")
+    T_base_lidar = None if laser is None else pose_of(laser, "laser")
+    laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
+    given = {"map": on, "initial_pose": told, "laser": laser_text, "truth": truth, "seed": seed}
+    with step("localise", out, force=force, inputs=[source, map, truth, config]) as now:
+        stage(
+            Path(source),
+            on,
+            now.out,
+            initial_pose=told,
+            T_base_lidar=T_base_lidar,
+            upside_down=upside_down,
+            truth=path_of(truth),
+            config=load_localise_config(path_of(config), words),
+            seed=require_seed(seed),
+            force=force,
+            command=command_line("localise", source, **given, config=config, set=words, out=now.out),
+        )
+        return Localisation.of(now)
+
+
+def plan(
+    map: PathLike,
+    start: Pose,
+    goal: Pose,
+    *,
+    robot: PathLike | None = None,
+    planner: str | type | None = None,
+    compare: bool = False,
+    seed: int = 0,
+    config: PathLike | None = None,
+    settings: Settings | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Plan:
+    """Plan a path over a map from a pose to another, both in the map's frame.
+
+    `robot` is a name or a file (default: the one that made the map, else burger), `planner` one of OMPL's
+    or a class; `compare` asks all of OMPL's. Where there is no path, `success` is False and the verdict
+    says why. InputError for a start or goal off the map or in an obstacle.
+    """
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, planner_settings
+    from turtlebag.pipeline.stages.plan import plan as stage
+    from turtlebag.pipeline.stages.settings import load_config
+
+    words, on, by = setting_words(settings), as_map(map), part_name(planner)
+    T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
+    name = os.fspath(robot) if robot is not None else on.robot or "burger"
+    given = {
+        "map": on.yaml,
+        "robot": name,
+        "start": T_start,
+        "goal": T_goal,
+        "planner": by,
+        "compare": compare,
+        "seed": seed,
+        "config": config,
+        "set": words,
+    }
+    with step("plan", out, force=force, inputs=[map, config]) as now:
+        stage(
+            on.yaml,
+            name,
+            T_start,
+            T_goal,
+            now.out,
+            seed=require_seed(seed),
+            config=load_config(PlanStageConfig, path_of(config), [*words, *planner_settings(by)]),
+            compare=compare,
+            force=force,
+            command_line=command_line("plan", **given, out=now.out),
+        )
+        return Plan.of(now)
+
+
+def report(
+    *outputs: PathLike,
+    animate: bool = True,
+    paper: bool = False,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Report:
+    """One page of what recordings, maps, runs, localisations and plans came to, with figures and numbers.
+
+    `animate=False` leaves out the animations, `paper=True` adds every figure as PDF and SVG. InputError for
+    what is no such output. `turtlebag verify` needs the outputs themselves: give those an `out` to keep them.
+    """
+    from turtlebag.pipeline.stages.report import make_report
+
+    if not outputs:
+        raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
+    with step("report", out, force=force, inputs=outputs) as now:
+        options = {"no_animation": not animate, "paper": paper, "out": now.out}
+        make_report(
+            [Path(one) for one in outputs],
+            now.out,
+            force=force,
+            animate=animate,
+            paper=paper,
+            command=command_line("report", *outputs, **options),
+        )
+        return Report.of(now)
+
+
+def navigate(
+    map: PathLike | None = None,
+    *,
+    task: Task | type,
+    world: PathLike | type | None = None,
+    robot: PathLike | None = None,
+    seed: int = 0,
+    start: Pose | None = None,
+    initial_pose: Pose | Literal["start", "global"] | None = "start",
+    wiggle: bool = False,
+    takeover: PathLike | None = None,
+    keepout: PathLike | Sequence[Any] | None = None,
+    config: PathLike | None = None,
+    settings: Settings | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Run:
+    """Drive a task in closed loop with the simulator, recorded and measured.
+
+    A patrol and a goal go by `map`; without one, a goal by odometry. `world` and `robot` are names or files
+    (default: those of the recording that the map was made from). `start` is the true pose in the world,
+    `initial_pose` what the robot is told of it: "start" tells the truth, "global" to search the map, None
+    nothing. `wiggle` turns the robot to and fro first. `takeover` is a file of intervals of teleop.
+    `keepout` are areas to stay out of: a file, outlines (n, 2) [m], or [] for none (default: the world's).
+
+    A task that fails is a result, too: see `success` and `goals`. InputError for a bad goal, map or name.
+    """
+    from turtlebag.api.requests import asked_for
+    from turtlebag.pipeline.navigation.config import NavigateConfig
+    from turtlebag.pipeline.stages.navigate import navigate as stage
+    from turtlebag.pipeline.stages.settings import load_config
+
+    words = setting_words(settings)
+    with step("navigate", out, force=force, inputs=[map, takeover, config]) as now:
+        asked = asked_for(
+            map,
+            part_name(task),
+            world=part_name(world),
+            robot=robot,
+            seed=seed,
+            start=start,
+            initial_pose=initial_pose,
+            wiggle=wiggle,
+            takeover=takeover,
+            keepout=keepout,
+        )
+        now.kept.append(asked.files)
+        options = {**asked.options, "config": config, "set": words, "out": now.out}
+        code = stage(
+            asked.world,
+            asked.request,
+            now.out,
+            robot=asked.robot,
+            config=load_config(NavigateConfig, path_of(config), [*words, *asked.settings]),
+            force=force,
+            command_line=command_line("navigate", **options),
+            say=lambda line: None,
+            files={} if config is None else {"config": Path(config)},
+        )
+        require_finished(code)
+        return Run.of(now)
