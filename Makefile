@@ -33,7 +33,7 @@ DEMO := $(addsuffix /turtlebot3_world-burger-tour-$(SEED),records maps) runs/tur
 REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR))) $(RUN_DIR)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist lint test browser clean \
+.PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
   bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
@@ -139,6 +139,10 @@ study-advice study-blame study-breaks: study-%: $(READY) ## the studies: mapping
 
 dist: $(READY) ## build the sdist, and the wheel from it, into dist/
 	$(PY) -m build --no-isolation
+
+docs: $(READY) ## make the documentation site, data/site/index.html, without the network
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs --quiet build --strict
+	@echo data/site/index.html
 
 lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff check .

@@ -94,7 +94,7 @@ def test_the_lock_has_one_version_of_each_package_in_the_range_that_is_asked_for
         canonicalize_name(line.name): line for line in LOCK if line.marker is None or line.marker.evaluate()
     }
     extras = PROJECT["project"]["optional-dependencies"]
-    todo = [Requirement(line) for line in PROJECT["project"]["dependencies"] + extras["dev"]]
+    todo = [Requirement(line) for line in PROJECT["project"]["dependencies"] + extras["dev"] + extras["docs"]]
     assert all("==" not in str(wanted) for wanted in todo)
     seen = set()
     while todo:  # and what those need, and so on

@@ -125,9 +125,15 @@ def command_line(verb: str, *inputs: PathLike, **options: Any) -> list[str]:
             if one is True:
                 words.append(option)
             elif one is not None and one is not False:
-                text = pose_text(one) if isinstance(one, SE2) else str(one)
+                text = _option_text(one)
                 words += [f"{option}={text}"] if text.startswith("-") else [option, text]
     return words
+
+
+def _option_text(value: Any) -> str:
+    if isinstance(value, SE2):
+        return pose_text(value)
+    return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
 
 
 def pose_of(value: Pose, what: str) -> SE2:
