@@ -57,8 +57,8 @@ def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: b
         if off[0] > OFF_M or off[1] > OFF_RAD:
             raise broken(
                 front_end,
-                f"{said}: off by up to {off[0]:.2f} m, {off[1]:.2f} rad on a lap of a room; at most {OFF_M} m, "
-                f"{OFF_RAD} rad",
+                f"{said}: off by up to {off[0]:.2f} m, {off[1]:.2f} rad on a lap of a room, "
+                f"at most {OFF_M} m, {OFF_RAD} rad",
             )
         if len(track.keys) < 5:
             raise broken(front_end, f"{said}: it must be sure of its poses where scans fit (Placed.sure)")
@@ -124,7 +124,7 @@ def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     off = apart(SE2(true), SE2(pose))
     if off[0] > 0.05 or off[1] > 0.02:
         raise broken(
-            matcher, f"match: {off[0]:.3f} m, {off[1]:.3f} rad off from a start 0.13 m off: 0.05, 0.02"
+            matcher, f"match: {off[0]:.3f} m, {off[1]:.3f} rad off from a near start: 0.05, 0.02 at most"
         )
     if not 0.6 < overlap <= 1.0:
         raise broken(matcher, f"match: overlap {overlap:.2f} where all that is seen is the same; 0.6 to 1")
@@ -134,7 +134,7 @@ def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
     stays = one.match(clouds, query, place, start, ROUGH._replace(iterations=0)).T_map_base
     if max(apart(stays, SE2(start))) > 1e-6:
         raise broken(matcher, "match: with no iterations the fit at the start is told")
-    nowhere = _matched(matcher, clouds, query, place, start + [60.0, 0.0, 0.0])
+    nowhere = _matched(matcher, clouds, query, place, start + np.array([60.0, 0.0, 0.0]))
     if nowhere[2] != 0.0 or nowhere[1].any():
         raise broken(matcher, "match: where nothing is seen overlap and information must be zero")
     if bytes_of(*given) != before:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import require, require_attributes
@@ -97,7 +98,7 @@ def log(poses: Array, *, odometry: bool = True) -> Recording:
     return Recording("a room", stamps, ranges_from(poses), LIDAR, SE2.identity(), T_odom_base)
 
 
-def bytes_of(*arrays: Array) -> bytes:
+def bytes_of(*arrays: NDArray[Any]) -> bytes:
     """Arrays as one string of bytes."""
     return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
 
