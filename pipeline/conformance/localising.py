@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
@@ -66,7 +67,7 @@ def check_localiser(localiser: Callable[..., Localiser]) -> None:
 
 
 def _localised(
-    localiser: Callable[..., Localiser], poses: Array, odometry: Array, ranges: Array
+    localiser: Callable[..., Localiser], poses: Array, odometry: Array, ranges: NDArray[np.float32]
 ) -> tuple[Array, Localiser]:
     """What it says at each scan (n, 3), and the localiser then."""
     grid, rng = room().rasterize(HEIGHT_M), stream(1, "localiser")
@@ -91,8 +92,8 @@ def _localised(
     return np.array(said), one
 
 
-def _scan(k: int, ranges: Array) -> Scan:
-    return Scan(10**9 + k * 200_000_000, np.asarray(ranges, dtype=np.float32), LIDAR)
+def _scan(k: int, ranges: NDArray[np.float32]) -> Scan:
+    return Scan(10**9 + k * 200_000_000, ranges, LIDAR)
 
 
 def _require_estimate(localiser: Localiser) -> None:

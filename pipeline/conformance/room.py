@@ -69,7 +69,7 @@ def lap(n: int = 120) -> Array:
     return np.column_stack([x, y, np.unwrap(np.arctan2(2.2 * np.cos(t), -1.9 * np.sin(t)))])
 
 
-def ranges_from(poses: Array) -> Array:
+def ranges_from(poses: Array) -> NDArray[np.float32]:
     """What the lidar measures at poses (n, 3), (n, beams) float32, with its noise."""
     outlines, rng = sections(room().shapes, HEIGHT_M), stream(1, "noise")
     rows = []
@@ -79,7 +79,7 @@ def ranges_from(poses: Array) -> Array:
         origins = np.tile([x, y], (len(angles), 1))
         rows.append(cast(origins, rays, angles, (outlines.segments, outlines.circles), LIDAR.range_max)[0])
     exact = np.array(rows)
-    return np.asarray((exact + rng.normal(0.0, NOISE_M, exact.shape)).astype(np.float32))
+    return (exact + rng.normal(0.0, NOISE_M, exact.shape)).astype(np.float32)
 
 
 def wheels(poses: Array) -> Array:
