@@ -110,6 +110,7 @@ CHECKS: dict[str, Callable[[], str]] = {
             "dask": "dask",
             "tornado": "tornado.web",
             "distributed": "distributed",
+            "fsspec": "fsspec",
             "duckdb": "duckdb",
         }.items()
     },
