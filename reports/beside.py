@@ -64,6 +64,8 @@ class Beside:
             if self.metrics["map_reference"] == "truth"
             else f"the map of {OURS}",
         }
+        apart = f" The truth is not known: these are distances to {OURS}, not errors."
+        words["apart"] = "" if self.judged_by_truth else apart
         found = []
         for section in SYSTEMS:
             rows = [self._row(spec) for spec in section.specs]
@@ -74,13 +76,14 @@ class Beside:
 
     def _row(self, spec: Spec) -> Row:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
-        known = [value for value in values if value is not None]
+        texts = [shown(value, spec.unit) for value in values]
+        known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]
+        judged = spec.path not in NOT_JUDGED and len({text for _, text in known}) > 1
         more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
-        judged = len(known) > 1 and spec.path not in NOT_JUDGED and len(set(known)) > 1
-        best = [(max if more else min)(known)] if judged else []
+        best = (max if more else min)(known)[1] if judged else None
         cells = [
-            Cell(f"rivals:systems.{name}.{spec.path}", value, shown(value, spec.unit), value in best)
-            for name, value in zip(self.names, values, strict=True)
+            Cell(f"rivals:systems.{name}.{spec.path}", value, text, text == best)
+            for name, value, text in zip(self.names, values, texts, strict=True)
         ]
         return Row(spec, EVO.get(spec.path, ""), cells)
 
@@ -133,7 +136,10 @@ def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str)
         if one.paired is not None and (known.truth is not None or one is not measured[0])
     }
     if len(paths) > 1 and errors:
-        caption = f"Distance to {reference} after the fit in the plane; a gap is where a system has no poses."
+        caption = (
+            f"Distance to {reference} after the fit in the plane; a gap is where a system has no poses. "
+            "An axis that goes beyond 3 is logarithmic above 1."
+        )
         draw = partial(figures.errors, errors, list(paths), f"to {reference} [cm]")
         pictures.append(album.add(f"{prefix}-time", "Error over time", caption, draw))
     ours = measured[0].grid

@@ -8,7 +8,7 @@ SYSTEMS: tuple[Section, ...] = (
     section(
         "The path",
         "Distance to {reference} at the same instants. The fit moves and turns each path as a whole: two "
-        "systems seldom share a frame.",
+        "systems seldom share a frame.{apart}",
         Spec(
             "ate_aligned_m.rmse",
             "ATE after a fit in the plane, RMSE",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import add_output
-from turtlebag.pipeline.cli.rivals import add_rival_options, rival_paths, rivals
+from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map.yaml --out data/comparison"
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """What is read."""
-    return [path for path in (args.a, *rival_paths(args.b, args)) if path.exists()]
+    return [*([args.a] if args.a.exists() else []), *existing_rivals(args.b, args)]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -59,10 +59,11 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
     ]
 
 
-def rival_paths(words: Sequence[str], args: argparse.Namespace) -> list[Path]:
-    """Every file that they name."""
+def existing_rivals(words: Sequence[str], args: argparse.Namespace) -> list[Path]:
+    """Every file that they name, and that is there."""
     paths = [_named(word)[1] for word in words]
-    return paths + [Path(word.rpartition("=")[2]) for word in args.rival_times]
+    paths += [Path(word.partition("=")[2] or word) for word in args.rival_times]
+    return [path for path in paths if path.exists()]
 
 
 def _named(word: str) -> tuple[str, Path]:
@@ -85,6 +86,8 @@ def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: st
         name, equals, value = word.partition("=")
         if not equals and len(names) == 1:
             name, value = next(iter(names)), word
+        elif not names:
+            raise InputError(f"{option} {word}: there is no rival")
         elif not equals:
             raise InputError(f"{option} {word}: of which rival? write {option} NAME={word}")
         if name not in names:

@@ -46,6 +46,14 @@ def measured(
     return known, measure(ours, rivals, known)
 
 
+def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[Known, list[Measured]]:
+    """The rivals of a report, measured; InputError when it is about more than one world or log."""
+    if len(groups) > 1:
+        names = ", ".join(group.name for group in groups)
+        raise InputError(f"--rival: a rival belongs to one recording, but these are of {names}")
+    return measured(ours_of(groups[0].stages), files, groups[0])
+
+
 def known_of(stage: Stage, group: Group | None = None) -> Known:
     """The truth and the relations of a stage's recording, where they are still to be found."""
     record = group.record_of(stage) if group is not None else None
@@ -87,17 +95,20 @@ def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
 
 
 def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
-    """The rivals of a report in `out`."""
+    """The rivals of a report in `out`, wherever report and files were moved together."""
 
-    def found(text: str | None) -> Path | None:
-        return None if text is None else out / text
+    def found(one: RivalEntry, what: str) -> Path | None:
+        text = getattr(one, what)
+        if text is None or (out / text).is_file():
+            return None if text is None else out / text
+        return manifest.inputs[f"{MARK}{one.name}/{what}"].path
 
     return [
         RivalFiles(
             one.name,
-            found(one.trajectory),
-            found(one.map),
-            found(one.times),
+            found(one, "trajectory"),
+            found(one, "map"),
+            found(one, "times"),
             SE2.from_xyt(*one.base),
             one.shift_s,
         )

@@ -186,7 +186,7 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
     placed = place(grid, surface, _guesses(measured, ours, known))
     moved = placed.moved(grid)
     numbers = {"map": map_metrics(moved, reference), "map_moved": placed.T_ref_map.xyt.tolist()}
-    return _replaced(measured, numbers, _map_notes(placed) if measured is not ours else [], moved)
+    return _replaced(measured, numbers, _map_notes(placed, grid) if measured is not ours else [], moved)
 
 
 def _surface(reference: OccupancyGrid, true_map: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
@@ -208,14 +208,15 @@ def _guesses(measured: Measured, ours: Measured, known: Known) -> list[SE2]:
     return guesses
 
 
-def _map_notes(placed: Placed) -> list[str]:
-    x, y, yaw = (float(value) for value in placed.T_ref_map.xyt)
+def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
+    """Where the middle of a map was moved to, and how badly it fits there."""
+    middle = grid.center_of(np.array(grid.shape) // 2)
+    x, y = (float(value) for value in placed.T_ref_map @ middle - middle)
+    yaw = float(placed.T_ref_map.yaw)
     notes = []
-    if np.hypot(x, y) > 0.05 or abs(yaw) > 0.01:
-        turn = f"{np.rad2deg(yaw):.1f}°"
-        notes.append(
-            f"Its map was moved by {x:.2f}, {y:.2f} m and turned by {turn}, to lie on the walls best."
-        )
+    if np.hypot(x, y) > grid.resolution or abs(yaw) > 0.01:
+        told = f"by {x:.2f}, {y:.2f} m and turned by {np.rad2deg(yaw):.1f}°".replace("-", "\u2212")
+        notes.append(f"Its map was moved {told}, to lie on the other walls.")
     if placed.share < LAID:
         notes.append(
             f"Only {100.0 * placed.share:.0f} % of its walls could be laid within two cells of the others: "
