@@ -87,11 +87,11 @@ class Carrot(Ramped):
         at = np.linalg.norm(self._path.xy - pose.xy, axis=1)
         ahead = self._path[min(int(at.argmin()) + 5, len(self._path) - 1)]
         x, y, yaw = (pose.inverse() @ ahead).xyt.tolist()
-        if math.hypot(x, y) < 0.1:
+        if math.hypot(x, y) < 0.02:
             self.state = "align"
             return self.ramp(Twist(0.0, yaw), last)
         self.state, bearing = "follow", math.atan2(y, x)
-        v = 0.2 * max(0.0, math.cos(bearing)) ** 4
+        v = min(0.2, math.hypot(x, y)) * max(0.0, math.cos(bearing)) ** 4
         return self.ramp(Twist(v, 1.5 * bearing), last)
 
 
