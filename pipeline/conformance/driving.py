@@ -33,7 +33,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, SimConfig, Simulator
 
 PERIOD = 1.0 / CONTROL_HZ
-AT_GOAL_M, AT_GOAL_RAD, DRIVE_S = 0.2, 0.35, 90.0
+AT_GOAL_M, AT_GOAL_RAD, DRIVE_S = 0.2, 0.35, 60.0
 """Where a controller must have come to after so long."""
 TASK_S = 6.0
 
