@@ -4,7 +4,9 @@ import importlib.util
 import os
 import re
 import shlex
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,6 +59,9 @@ WITH_COMMANDS = [
 @pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for example in re.findall(r"\]\((examples/\w+\.py)\)", page.read_text()):
+        shutil.copy(page.parent / example, tmp_path)
     for line, expected in commands(page.read_text()):
         if line.startswith("turtlebag "):
             code = main(shlex.split(line, comments=True)[1:])

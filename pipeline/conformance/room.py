@@ -19,7 +19,7 @@ from turtlebag.sim.raycast import cast
 from turtlebag.sim.shapes import box, sections
 from turtlebag.sim.world import World
 
-LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 8.0)
+LIDAR = LidarSpec(180, 0.0, math.radians(2.0), 0.12, 8.0)
 HEIGHT_M, NOISE_M = 0.2, 0.01
 BOXES = (
     ((4.0, -0.1), (8.2, 0.2)),
@@ -62,7 +62,7 @@ def room() -> World:
     return World("room", "burger", SE2.from_xyt(1.0, 1.0, 0.0), shapes, (-0.5, 8.5, -0.5, 6.5), (), {})
 
 
-def lap(n: int = 120) -> Array:
+def lap(n: int = 80) -> Array:
     """Poses (n, 3) round the pillar, looking along the way."""
     t = np.linspace(0.0, 2.0 * math.pi, n)
     x, y = 3.25 + 1.9 * np.cos(t), 3.0 + 2.2 * np.sin(t)

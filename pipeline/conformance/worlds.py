@@ -13,7 +13,7 @@ from turtlebag.pipeline.conformance.room import (
 )
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
-from turtlebag.sim.shapes import sections
+from turtlebag.sim.shapes import contains, sections
 from turtlebag.sim.world import World, WorldMaker
 from turtlebag.sim.worlds import require_world
 
@@ -38,7 +38,8 @@ def check_world(maker: Callable[[str], WorldMaker], options: str = "") -> None:
     radius = load_robot(world.robot).model.circumscribed_radius
     outlines = sections(world.shapes, 0.0, 0.5)
     x, y = world.spawn.xy.tolist()
-    if distance_to_point(x, y, outlines.segments, outlines.circles) < radius:
+    near = distance_to_point(x, y, outlines.segments, outlines.circles) < radius
+    if near or contains(world.shapes, HEIGHT_M, world.spawn.xy[None]).any():
         raise broken(maker, "world: there must be room for the robot where it starts (spawn)")
     low, high = world.bounds[::2], world.bounds[1::2]
     for solid in world.shapes:
