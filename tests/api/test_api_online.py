@@ -54,8 +54,8 @@ def test_the_mapper_places_scans_as_the_whole_map_does(chain, recording):
 def test_the_mapper_and_the_localiser_follow_a_robot_that_is_driven(chain):
     with tb.Simulator(chain / "room.yaml", seed=5) as sim:
         mapper, localiser = tb.Mapper(), tb.Localiser(chain / "map", initial_pose=(0, 0, 0))
-        for _ in range(60):
-            seen = sim.step(0.1, 0.3)
+        for k in range(60):
+            seen = sim.step(0.1, 0.3) if k else sim.observation
             mapped, localised = mapper.observe(seen), localiser.observe(seen)
             assert (mapped is None) == (localised is None) == (seen.scan is None)
         truth = sim.truth.T_world_base

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.pointer import pointer_map
-
-if TYPE_CHECKING:
-    from turtlebag.api.tables import Table
 
 WIDTH_PX, TALLEST_PX = 420, 520
 ROWS_SHOWN = 12
@@ -95,15 +93,16 @@ def path_picture(path: Trajectory) -> str:
     return scene(None, {"map": path}).partition("</svg>")[0] + "</svg>" if len(path) else ""
 
 
-def table_html(table: Table) -> str:
-    """The first rows of a table."""
+def table_html(table: Mapping[str, NDArray[Any]]) -> str:
+    """The first rows of a table of columns (n,)."""
+    count = len(next(iter(table.values()), ()))
     head = "".join(f"<th>{html.escape(name)}</th>" for name in table)
-    columns = [table[name][:ROWS_SHOWN] for name in table]
+    columns = [column[:ROWS_SHOWN] for column in table.values()]
     body = "".join(
         "<tr>" + "".join(f"<td>{html.escape(_cell(value))}</td>" for value in row) + "</tr>"
         for row in zip(*columns, strict=True)
     )
-    more = f"<p>... {len(table)} rows in all</p>" if len(table) > ROWS_SHOWN else ""
+    more = f"<p>... {count} rows in all</p>" if count > ROWS_SHOWN else ""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
 
 

@@ -56,7 +56,7 @@ class Table:
     def _repr_html_(self) -> str:
         from turtlebag.api.pictures import table_html
 
-        return table_html(self)
+        return table_html(self.columns)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
