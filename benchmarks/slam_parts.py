@@ -19,6 +19,7 @@ CHOICES: dict[str, dict[str, Any]] = {
     "everything": {},
     "KISS-ICP front end": {"front_end": "kiss_icp"},
     "wheels front end": {"front_end": "wheels"},
+    "point ICP front end": {"front_end": "docs.examples.point_icp:PointIcp"},
     "Open3D loops": {"loops": OPEN3D},
     "KISS-ICP, Open3D": {"front_end": "kiss_icp", "loops": OPEN3D},
     "libraries alone": {

@@ -19,12 +19,21 @@ import numpy as np
 from pydantic import AfterValidator
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.files import Signature, require_same, signatures
+from turtlebag.datasets.files import Signature, signatures
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-_found: dict[str, Path] = {}
-"""Files of the parts found so far by their names: what a manifest names, and where an error came up."""
-_read: dict[Path, dict[Path, Signature]] = {}
+
+
+class _Source(NamedTuple):
+    """A class that was found, the file that it is written in, and how that file was then."""
+
+    part: type
+    file: Path
+    signature: dict[Path, Signature]
+
+
+_found: dict[str, _Source] = {}
+"""By the names of the parts: what a manifest names, and where an error came up."""
 
 
 def is_own(name: str) -> bool:
@@ -66,9 +75,8 @@ def find(name: str, contract: type) -> type:
         raise InputError(f"{name}: {_place(module)} has no class {qualname}{_classes_of(module)}")
     require(found, contract, name)
     file = getattr(sys.modules.get(found.__module__), "__file__", None)
-    if file is not None and name not in _found:
-        _found[name] = Path(file)
-        _read[Path(file)] = signatures(Path(file))
+    if file is not None and (name not in _found or _found[name].part is not found):
+        _found[name] = _Source(found, Path(file), signatures(Path(file)))
     return found
 
 
@@ -103,16 +111,18 @@ def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for kind, name in names.items():
         if name is not None and name in _found:
-            file, here = _found[name], Path.cwd()
-            require_same(file, _read[file])
+            (_, file, before), here = _found[name], Path.cwd()
+            if signatures(file) != before:
+                raise InputError(f"{name}: {file} has changed since it was imported; run it again")
             files[kind] = file.relative_to(here) if file.is_relative_to(here) else file
     return files
 
 
 def told_of(error: BaseException) -> str | None:
     """An error that came up in a part of the user's own, in one line that says where; None for any other."""
+    files = {source.file for source in _found.values()}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if Path(frame.filename) in _read:
+        if Path(frame.filename) in files:
             return f"{frame.filename}, line {frame.lineno}, in {frame.name}: {_said(error)}"
     return None
 

@@ -4,7 +4,9 @@ import importlib.util
 import os
 import re
 import shlex
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,9 @@ def commands(text):
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page.read_text())], ids=name_of)
 def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for example in re.findall(r"\]\((examples/\w+\.py)\)", page.read_text()):
+        shutil.copy(page.parent / example, tmp_path)
     for line, expected in commands(page.read_text()):
         if line.startswith("turtlebag "):
             code = main(shlex.split(line, comments=True)[1:])

@@ -1,6 +1,7 @@
 """Point-to-point ICP (Besl and McKay 1992) as a front end: each scan on the points of the last key scans."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from turtlebag.datasets.se2 import compose
 from turtlebag.pipeline.slam.front_end import Placed
@@ -12,31 +13,33 @@ GATES_M = np.geomspace(0.6, 0.1, 12)
 
 
 class PointIcp:
-    """Begins where the odometry expects the scan, or a steady motion without one."""
+    """Begins where the odometry expects the scan, and where a steady motion does: the better fit counts."""
 
     def __init__(self, course):
         self._course = course
-        self._keys, self._map = 0, (np.zeros((0, 2)), np.zeros((0, 2)))
+        self._keys, self._map = 0, None
 
     def step(self, points, odometry_step, wait_s):
         """As in `turtlebag.pipeline.slam.front_end.FrontEnd`."""
-        course = self._course
-        expected = compose(course.pose, course.velocity if odometry_step is None else odometry_step)
-        known, normals = self._last_key_scans()
-        pose = expected
+        steps = [self._course.velocity] if odometry_step is None else [odometry_step, self._course.velocity]
+        tries = [self._placed(points, compose(self._course.pose, step)) for step in steps]
+        return max(tries, key=lambda placed: placed.overlap)
+
+    def _placed(self, points, start):
+        tree, normals = self._last_key_scans()
+        pose = start
         for gate in GATES_M:
             seen = _moved(pose, points)
-            partner, off = _nearest(seen, known)
+            off, partner = tree.query(seen)
             near = off < gate
             if near.sum() < LEAST:
-                return Placed(expected, np.zeros((3, 3)), 0.0)
-            pose = compose(_rigid(seen[near], known[partner[near]]), pose)
-        rmse = float(np.sqrt(np.mean(off[near] ** 2)))
+                return Placed(start, np.zeros((3, 3)), 0.0)
+            pose = compose(_rigid(seen[near], tree.data[partner[near]]), pose)
         information = _along_normals(pose, points[near], normals[partner[near]])
-        return Placed(pose, information, float(near.mean()), rmse)
+        return Placed(pose, information, float(near.mean()), float(np.sqrt(np.mean(off[near] ** 2))))
 
     def _last_key_scans(self):
-        """Their points and normals (n, 2) in the frame of the track; no normal where there is no surface."""
+        """Their points as a tree, and the normals there (n, 2), zero where there is no surface."""
         course, clouds, parts = self._course, self._course.clouds, []
         if self._keys != len(course.keys):
             self._keys = len(course.keys)
@@ -46,18 +49,13 @@ class PointIcp:
                 parts.append(np.hstack([_moved(pose, clouds.points[rows]), normals]))
             rows = np.concatenate(parts)
             first = np.unique(np.round(rows[:, :2] / CELL_M), axis=0, return_index=True)[1]
-            self._map = rows[first, :2], rows[first, 2:]
+            self._map = cKDTree(rows[first, :2]), rows[first, 2:]
         return self._map
 
 
 def _moved(pose, points):
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return points @ np.array([[c, s], [-s, c]]) + pose[:2]
-
-
-def _nearest(points, known):
-    off = (points[:, :1] - known[:, 0]) ** 2 + (points[:, 1:] - known[:, 1]) ** 2
-    return off.argmin(axis=1), np.sqrt(off.min(axis=1))
 
 
 def _rigid(points, targets):

@@ -111,7 +111,11 @@ class Localiser(Protocol):
 
 def require_estimate(localiser: Localiser) -> None:
     """InputError unless what it says after a scan is what it must be."""
-    answer = Answer(localiser, "T_map_odom")
-    answer.require_a(SE2, localiser.T_map_odom)
-    answer.require_finite("T_map_odom", localiser.T_map_odom.xyt, 3)
-    Answer(localiser, "covariance").require_finite("covariance", localiser.covariance, 3, 3)
+    answer = Answer(localiser, "update")
+    try:
+        T_map_odom, covariance = localiser.T_map_odom, localiser.covariance
+    except ValueError as error:
+        raise answer.wrong(f"T_map_odom or covariance is not known after a scan: {error}") from None
+    answer.require_a(SE2, T_map_odom)
+    answer.require_finite("T_map_odom", T_map_odom.xyt, 3)
+    answer.require_finite("covariance", covariance, 3, 3)

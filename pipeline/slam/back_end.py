@@ -29,8 +29,8 @@ class BackEnd(Protocol):
 
         Each constraint adds the squared error of `T_i_j`, the pose of key j seen from key i, weighed by its
         `information` (3, 3) in the frame of j; with a Cauchy kernel of `soft` standard deviations where that
-        is not 0. Information may be zero, and keys may have nothing that holds them: they stay where they
-        are. The search ends after so many iterations, or when nothing moves any more.
+        is not 0. Every key is joined to others, but by constraints whose information may be zero along a
+        direction, or altogether. The search ends after so many iterations, or when nothing moves any more.
         """
         ...
 

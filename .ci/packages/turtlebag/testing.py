@@ -1,0 +1,1 @@
+../../../pipeline/turtlebag/testing.py

@@ -1,0 +1,199 @@
+"""Checks of parts that map: front end, loop matcher, back end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.se2 import SE2, Array, compose
+from turtlebag.datasets.types import Recording
+from turtlebag.pipeline.conformance.room import (
+    LIDAR,
+    apart,
+    broken,
+    bytes_of,
+    lap,
+    log,
+    made,
+    require_information,
+)
+from turtlebag.pipeline.slam.back_end import BackEnd, solved
+from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.course import Course
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.front_end import FrontEnd
+from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
+
+OFF_M, OFF_RAD = 0.1, 0.05
+"""How far off a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
+EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
+"""Of so many scans: those without a return, the first after a gap of 10 s, and one stamped before the last."""
+
+
+def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: bool = True) -> None:
+    """A lap of a room, with odometry and without, with scans that saw nothing, and a gap.
+
+    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.front_end.FrontEnd`, asks.
+    `without_odometry=False` is for those that need odometry.
+    """
+    poses = lap()
+    truth = SE2(poses[0]).inverse() @ SE2(poses)
+    for odometry in (True, False)[: 1 + without_odometry]:
+        said = "with odometry" if odometry else "without odometry"
+        recording = log(poses, odometry=odometry)
+        track = _tracked(front_end, recording)
+        if odometry and _bytes_of(track) != _bytes_of(_tracked(front_end, recording)):
+            raise broken(front_end, "the same log must give the same bytes")
+        require_information(front_end, said, track.information)
+        off = apart(track.T_track_base, truth)
+        if off[0] > OFF_M or off[1] > OFF_RAD:
+            raise broken(
+                front_end,
+                f"{said}: off by up to {off[0]:.2f} m, {off[1]:.2f} rad on a lap of a room, "
+                f"at most {OFF_M} m, {OFF_RAD} rad",
+            )
+        if len(track.keys) < 5:
+            raise broken(front_end, f"{said}: it must be sure of its poses where scans fit (Placed.sure)")
+        _check_hostile(front_end, recording, said)
+
+
+def _bytes_of(track: Track) -> bytes:
+    return bytes_of(track.T_track_base.xyt, track.information, track.overlap, track.rmse)
+
+
+def _tracked(front_end: Callable[[Any], FrontEnd], recording: Recording) -> Track:
+    """What it makes of a log; AssertionError where it changes what it is given or returns no `Placed`."""
+    clouds = make_clouds(recording, LIDAR.range_max)
+    odometry = np.zeros(0) if recording.T_odom_base is None else recording.T_odom_base.xyt
+    given = (*clouds, odometry, recording.stamps_ns)
+    before = bytes_of(*given)
+
+    def make(course: Course) -> FrontEnd:
+        one: FrontEnd = made(front_end, FrontEnd, course)
+        return one
+
+    course = Course(clouds, recording, TrackingConfig(calibration=False), LIDAR.range_max, make)
+    try:
+        for _ in range(1, len(recording)):
+            course.step()
+    except InputError as error:
+        raise AssertionError(str(error)) from None
+    if bytes_of(*given) != before:
+        raise broken(front_end, "it must not change the points, odometry or stamps that it is given")
+    return course.track()
+
+
+def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, said: str) -> None:
+    """Scans without a point, a gap, and a stamp that goes back."""
+    steps = recording.T_odom_base and recording.T_odom_base[:HOSTILE]
+    ranges, stamps = recording.ranges[:HOSTILE].copy(), recording.stamps_ns[:HOSTILE].copy()
+    ranges[list(EMPTY)] = np.inf
+    stamps[GAP:] += 10_000_000_000
+    stamps[BACK] = stamps[BACK - 2]
+    hostile = replace(recording, ranges=ranges, stamps_ns=stamps, T_odom_base=steps)
+    track = _tracked(front_end, hostile)
+    if track.information[list(EMPTY)].any():
+        raise broken(front_end, f"{said}: a scan without points saw nothing: its information must be zero")
+    for k in EMPTY if steps is not None else ():
+        assert steps is not None
+        expected = track.T_track_base[k - 1] @ (steps[k - 1].inverse() @ steps[k])
+        if max(apart(expected, track.T_track_base[k])) > 1e-6:
+            raise broken(front_end, f"{said}: a scan without points must be where the odometry expects it")
+
+
+def check_loop_match(matcher: Callable[[], LoopMatch]) -> None:
+    """Two stretches of a lap laid on each other from a start that is off, and where there is nothing.
+
+    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.loop_match.LoopMatch`, asks.
+    """
+    poses = lap()
+    clouds = make_clouds(log(poses, odometry=False), LIDAR.range_max)
+    query, place = _stretch(poses, 60, range(54, 61)), _stretch(poses, 64, range(58, 71, 2))
+    true = (SE2(poses[64]).inverse() @ SE2(poses[60])).xyt
+    start = compose(true, np.array([0.1, -0.08, 0.04]))
+    given = (*clouds, query.scans, query.T_about_scans, place.scans, place.T_about_scans, start, true)
+    before = bytes_of(*given)
+    answers = [_matched(matcher, clouds, query, place, start) for _ in range(2)]
+    (pose, information, overlap), again = answers
+    if bytes_of(pose, information) != bytes_of(again[0], again[1]):
+        raise broken(matcher, "the same stretches must give the same bytes")
+    require_information(matcher, "match", information)
+    off = apart(SE2(true), SE2(pose))
+    if off[0] > 0.05 or off[1] > 0.02:
+        raise broken(
+            matcher, f"match: {off[0]:.3f} m, {off[1]:.3f} rad off from a near start: 0.05, 0.02 at most"
+        )
+    if not 0.6 < overlap <= 1.0:
+        raise broken(matcher, f"match: overlap {overlap:.2f} where all that is seen is the same; 0.6 to 1")
+    one = made(matcher, LoopMatch)
+    if not one.confirms(clouds, query, place, true):
+        raise broken(matcher, "confirms: must be true for the true pose")
+    stays = one.match(clouds, query, place, start, ROUGH._replace(iterations=0)).T_map_base
+    if max(apart(stays, SE2(start))) > 1e-6:
+        raise broken(matcher, "match: with no iterations the fit at the start is told")
+    nowhere = _matched(matcher, clouds, query, place, start + np.array([60.0, 0.0, 0.0]))
+    if nowhere[2] != 0.0 or nowhere[1].any():
+        raise broken(matcher, "match: where nothing is seen overlap and information must be zero")
+    if bytes_of(*given) != before:
+        raise broken(matcher, "it must not change what it is given")
+
+
+def _stretch(poses: Array, about: int, scans: range) -> Stretch:
+    members = np.array(scans, dtype=np.int64)
+    return Stretch(about, members, (SE2(poses[about]).inverse() @ SE2(poses[members])).xyt)
+
+
+def _matched(
+    matcher: Callable[[], LoopMatch], clouds: Clouds, query: Stretch, place: Stretch, start: Array
+) -> tuple[Array, Array, float]:
+    one = made(matcher, LoopMatch)
+    found = one.match(clouds, query, place, start, ROUGH)
+    try:
+        require_alignment(one, found)
+    except InputError as error:
+        raise AssertionError(str(error)) from None
+    return found.T_map_base.xyt, found.information, float(found.overlap)
+
+
+def check_back_end(back_end: Callable[[], BackEnd]) -> None:
+    """A lap of thirty poses whose steps and loop agree, then with a loop that lies.
+
+    AssertionError in one line says what the contract, `turtlebag.pipeline.slam.back_end.BackEnd`, asks.
+    """
+    truth = SE2(lap(30))
+    start = SE2(truth.xyt + np.random.default_rng(1).normal(0.0, 0.05, (30, 3)) * [1.0, 1.0, 0.3])
+    start = SE2(np.vstack([truth.xyt[:1], start.xyt[1:]]))
+    information = np.diag([400.0, 400.0, 1600.0])
+    pairs = [(k, k + 1) for k in range(29)] + [(0, 29), (3, 27)]
+    exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, "step") for i, j in pairs]
+    silent = replace(exact[5], T_i_j=np.array([9.0, 0.0, 0.0]), information=np.zeros((3, 3)))
+    lie = replace(exact[29], i=2, j=20, T_i_j=np.array([3.0, 0.0, 0.0]), soft=1.0)
+    given = [start.xyt, *(c.T_i_j for c in (*exact, silent, lie)), information]
+    before = bytes_of(*given)
+    for graph, most, said in (
+        (exact, 1e-3, "steps and loops that agree"),
+        ([*exact, silent], 1e-3, "a constraint without information"),
+        ([*exact, lie], 0.05, "a loop that lies, under a Cauchy kernel (soft)"),
+    ):
+        found, again = (_optimised(back_end, start, graph) for _ in range(2))
+        if bytes_of(found.xyt) != bytes_of(again.xyt):
+            raise broken(back_end, "the same graph must give the same bytes")
+        if max(apart(found[0], start[0])) > 1e-4:
+            raise broken(back_end, "the first pose must be held")
+        off = apart(found, truth)[0]
+        if off > most:
+            raise broken(back_end, f"{said}: {off:.3f} m off, at most {most} m")
+    if bytes_of(*given) != before:
+        raise broken(back_end, "it must not change what it is given")
+
+
+def _optimised(back_end: Callable[[], BackEnd], start: SE2, graph: list[Constraint]) -> SE2:
+    try:
+        return solved(made(back_end, BackEnd), start, graph)
+    except InputError as error:
+        raise AssertionError(str(error)) from None

@@ -1,0 +1,118 @@
+"""A room that parts are tried out in: what is in it, scans of it, a lap round its pillar, its map."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import require, require_attributes
+from turtlebag.datasets.se2 import SE2, Array, compose
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.types import LidarSpec, Recording
+from turtlebag.sim.raycast import cast
+from turtlebag.sim.shapes import box, sections
+from turtlebag.sim.world import World
+
+LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 8.0)
+HEIGHT_M, NOISE_M = 0.2, 0.01
+BOXES = (
+    ((4.0, -0.1), (8.2, 0.2)),
+    ((4.0, 6.1), (8.2, 0.2)),
+    ((-0.1, 3.0), (0.2, 6.2)),
+    ((8.1, 3.0), (0.2, 6.2)),
+    ((3.25, 3.0), (0.5, 2.0)),
+    ((6.2, 0.75), (0.4, 1.5)),
+)
+"""Centres and sizes [m]: four walls, a pillar, a cupboard."""
+
+
+def broken(part: object, text: str) -> AssertionError:
+    """What a check raises: which part, and what the contract asks."""
+    kind = part if inspect.isclass(part) else type(part)
+    return AssertionError(f"{kind.__module__}:{kind.__qualname__}: {text}")
+
+
+def made(part: Callable[..., Any], contract: type, *given: object) -> Any:
+    """The part, made as its contract says; AssertionError where it is not what that asks for."""
+    try:
+        if inspect.isclass(part):
+            require(part, contract)
+        one = part(*given)
+        require(type(one), _without_init(contract))
+        require_attributes(one, contract)
+        return one
+    except InputError as error:
+        raise AssertionError(str(error)) from None
+
+
+def _without_init(contract: type) -> type:
+    """The same contract for who is made otherwise: by a function, with settings of its own."""
+    return type(contract.__name__, (), {k: v for k, v in vars(contract).items() if k != "__init__"})
+
+
+def room() -> World:
+    """The room."""
+    shapes = tuple(box(f"box {k}", center, size, 0.0, (0.0, 1.0)) for k, (center, size) in enumerate(BOXES))
+    return World("room", "burger", SE2.from_xyt(1.0, 1.0, 0.0), shapes, (-0.5, 8.5, -0.5, 6.5), (), {})
+
+
+def lap(n: int = 80) -> Array:
+    """Poses (n, 3) round the pillar, looking along the way."""
+    t = np.linspace(0.0, 2.0 * math.pi, n)
+    x, y = 3.25 + 1.9 * np.cos(t), 3.0 + 2.2 * np.sin(t)
+    return np.column_stack([x, y, np.unwrap(np.arctan2(2.2 * np.cos(t), -1.9 * np.sin(t)))])
+
+
+def ranges_from(poses: Array) -> NDArray[np.float32]:
+    """What the lidar measures at poses (n, 3), (n, beams) float32, with its noise."""
+    outlines, rng = sections(room().shapes, HEIGHT_M), stream(1, "noise")
+    rows = []
+    for x, y, yaw in poses:
+        angles = yaw + LIDAR.angles
+        rays = np.column_stack([np.cos(angles), np.sin(angles)])
+        origins = np.tile([x, y], (len(angles), 1))
+        rows.append(cast(origins, rays, angles, (outlines.segments, outlines.circles), LIDAR.range_max)[0])
+    exact = np.array(rows)
+    return (exact + rng.normal(0.0, NOISE_M, exact.shape)).astype(np.float32)
+
+
+def wheels(poses: Array) -> Array:
+    """Odometry (n, 3) of a drive along poses, from identity: two percent too far, and it turns a little."""
+    steps = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt * [1.02, 1.02, 1.0] + [0.0, 0.0, 2e-4]
+    track = [np.zeros(3)]
+    for step in steps:
+        track.append(compose(track[-1], step))
+    return np.array(track)
+
+
+def log(poses: Array, *, odometry: bool = True) -> Recording:
+    """The scans of a drive, five a second."""
+    stamps = (np.arange(len(poses)) * 200_000_000 + 10**9).astype(np.int64)
+    T_odom_base = SE2(wheels(poses)) if odometry else None
+    return Recording("a room", stamps, ranges_from(poses), LIDAR, SE2.identity(), T_odom_base)
+
+
+def bytes_of(*arrays: NDArray[Any]) -> bytes:
+    """Arrays as one string of bytes."""
+    return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+
+
+def apart(T_a: SE2, T_b: SE2) -> tuple[float, float]:
+    """How far two poses, or the farthest of (n,), are from each other [m], [rad]."""
+    xyt = np.atleast_2d((T_a.inverse() @ T_b).xyt)
+    return float(np.hypot(xyt[:, 0], xyt[:, 1]).max()), float(np.abs(xyt[:, 2]).max())
+
+
+def require_information(part: object, what: str, information: Array) -> None:
+    """AssertionError unless matrices (..., 3, 3) are symmetric and nowhere below zero."""
+    scale = max(1.0, float(np.abs(information).max()))
+    if not np.allclose(information, np.swapaxes(information, -1, -2), atol=1e-6 * scale):
+        raise broken(part, f"{what}: the information must be symmetric")
+    if np.linalg.eigvalsh(information).min() < -1e-6 * scale:
+        raise broken(part, f"{what}: the information must not be negative in any direction")

@@ -1,0 +1,226 @@
+"""A class named `module:Class`: found, held to its contract, told apart from ours, and told of."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets import parts
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.campaign.campaign_file import Campaign, cases
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.slam.front_end import FrontEnd
+from turtlebag.pipeline.slam.pose_graph import Gtsam
+from turtlebag.pipeline.slam.slam import SlamConfig
+from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.planners.control.interface import Controller
+from turtlebag.reports.stages import changed_parts, load_stage
+from turtlebag.sim.worlds import load_world, own_files
+
+MODULE = """
+import numpy as np
+from turtlebag.pipeline.slam.front_end import Placed
+
+class Good:
+    def __init__(self, course): self.course = course
+    def step(self, points, odometry_step, wait_s):
+        return Placed(self.course.pose, np.zeros((3, 3)), 1.0)
+
+class Outer:
+    class Inner(Good):
+        pass
+
+class Crooked(Good):
+    def step(self, points, odometry_step, wait_s):
+        return Placed(np.zeros(2), np.zeros((3, 3)), 1.0)
+
+class Nothing(Good):
+    def step(self, points, odometry_step, wait_s):
+        return None
+
+class Breaks(Good):
+    def step(self, points, odometry_step, wait_s):
+        return {}["pose"]
+
+class NoStep:
+    def __init__(self, course): pass
+
+class Short:
+    def __init__(self, course): pass
+    def step(self, points): pass
+
+class Unmade:
+    def step(self, points, odometry_step, wait_s): pass
+
+class Static:
+    def __init__(self, course): pass
+    @staticmethod
+    def step(points, odometry_step, wait_s): pass
+
+number = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a module of its own name, so that no test finds what another has left."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    name = "own_" + "".join(c for c in tmp_path.name if c.isalnum())
+    (tmp_path / f"{name}.py").write_text(MODULE)
+    return name
+
+
+@pytest.fixture
+def log(here):
+    """Scans of a room, as CARMEN writes them."""
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 180)
+    lines = []
+    for k in range(12):
+        walls = np.minimum(3.0 - 0.1 * k, 2.0 / np.maximum(np.abs(np.sin(angles)), 1e-3))
+        walls = np.minimum(walls / np.maximum(np.cos(angles), 0.3), 6.0)
+        ranges = " ".join(f"{r:.3f}" for r in walls)
+        pose = f"{0.1 * k:.3f} 0.0 0.0"
+        lines.append(f"FLASER 180 {ranges} {pose} {pose} {k * 0.2:.2f} host {k * 0.2:.2f}")
+    Path("room.clf").write_text("\n".join(lines) + "\n")
+    return Path("room.clf")
+
+
+def test_a_class_of_the_current_folder_is_found_by_its_name_and_the_name_by_it(here):
+    for name in (f"{here}:Good", f"{here}:Outer.Inner", f"{here}:Static"):
+        found = parts.find(name, FrontEnd)
+        assert parts.name_of(found) == name
+    assert parts.source_files({"front_end": f"{here}:Good", "back_end": "gtsam", "loops.match": None}) == {
+        "front_end": Path(f"{here}.py")
+    }
+    assert parts.find("turtlebag.pipeline.slam.kiss:KissIcp", FrontEnd).__name__ == "KissIcp"
+
+
+def test_a_class_of_the_main_module_has_a_name_and_one_inside_a_function_has_none(monkeypatch):
+    class Local:
+        pass
+
+    with pytest.raises(InputError, match="does not lead to the class: define it at the top"):
+        parts.name_of(Local)
+    typed = type("Typed", (), {"__module__": "__main__", "optimise": Gtsam.optimise})
+    monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
+    assert parts.name_of(typed) == "__main__:Typed"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nowhere_at_all:Good", "no module nowhere_at_all in this folder"),
+        ("{here}:Godo", "has no class Godo; it has Good, Outer, "),
+        ("{here}:number", "has no class number"),
+        ("{here}:NoStep", "has no method step; the contract is FrontEnd.step(points, odometry_step, wait_s)"),
+        ("{here}:Short", "step (self, points); the contract is FrontEnd.step(points, odometry_step, wait_s)"),
+        ("{here}:Unmade", "is made with (); the contract is FrontEnd(course)"),
+        ("broken_one:Good", "cannot be imported: SyntaxError"),
+        ("wants_more:Good", "cannot be imported: ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("leaves:Good", "cannot be imported: SystemExit: 3"),
+    ],
+)
+def test_what_is_wrong_with_a_name_is_said_in_one_line(here, name, said):
+    Path("broken_one.py").write_text("def x(:\n")
+    Path("wants_more.py").write_text("import nowhere_at_all\n")
+    Path("leaves.py").write_text("raise SystemExit(3)\n")
+    with pytest.raises(InputError) as error:
+        parts.find(name.format(here=here), FrontEnd)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_setting_takes_our_names_and_classes_and_nothing_else():
+    assert load_config(SlamConfig, None, ["front_end=my.module:Mine"]).front_end == "my.module:Mine"
+    with pytest.raises(InputError, match="'linse' is none of lines, kiss_icp, wheels, nor a class of yours"):
+        load_config(SlamConfig, None, ["front_end=linse"])
+    with pytest.raises(InputError, match="nor a class of yours"):
+        load_config(SlamConfig, None, ["loops.match=a:b:c"])
+
+
+def test_a_setting_that_stands_for_ours_is_not_written():
+    assert "back_end" not in SlamConfig().model_dump(mode="json")
+    assert SlamConfig(back_end="a:B").model_dump(mode="json")["back_end"] == "a:B"
+
+
+def test_attributes_are_asked_of_a_part_that_is_made():
+    with pytest.raises(InputError, match="has no state, which a Controller has"):
+        parts.require_attributes(object(), Controller)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        (
+            "Crooked",
+            ":Crooked: step: T_track_base must be an array of shape (3,), not an array of shape (2,)",
+        ),
+        ("Nothing", ":Nothing: step: must return a Placed, not None"),
+        ("Breaks", ", in step: KeyError: 'pose' (-v shows the way there)"),
+        ("Godo", "has no class Godo"),
+    ],
+)
+def test_a_part_that_is_wrong_ends_the_command_in_one_line(here, log, capfd, part, said):
+    assert main(["map", str(log), "--set", f"front_end={here}:{part}", "--out", "map", "-q"]) == 2
+    told = capfd.readouterr().err
+    assert said in told
+    assert told.count("\n") == 1
+    assert not list(Path().glob("map*"))
+
+
+def test_the_traceback_of_a_part_is_there_for_who_asks(here, log):
+    with pytest.raises(KeyError):
+        main(["map", str(log), "--set", f"front_end={here}:Breaks", "--out", "map", "-v"])
+
+
+def test_a_map_says_what_made_it_and_when_that_has_changed(here, log):
+    assert main(["map", str(log), "--set", f"front_end={here}:Good", "--out", "map", "-q"]) == 0
+    manifest = json.loads(Path("map/manifest.json").read_text())
+    assert manifest["parts"]["front_end"] == f"{here}:Good"
+    assert list(manifest["inputs"]["front_end"]["sha256"]) == [f"{here}.py"]
+    assert f"front_end: {here}:Good" in Path("map/config.yaml").read_text()
+    stage = load_stage(Path("map"))
+    assert changed_parts(stage) == []
+    Path(f"{here}.py").write_text(MODULE + "# edited\n")
+    assert changed_parts(stage) == [f"front_end: {here}.py is no longer the source it was made with"]
+    with pytest.raises(InputError, match="has changed since it was imported"):
+        parts.source_files({"front_end": f"{here}:Good"})
+
+
+def test_a_world_is_a_class_with_options(here):
+    Path("halls.py").write_text(
+        "from turtlebag.sim.world import World\n"
+        "from turtlebag.sim.shapes import box\n"
+        "from turtlebag.datasets.se2 import SE2\n"
+        "class Hall:\n"
+        "    def __init__(self, options): self.options = options\n"
+        "    def world(self):\n"
+        "        wall = box('wall', (3, 0), (0.2, 4), 0.0, (0, 1))\n"
+        "        bounds, name = (-3, 4, -3, 3), f'hall {self.options}'\n"
+        "        return World(name, 'burger', SE2.identity(), (wall,), bounds, (), {})\n"
+        "class Flat(Hall):\n"
+        "    def world(self): return None\n"
+    )
+    assert load_world("halls:Hall:wide=2").name == "hall wide=2"
+    assert len(load_world("halls:Hall+clutter:1,boxes=1").shapes) == 2
+    assert own_files("halls:Hall:wide=2", None) == {"world": Path("halls.py")}
+    with pytest.raises(InputError, match="halls:Flat: world: must return a World, not None"):
+        load_world("halls:Flat")
+    with pytest.raises(InputError, match="or a class of yours"):
+        load_world("hals")
+
+
+def test_a_campaign_takes_classes_as_levels():
+    campaign = Campaign.model_validate(
+        {
+            "name": "own",
+            "factors": {"part": ["lines", "my_icp:MyFrontEnd"]},
+            "stages": {"map": "map log.clf --set front_end={part}"},
+            "results": {"scans": "map:scans"},
+        }
+    )
+    words = [case.commands["map"] for case in cases(campaign)]
+    assert [command[-1] for command in words] == ["front_end=lines", "front_end=my_icp:MyFrontEnd"]
