@@ -55,5 +55,5 @@ def test_the_site_is_built_without_the_network_and_every_link_leads_somewhere(tm
             if parts.fragment and target.suffix == ".html":
                 assert unquote(parts.fragment) in pages[target].names, f"{path.name}: {link}"
 
-    reference = pages[tmp_path / "api.html"].names
-    assert {f"turtlebag.{name}" for name in getattr(turtlebag, "__all__", ())} <= reference
+    reference = pages[tmp_path / "reference.html"].names
+    assert {f"turtlebag.{name}" for name in turtlebag.__all__} <= reference
