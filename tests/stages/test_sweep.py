@@ -19,6 +19,7 @@ from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.reports.campaign import compare_pairs, summarise
+from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
 
 CAMPAIGN = """
@@ -335,6 +336,20 @@ def test_the_median_interval_covers_the_true_median_about_as_often_as_it_says():
         found = median_interval(rng.exponential(size=30), rng)
         hits += found.low <= math.log(2.0) <= found.high
     assert 85 <= hits <= 100
+
+
+def test_the_interval_of_many_values_is_that_of_the_resamples(monkeypatch):
+    rng = np.random.default_rng(6)
+    values = rng.exponential(size=2001)
+    drawn = median_interval(values, rng)
+    monkeypatch.setattr(statistics, "LARGE", 2000)
+    reckoned = median_interval(values, rng)
+    assert (reckoned.n, reckoned.value) == (drawn.n, drawn.value)
+    width = drawn.high - drawn.low
+    assert abs(reckoned.low - drawn.low) < 0.1 * width
+    assert abs(reckoned.high - drawn.high) < 0.1 * width
+    many = median_interval(rng.exponential(size=1_000_000), rng)
+    assert many.high - many.low == pytest.approx(2 * 1.96 / 1000.0, rel=0.1)  # what theory says
 
 
 def test_wilsons_interval_is_the_published_one():
