@@ -72,7 +72,7 @@ def test_missing_stretches_other_stamps_and_poses_past_the_end_are_said(tree, tm
     notes = " ".join(note for _, note in found.notes)
     assert "no poses for 2.1 s at the start, 1 stretch in between (up to 5.2 s)" in notes
     assert "the reference was interpolated" in notes
-    assert "1 of its 115 poses lie outside" in notes
+    assert "1 of its 115 poses lies outside" in notes
     numbers = found.metrics["systems"]["late"]
     assert numbers["coverage"] == pytest.approx((29.8 - 2.06 - 5.2) / 29.8, abs=0.01)
     assert numbers["ours_there"]["paired"] < found.metrics["systems"]["TurtleBag"]["paired"]
@@ -165,7 +165,8 @@ def test_a_localisation_has_rivals_too(tree):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["{base}/nothing.tum"], "no such trajectory file"),
+        (["{base}/nothing.tum"], "no such output, trajectory or map"),
+        (["x={base}/nothing.tum"], "no such trajectory file"),
         (["{base}/carto.pgm"], "give the yaml beside it"),
         (["a/b={base}/carto.tum"], "a rival's name has letters"),
         (["TurtleBag={base}/carto.tum"], "give the rival another name"),
