@@ -20,6 +20,8 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_rivals
 from turtlebag.pipeline.stages.verify import verify
+from turtlebag.reports.beside import beside
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.placing import place, walls
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.systems import Known, measure
@@ -106,6 +108,13 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     assert relations_metrics(thin.planar(), pairs)["relations"]["n"] == 0
     assert rival.numbers["relations"]["n"] == 1
     assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
+    two = [ours, rival, replace(rival, system=System("s", thin, None))]
+    found = beside(two, Known(relations=pairs), Album(None), "x")
+    assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
+    bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], Known())
+    nothing = beside(bare, Known(), Album(None), "x")
+    assert not any(cell.best for _, _, rows in nothing.sections for row in rows for cell in row.cells)
+    assert "the truth is not known" in nothing.sentence
 
 
 @pytest.mark.parametrize("kind", ["negate", "scale", "raw", "coarse"])
@@ -212,6 +221,9 @@ def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
     page = (out / "index.html").read_text()
     assert "Other systems" in page
     assert 'data-key="record/rivals:systems.carto.ate_aligned_m.rmse"' in page
+    rows = (out / "tables/numbers.csv").read_text().splitlines()
+    assert sum("record,rivals,systems.carto.ate_" in row for row in rows) == 4
+    assert " & TurtleBag & carto & again" in (out / "tables/record-rivals.tex").read_text()
     found = verify(out)
     assert found.problems == []
     assert any(check.key.startswith("record/rivals:systems.again") for check in found.checks)
