@@ -17,6 +17,7 @@ from turtlebag.datasets.trajectories import stamp_from_text
 from turtlebag.datasets.types import Stamps, Trajectory
 
 FORMATS = "a trajectory has 8 numbers a line (TUM), 12 (KITTI), or commas between them (EuRoC csv)"
+FARTHEST_M = 1e8
 Lines = list[tuple[int, list[str]]]
 
 
@@ -106,7 +107,15 @@ def _rows(path: Path, lines: Lines, count: int, expected: str, *, at_least: bool
     return np.array(rows)
 
 
+def _check_places(path: Path, lines: Lines, xyz: Array) -> None:
+    """Beyond these, squares of distances are no numbers any more."""
+    far = np.flatnonzero(np.abs(xyz).max(axis=1) > FARTHEST_M)
+    if len(far):
+        raise InputError(f"{path}, line {lines[int(far[0])][0]}: its position is no place on Earth")
+
+
 def _poses(path: Path, lines: Lines, xyz: Array, q: Array) -> Array:
+    _check_places(path, lines, xyz)
     norm = np.linalg.norm(q, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > 0.1)
     if len(bad):
@@ -128,6 +137,7 @@ def _kitti(path: Path, lines: Lines) -> Array:
     T = np.zeros((len(rows), 4, 4))
     T[:, :3] = rows.reshape(-1, 3, 4)
     T[:, 3, 3] = 1.0
+    _check_places(path, lines, T[:, :3, 3])
     R = T[:, :3, :3]
     off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > 0.05) | (np.linalg.det(R) < 0.0))

@@ -78,7 +78,8 @@ class Beside:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
         texts = [shown(value, spec.unit) for value in values]
         known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]
-        judged = spec.path not in NOT_JUDGED and len({text for _, text in known}) > 1
+        judged = self._is_error(spec.path) and spec.path not in NOT_JUDGED
+        judged = judged and len({text for _, text in known}) > 1
         more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
         best = (max if more else min)(known)[1] if judged else None
         cells = [
@@ -96,13 +97,20 @@ class Beside:
             ("map.occupied_error_m.within_one_cell", "percent", "Wall cells within one cell of a surface"),
         ):
             told = self._told(path, unit)
-            if len(told) > 1:
+            if len(told) > 1 and self._is_error(path):
                 return f"{what}: {', '.join(told)}."
         apart = self._told("ate_aligned_m.rmse", "cm")
         if apart:
             return f"Distance to {OURS} after a fit, RMSE: {', '.join(apart)}; the truth is not known."
         near = self._told("map.occupied_error_m.within_one_cell", "percent")
         return f"Wall cells within one cell of those of {OURS}: {', '.join(near)}; the truth is not known."
+
+    def _is_error(self, path: str) -> bool:
+        """Whether a number is measured against something better than ours."""
+        if path.startswith("relations"):
+            return True
+        known: str = self.metrics["map_reference" if path.startswith("map.") else "reference"]
+        return known == "truth"
 
     def _told(self, path: str, unit: str) -> list[str]:
         systems: Mapping[str, Any] = self.metrics["systems"]
@@ -140,8 +148,9 @@ def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str)
             f"Distance to {reference} after the fit in the plane; a gap is where a system has no poses. "
             "An axis that goes beyond 3 is logarithmic above 1."
         )
+        title = "Distance over time" if known.truth is None else "Error over time"
         draw = partial(figures.errors, errors, list(paths), f"to {reference} [cm]")
-        pictures.append(album.add(f"{prefix}-time", "Error over time", caption, draw))
+        pictures.append(album.add(f"{prefix}-time", title, caption, draw))
     ours = measured[0].grid
     for one in measured[1:]:
         if ours is not None and one.grid is not None:

@@ -51,7 +51,8 @@ SYSTEMS: tuple[Section, ...] = (
     ),
     section(
         "Hand-made relations",
-        "Relative poses of some pairs of scans, verified by hand.",
+        "Relative poses of some pairs of scans, verified by hand. A system that misses some of the drive is "
+        "judged by fewer of them.",
         Spec("relations.n", "relations", "count", "Those with poses at both ends."),
         Spec(
             "relations.trans_m.mean",

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import Chapter, Part
 from turtlebag.reports.numbers import UNITS
 from turtlebag.reports.specs import GOAL_MEANINGS, GOAL_UNITS
@@ -35,7 +36,10 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
         for chapter in chapters:
             for part in chapter.parts:
                 writer.writerows([chapter.name, part.stage.label, *row] for row in _rows(part))
+            if chapter.beside is not None:
+                writer.writerows([chapter.name, "rivals", *row] for row in _beside_rows(chapter.beside))
     for chapter in chapters:
+        _write_beside(chapter, folder)
         for part in chapter.parts:
             name = f"{slug(chapter.name)}-{slug(part.stage.label)}"
             rows = [(number.spec.label, number.text) for number in part.numbers]
@@ -54,6 +58,30 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
                     for goal in part.goals
                 ]
                 (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rlllrrr"))
+
+
+def _write_beside(chapter: Chapter, folder: Path) -> None:
+    """A table with a column for each system."""
+    if chapter.beside is None:
+        return
+    found = [
+        (row.spec.label, *(cell.text for cell in row.cells))
+        for _, _, rows in chapter.beside.sections
+        for row in rows
+    ]
+    head = ("number", *(latex(name) for name in chapter.beside.names))
+    columns = "l" + "r" * len(chapter.beside.names)
+    (folder / f"{slug(chapter.name)}-rivals.tex").write_text(latex_table(head, found, columns))
+
+
+def _beside_rows(beside: Beside) -> Iterator[list[Any]]:
+    """Path in the metrics, value, its unit, as shown and meaning of each number of each system."""
+    for _, _, rows in beside.sections:
+        for row in rows:
+            for cell in row.cells:
+                if cell.value is not None:
+                    path, unit = cell.key.partition(":")[2], UNITS[row.spec.unit].stored
+                    yield [path, cell.value, unit, cell.text, row.spec.meaning]
 
 
 def _rows(part: Part) -> Iterator[list[Any]]:

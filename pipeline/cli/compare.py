@@ -31,6 +31,9 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Print the differences; the page's path last when one was asked for."""
+    for word in args.b:
+        if "=" not in word and not Path(word).exists():
+            raise InputError(f"{word}: no such output, trajectory or map")
     if any(Path(word).is_dir() for word in args.b):
         _compare_outputs(args)
     else:

@@ -32,7 +32,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "navigate": ("navigate", "run a task in closed loop: patrol, goal, avoid or explore"),
     "plan": ("plan", "plan a path on a map"),
     "report": ("report", "make an HTML report from the outputs of other commands"),
-    "compare": ("compare", "compare two outputs of the same command"),
+    "compare": ("compare", "compare two outputs of the same command, or ours with another system's"),
     "sweep": ("sweep", "run a campaign of many cases on all cores; interrupted campaigns resume"),
     "blame": ("blame", "map a recording with chosen parts replaced by ground truth (ablation)"),
     "verify": ("verify", "recompute a report's numbers from the bags"),

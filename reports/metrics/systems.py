@@ -138,7 +138,8 @@ def _notes(track: Track, paired: evo.Paired, span: tuple[int, int]) -> list[str]
     begin, end = span
     outside = int(np.sum((track.stamps_ns < begin - MATCH_NS) | (track.stamps_ns > end + MATCH_NS)))
     if outside:
-        notes.append(f"{outside} of its {len(track)} poses lie outside of the recording's time.")
+        lie = "lies" if outside == 1 else "lie"
+        notes.append(f"{outside} of its {len(track)} poses {lie} outside of the recording's time.")
     late, early = seconds(int(track.stamps_ns[0]) - begin), seconds(end - int(track.stamps_ns[-1]))
     missing = [f"{late:.1f} s at the start"] * (late > 1.0) + [f"{early:.1f} s at the end"] * (early > 1.0)
     holes = gaps(track.stamps_ns)

@@ -51,6 +51,7 @@ def test_tum_kitti_and_euroc_hold_the_same_poses(tmp_path):
         ("0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 1\n", "line 2: expected 't x y z qx qy qz qw'"),
         ("0 0 0 nan 0 0 0 1\n", "line 1: expected 't x y z qx qy qz qw', all finite"),
         ("0 0 0 0 0 0 0 0\n", "line 1: its quaternion has length 0, not 1"),
+        ("0 1e70 0 0 0 0 0 1\n", "line 1: its position is no place on Earth"),
         ("x 0 0 0 0 0 0 1\n", "line 1: not numbers"),
         ("9e99 0 0 0 0 0 0 1\n", "line 1: 9e99 is no time in seconds"),
         ("0.5,1,2,3,1,0,0,0\n", "line 1: 0.5 is no whole number of nanoseconds"),

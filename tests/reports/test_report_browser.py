@@ -6,8 +6,9 @@ import pytest
 from browser import Browser, find_browser
 from report_fakes import fake_map, fake_record, fake_run
 
+from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.cli.arguments import pose
-from turtlebag.pipeline.stages.compare import write_comparison
+from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
@@ -56,6 +57,8 @@ def address(tmp_path_factory):
     make_index([base], base / "index")
     fake_map(base / "other", record, sigma_m=0.02)
     write_comparison(base / "map", base / "other", base / "comparison")
+    files = RivalFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
+    compare_rivals(base / "map", [files], base / "rivals")
     return make_report([record, base / "map", run], base / "report").as_uri()
 
 
@@ -289,7 +292,7 @@ def test_two_fingers_set_no_goal(browser, address):
     assert before == "x, y in metres"
 
 
-@pytest.mark.parametrize("name", ["index", "comparison"])
+@pytest.mark.parametrize("name", ["index", "comparison", "rivals"])
 @pytest.mark.parametrize(("width", "dark"), [(400, True), (1400, False)])
 def test_the_other_pages_fit_and_complain_of_nothing_too(browser, address, name, width, dark):
     browser.open(address.replace("/report/", f"/{name}/"), width, dark=dark)

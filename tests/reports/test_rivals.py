@@ -20,6 +20,8 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_rivals
 from turtlebag.pipeline.stages.verify import verify
+from turtlebag.reports.beside import beside
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.placing import place, walls
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.systems import Known, measure
@@ -72,7 +74,7 @@ def test_missing_stretches_other_stamps_and_poses_past_the_end_are_said(tree, tm
     notes = " ".join(note for _, note in found.notes)
     assert "no poses for 2.1 s at the start, 1 stretch in between (up to 5.2 s)" in notes
     assert "the reference was interpolated" in notes
-    assert "1 of its 115 poses lie outside" in notes
+    assert "1 of its 115 poses lies outside" in notes
     numbers = found.metrics["systems"]["late"]
     assert numbers["coverage"] == pytest.approx((29.8 - 2.06 - 5.2) / 29.8, abs=0.01)
     assert numbers["ours_there"]["paired"] < found.metrics["systems"]["TurtleBag"]["paired"]
@@ -106,9 +108,16 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     assert relations_metrics(thin.planar(), pairs)["relations"]["n"] == 0
     assert rival.numbers["relations"]["n"] == 1
     assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
+    two = [ours, rival, replace(rival, system=System("s", thin, None))]
+    found = beside(two, Known(relations=pairs), Album(None), "x")
+    assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
+    bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], Known())
+    nothing = beside(bare, Known(), Album(None), "x")
+    assert not any(cell.best for _, _, rows in nothing.sections for row in rows for cell in row.cells)
+    assert "the truth is not known" in nothing.sentence
 
 
-@pytest.mark.parametrize("kind", ["png", "negate", "scale", "raw", "coarse"])
+@pytest.mark.parametrize("kind", ["negate", "scale", "raw", "coarse"])
 def test_maps_as_other_systems_write_them_are_laid_on_ours(tree, tmp_path, kind):
     grid = mapped_room()
     cells = grid.cells[::2, ::2] if kind == "coarse" else grid.cells
@@ -165,7 +174,8 @@ def test_a_localisation_has_rivals_too(tree):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["{base}/nothing.tum"], "no such trajectory file"),
+        (["{base}/nothing.tum"], "no such output, trajectory or map"),
+        (["x={base}/nothing.tum"], "no such trajectory file"),
         (["{base}/carto.pgm"], "give the yaml beside it"),
         (["a/b={base}/carto.tum"], "a rival's name has letters"),
         (["TurtleBag={base}/carto.tum"], "give the rival another name"),
@@ -202,7 +212,7 @@ def test_a_rival_of_two_worlds_and_a_rival_of_a_recording_alone_are_refused(tree
 
 @pytest.mark.slow
 def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
-    rival = [f"--rival=carto={tree / 'carto.tum'}", f"--rival=carto={tree / 'carto.yaml'}"]
+    rival = [f"--rival=carto={tree / 'carto.tum'}"]
     copy = tmp_path / "carto.tum"
     copy.write_bytes((tree / "carto.tum").read_bytes())
     words = [str(tree / "map"), *rival, f"--rival=again={copy}", "--no-animation"]
@@ -211,6 +221,9 @@ def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
     page = (out / "index.html").read_text()
     assert "Other systems" in page
     assert 'data-key="record/rivals:systems.carto.ate_aligned_m.rmse"' in page
+    rows = (out / "tables/numbers.csv").read_text().splitlines()
+    assert sum("record,rivals,systems.carto.ate_" in row for row in rows) == 4
+    assert " & TurtleBag & carto & again" in (out / "tables/record-rivals.tex").read_text()
     found = verify(out)
     assert found.problems == []
     assert any(check.key.startswith("record/rivals:systems.again") for check in found.checks)
