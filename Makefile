@@ -150,7 +150,7 @@ lint: $(READY) ## ruff and mypy
 	$(PY) -m mypy
 
 test: lint ## lint, then pytest
-	$(PY) -m pytest -n 2
+	$(PY) -m pytest -n 2 --dist worksteal
 
 browser: ## find Chromium for the browser test, or install it (Debian)
 	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }

@@ -16,9 +16,9 @@ from turtlebag.datasets.types import Stamps, Trajectory
 
 def stamp_text(stamp_ns: int) -> str:
     """Exact decimal seconds: 6 decimals, 9 where the stamp has them."""
-    whole, fraction = divmod(stamp_ns, 10**9)
+    whole, fraction = divmod(abs(stamp_ns), 10**9)
     digits = f"{fraction:09d}"
-    return f"{whole}.{digits[:6] if digits.endswith('000') else digits}"
+    return f"{'-' if stamp_ns < 0 else ''}{whole}.{digits[:6] if digits.endswith('000') else digits}"
 
 
 _END_OF_TIME_NS = 2**62

@@ -15,6 +15,8 @@ from turtlebag.reports.numbers import DASH, shown
 from turtlebag.reports.page import fill
 from turtlebag.reports.stage_titles import slug
 
+MOST_FAILURES = 1000
+"""So many failed cases are listed."""
 Row = Mapping[str, Any]
 Names = Mapping[str, tuple[str, str]]
 """Result -> (what it is called, unit of turtlebag.reports.numbers.UNITS)."""
@@ -32,11 +34,37 @@ def draw_campaign(wishes: Sequence[Wish], rows: Sequence[Row], seed: int, album:
 
 
 @dataclass(frozen=True, eq=False)
+class Worst:
+    """The case with the largest value of a result, called `label`; `link` leads to its files."""
+
+    row: Row
+    label: str
+    value: float
+    unit: str
+    link: str
+
+
+@dataclass(frozen=True, eq=False)
+class Running:
+    """How far a campaign is: cases done and failed of all, `rate` in cases a second, the newest failures."""
+
+    name: str
+    question: str
+    factors: Sequence[str]
+    total: int
+    done: int
+    failed: int
+    rate: float
+    failures: Sequence[Row]
+    worst: Worst | None
+
+
+@dataclass(frozen=True, eq=False)
 class Study:
     """A finished campaign as its page shows it: its question, its table, and the numbers made of that.
 
     `against` is the level of the factor `compare` that the pairs hold the others against; `file` the text of
-    the campaign file.
+    the campaign file; `worst` its worst case by the first result, if that is a number.
     """
 
     name: str
@@ -49,11 +77,47 @@ class Study:
     compare: str
     against: Any
     file: str
+    worst: Worst | None
 
 
-def render_campaign(study: Study, pictures: Sequence[Picture]) -> str:
-    """The page as HTML text."""
+def render_running(running: Running, again_s: float) -> str:
+    """The page of a campaign under way, as HTML text that a browser loads again every so often [s]."""
+    left, rate = running.total - running.done, running.rate
+    return fill(
+        "campaign_running.html.j2",
+        name=running.name,
+        question=running.question,
+        total=running.total,
+        done=running.done,
+        share=shown(running.done / running.total, "percent") if running.total else DASH,
+        rate=f"{60.0 * rate:.3g}" if rate > 0.0 else DASH,
+        left=_duration(left / rate) if rate > 0.0 else DASH,
+        failed=running.failed,
+        failures=[_failure(row, running.factors) for row in running.failures],
+        worst=_worst(running.worst, running.factors, ""),
+        again_s=round(again_s),
+    )
+
+
+def _duration(seconds: float) -> str:
+    """A time span for people, to two units."""
+    for size, unit, smaller, name in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if seconds >= size:
+            return f"{int(seconds // size)} {unit} {int(seconds % size // smaller)} {name}"
+    return f"{int(seconds)} s"
+
+
+def _worst(worst: Worst | None, factors: Sequence[str], base: str) -> dict[str, str] | None:
+    if worst is None:
+        return None
+    where = _failure(worst.row, factors)
+    return {**where, "label": worst.label, "value": shown(worst.value, worst.unit), "link": base + worst.link}
+
+
+def render_campaign(study: Study, pictures: Sequence[Picture], base: str) -> str:
+    """The page as HTML text; `base` stands before links to the files of cases."""
     compared = [_pair(pair, study.names) for pair in study.pairs]
+    failed = [row for row in study.rows if row["failed"]]
     summaries = study.summaries.items()
     return fill(
         "campaign.html.j2",
@@ -61,7 +125,8 @@ def render_campaign(study: Study, pictures: Sequence[Picture]) -> str:
         question=study.question,
         total=len(study.rows),
         sizes=", ".join(f"{words(factor)} {len(levels_of(study.rows, factor))}" for factor in study.factors),
-        failed=[_failure(row, study.factors) for row in study.rows if row["failed"]],
+        failed=len(failed),
+        failures=[_failure(row, study.factors) for row in failed[:MOST_FAILURES]],
         pictures=pictures,
         compare=words(study.compare),
         against=words(study.against),
@@ -69,6 +134,7 @@ def render_campaign(study: Study, pictures: Sequence[Picture]) -> str:
         clear=_clear(compared),
         levels=[_level(factor, item, study.names) for factor, found in summaries for item in found],
         file=study.file,
+        worst=_worst(study.worst, study.factors, base),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from turtlebag.reports.beside import Beside
 from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
 from turtlebag.reports.drawing import draw_map, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
@@ -86,16 +87,23 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Chapter:
-    """One world (or log) on the page."""
+    """One world (or log) on the page; `beside` is what other systems made of it."""
 
     name: str
     pointer: PointerMap | None
     parts: list[Part] = field(default_factory=list)
+    beside: Beside | None = None
 
     @property
     def anchor(self) -> str:
         """Fragment of the page's address."""
         return slug(self.name)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Its numbers by stage, those of other systems under `rivals`."""
+        numbers = {part.stage.label: dict(part.metrics) for part in self.parts}
+        return numbers if self.beside is None else {**numbers, "rivals": self.beside.metrics}
 
 
 def build_chapter(

@@ -9,6 +9,7 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from turtlebag.reports.beside import Beside
 from turtlebag.reports.compare import Comparison
 from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
 from turtlebag.reports.figures import style
@@ -75,6 +76,11 @@ def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Seq
         better=counted(moods.count(GOOD), "number"),
         worse=moods.count(BAD),
     )
+
+
+def render_beside(recording: str, found: Beside) -> str:
+    """The page of several systems on one recording as HTML text."""
+    return fill("rivals.html.j2", recording=recording, found=found)
 
 
 def render_index(lines: Sequence[Line]) -> str:

@@ -36,6 +36,21 @@ class Input(BaseModel):
     sha256: dict[str, str]
 
 
+MARK = "rival:"
+"""Begins the names of those inputs of a report that are files of other systems."""
+
+
+class RivalEntry(BaseModel):
+    """A rival of a report: its files as seen from the report, and how its trajectory was read."""
+
+    name: str
+    trajectory: str | None = None
+    map: str | None = None
+    times: str | None = None
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift_s: float = 0.0
+
+
 class Manifest(BaseModel):
     """What reports read of a manifest; whatever else it holds is not looked at."""
 
@@ -45,6 +60,7 @@ class Manifest(BaseModel):
     inputs: dict[str, Input] = {}
     outputs: dict[str, str] = {}
     folders: dict[str, str] = {}
+    rivals: list[RivalEntry] = []
     packages: dict[str, str] = {}
     python: str = "?"
     world: str | None = None

@@ -168,6 +168,8 @@ class Simulator:
             MovingSolid(mover, self._standing, self._radius, stream(self.seed, f"mover {number}"))
             for number, mover in enumerate(self.world.movers)
         ]
+        self.moving = _sections_of(self._moving, self.robot.height)
+        """What moves and the robot can touch, where it stands now; another object once it has moved."""
         self._physics.reset(start, [one.position for one in self._moving])
         self._step = step
         self._place_movers()
@@ -222,7 +224,7 @@ class Simulator:
         self._standing = self._standing + sections([solid], 0.0, self.robot.height)
         for one in self._moving:
             one.standing = self._standing
-        self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
+        self._touchable = self._standing + self.moving
         for lidar in (self._lidar, self._lidar3d):
             if lidar is not None:
                 lidar.surround([*self._solids, *self._dropped])
@@ -238,7 +240,8 @@ class Simulator:
             return
         for number, one in enumerate(self._moving):
             self._physics.place(number, one.position, one.velocity)
-        self._touchable = self._standing + _sections_of(self._moving, self.robot.height)
+        self.moving = _sections_of(self._moving, self.robot.height)
+        self._touchable = self._standing + self.moving
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
         at_once = not self.config.lidar.turning
         self._lidar.note_movers(outlines(seen), 0 if at_once else self._sweep.steps_before(self._step))

@@ -101,7 +101,6 @@ class Browser:
 
     def open(self, address, width, height=900, *, dark=False, touch=False):
         """Load a page in a window of that size; the events of loading are kept."""
-        self.events.clear()
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -112,6 +111,16 @@ class Browser:
         self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
+        self._go(address)
+
+    def leave(self):
+        """Go to an empty page. While its server is still there: a browser asks late for a page's icon, and an
+        answer that never comes would be a complaint of the page after it.
+        """
+        self._go("about:blank")
+
+    def _go(self, address):
+        self.events.clear()
         self.call("Page.navigate", url=address)
         self.wait_for("Page.loadEventFired")
 

@@ -9,6 +9,11 @@ settings.register_profile("turtlebag", derandomize=True, deadline=None)
 settings.load_profile("turtlebag")
 
 
+def pytest_collection_modifyitems(items):
+    """The longest begin first: begun last, one would run while the other workers have nothing left."""
+    items.sort(key=lambda item: item.get_closest_marker("longest") is None)
+
+
 def pytest_terminal_summary(terminalreporter):
     """What was not tested here, and why: a line for each reason."""
     reports = [r for r in terminalreporter.getreports("skipped") if isinstance(r.longrepr, tuple)]

@@ -54,6 +54,7 @@ def view(**given):
         | dict.fromkeys(("ended", "mapping", "localised"), False)
         | {"stamp_ns": 0, "owner": "navigation", "command": (0.0, 0.0), "task": "", "state": ""}
         | {"goal_index": -1, "boxes": np.zeros((0, 4))}
+        | {"mover_segments": np.zeros((0, 4)), "mover_circles": np.zeros((0, 3))}
         | given
     )
 
@@ -175,3 +176,15 @@ def run(coroutine, most_s=30.0):
             await asyncio.sleep(0.05)
 
     return asyncio.run(closing())
+
+
+def answers(served):
+    """Whether the server still does what it is for."""
+
+    async def watch():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        client.close()
+
+    run(watch())
+    return True

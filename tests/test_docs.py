@@ -48,8 +48,15 @@ def commands(text):
     return [(line, int((re.findall(r"# exit (\d)$", line) or ["0"])[0])) for line in lines if line.strip()]
 
 
+WITH_COMMANDS = [
+    pytest.param(page, id=name_of(page), marks=[pytest.mark.longest] if page.stem == "tutorial" else [])
+    for page in PAGES
+    if commands(page.read_text())
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page.read_text())], ids=name_of)
+@pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])

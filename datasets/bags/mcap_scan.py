@@ -75,13 +75,14 @@ class McapState:
     claimed: int | None = None
 
 
-class _Fields:
+class Fields:
     """Cursor over the body of a record; running over its end is Damage."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, 0
 
     def take(self, size: int) -> bytes:
+        """The next bytes."""
         piece = self.data[self.at : self.at + size]
         if len(piece) != size:
             raise Damage("a record ends too early")
@@ -89,16 +90,19 @@ class _Fields:
         return piece
 
     def number(self, code: str) -> int:
+        """A number of the kind that `struct` calls so."""
         return int(struct.unpack("<" + code, self.take(struct.calcsize("<" + code)))[0])
 
     def text(self) -> str:
+        """A text with its length before it."""
         try:
             return self.take(self.number("I")).decode()
         except UnicodeDecodeError:
             raise Damage("a text is not UTF-8") from None
 
     def map(self) -> dict[str, str]:
-        inner = _Fields(self.take(self.number("I")))
+        """Texts by text."""
+        inner = Fields(self.take(self.number("I")))
         items = {}
         while inner.at < len(inner.data):
             key = inner.text()
@@ -106,8 +110,35 @@ class _Fields:
         return items
 
     def end(self) -> None:
+        """Damage unless everything was taken."""
         if self.at != len(self.data):
             raise Damage("a record is longer than its content")
+
+
+def register(state: McapState, opcode: int, body: bytes) -> None:
+    """Take note of a schema, a channel or metadata; check the form of the others."""
+    fields = Fields(body)
+    if opcode == SCHEMA:
+        number = fields.number("H")
+        name, encoding = fields.text(), fields.text()
+        state.schemas[number] = McapSchema(name, encoding, fields.text())
+    elif opcode == CHANNEL:
+        number, schema = fields.number("H"), fields.number("H")
+        topic, encoding, metadata = fields.text(), fields.text(), fields.map()
+        known = state.schemas.get(schema, McapSchema("", "", ""))
+        state.channels.setdefault(number, McapChannel(topic, known, encoding, metadata))
+    elif opcode == METADATA:
+        name = fields.text()
+        state.metadata[name] = fields.map()
+    elif opcode == MESSAGE_INDEX:
+        fields.number("H")
+        fields.take(fields.number("I"))
+    elif opcode == HEADER:
+        fields.text()
+        fields.text()
+    else:
+        return
+    fields.end()
 
 
 class McapScan:
@@ -145,7 +176,7 @@ class McapScan:
                 elif opcode == MESSAGE:
                     yield from self._chunk_messages(self._data[at:following], wanted)
                 else:
-                    self._register(opcode, body)
+                    register(state, opcode, body)
                 at = following
             except Damage as damage:
                 state.problems.append(f"damaged at byte {at} of {end}: {damage}")
@@ -166,7 +197,7 @@ class McapScan:
                 opcode, body, at = self._record(at)
                 if opcode in (CHUNK, MESSAGE, DATA_END):
                     break
-                fields = _Fields(body)
+                fields = Fields(body)
                 if opcode == METADATA and fields.text() == name:
                     return fields.map()
         except Damage:
@@ -200,31 +231,6 @@ class McapScan:
             at += 1
         return len(self._data)
 
-    def _register(self, opcode: int, body: bytes) -> None:
-        """Take note of a schema, a channel or metadata; check the form of the others."""
-        fields, state = _Fields(body), self.state
-        if opcode == SCHEMA:
-            number = fields.number("H")
-            name, encoding = fields.text(), fields.text()
-            state.schemas[number] = McapSchema(name, encoding, fields.text())
-        elif opcode == CHANNEL:
-            number, schema = fields.number("H"), fields.number("H")
-            topic, encoding, metadata = fields.text(), fields.text(), fields.map()
-            known = state.schemas.get(schema, McapSchema("", "", ""))
-            state.channels.setdefault(number, McapChannel(topic, known, encoding, metadata))
-        elif opcode == METADATA:
-            name = fields.text()
-            state.metadata[name] = fields.map()
-        elif opcode == MESSAGE_INDEX:
-            fields.number("H")
-            fields.take(fields.number("I"))
-        elif opcode == HEADER:
-            fields.text()
-            fields.text()
-        else:
-            return
-        fields.end()
-
     def _register_from_summary(self) -> None:
         """Topics from the end of the file, should the chunk that introduced them be the damaged one."""
         footer = len(self._data) - len(MAGIC) - _RECORD.size - 20
@@ -237,7 +243,7 @@ class McapScan:
             while at < footer:
                 opcode, body, at = self._record(at)
                 if opcode in (SCHEMA, CHANNEL):
-                    self._register(opcode, body)
+                    register(self.state, opcode, body)
         except Damage:
             self.state.channels.clear()
 
@@ -263,7 +269,7 @@ class McapScan:
                 start, at = at + _RECORD.size, at + _RECORD.size + size
                 if at > end or opcode not in (SCHEMA, CHANNEL):
                     raise Damage("an unexpected record in a chunk")
-                self._register(opcode, records[start:at])
+                register(state, opcode, records[start:at])
                 for number, channel in channels.items():
                     if number not in choice:
                         choice[number] = wanted is None or wanted(channel)
@@ -273,7 +279,7 @@ class McapScan:
     def _finish(self, at: int, body: bytes, following: int) -> None:
         """Compare what was read with what the end of the file says of it."""
         state = self.state
-        fields = _Fields(body)
+        fields = Fields(body)
         crc = fields.number("I")
         if crc and crc != self._data.crc32(at):
             state.problems.append(
@@ -284,7 +290,7 @@ class McapScan:
             while state.complete and self._data[following] != FOOTER:
                 opcode, record, following = self._record(following)
                 if opcode == STATISTICS:
-                    state.claimed = _Fields(record).number("Q")
+                    state.claimed = Fields(record).number("Q")
             start, _, crc = _FOOTER.unpack(
                 self._data[following + _RECORD.size : following + _RECORD.size + _FOOTER.size]
             )
@@ -305,7 +311,7 @@ def _unpack_chunk(body: bytes) -> bytes:
     start, end, size, crc = _CHUNK_HEAD.unpack_from(body)
     if start > end or size > chunk_bound(len(body)):
         raise Damage("a chunk with an impossible head")
-    fields = _Fields(body)
+    fields = Fields(body)
     fields.at = _CHUNK_HEAD.size
     compression = fields.text()
     packed = fields.take(fields.number("Q"))

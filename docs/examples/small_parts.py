@@ -96,7 +96,7 @@ class Carrot(Ramped):
 
 
 class Wander(Driver):
-    """Task: straight on for twenty seconds, turning where something is near."""
+    """Task: straight on for eight seconds, turning where something is near."""
 
     def __init__(self, kit, mission):
         super().__init__(kit.sensing)
@@ -114,7 +114,7 @@ class Wander(Driver):
     def stand_by(self, observation):
         """As in `Task`."""
         self.sensing.observe(observation)
-        self.finished = observation.stamp_ns >= 20_000_000_000
+        self.finished = observation.stamp_ns >= 8_000_000_000
 
 
 class Hall:

@@ -6,14 +6,22 @@ import contextlib
 import hashlib
 import io
 import json
-import shutil
+import tarfile
+import tempfile
+import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.outputs import write_json
-from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
+from turtlebag.datasets.bags.remote import brought
+from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
+from turtlebag.pipeline.campaign.cases import Case
+from turtlebag.pipeline.campaign.leases import made_once
+from turtlebag.pipeline.campaign.store import Store
 from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
 
@@ -21,38 +29,48 @@ Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, and gives the exit code."""
 Row = dict[str, Any]
 """A line of the table, by column."""
-ROW = "row.json"
-SHARED = "shared"
-"""Beside the cases: outputs that several use."""
+Done = tuple[Row, float | None]
+"""The row of a case and how long it took [s]; None when its worker was lost."""
+ROWS, CASES, SHARED = "rows", "cases", "shared"
+"""Parts of a campaign's store: rows, files kept of each case, and of outputs that several cases use."""
+_one = threading.Lock()
 
 
-def run_case(case: Case, campaign: Campaign, place: Path, run: Run) -> Row:
-    """Run a case in `place`, its own folder, and return its row; a stage that breaks makes a `failed` row.
+class StageFailed(Exception):
+    """A stage left no finished output; the text says why, in one line."""
 
-    What was finished before is not run again; a shared stage whose command another case gives too is run
-    once for both, beside the cases. The row is written last: where it is, the case is done.
+
+@dataclass(frozen=True)
+class Where:
+    """Where a campaign keeps its rows and files, and where its stages' outputs are kept for all who use them.
+
+    `maker` is the fingerprint of all that shapes an output besides its command: a kept one of another maker
+    is not taken.
     """
-    row_path = place / ROW
-    if row_path.is_file():
-        return read_json(row_path)
-    place.mkdir(parents=True, exist_ok=True)
+
+    runs: Store
+    outputs: Store
+    maker: str
+
+
+def run_case(case: Case, campaign: Campaign, where: Where, run: Run) -> Done:
+    """Run a case and return its row and how long it took [s]; a stage that breaks makes a `failed` row.
+
+    It works in a folder of its own, on whatever machine it is. Its row is put into the store last: where it
+    is, the case is done.
+    """
     started = time.perf_counter()
-    error = ""
-    folders = stage_folders(case.commands, place, campaign.shared)
-    for stage, words in case.commands.items():
-        error = _run_stage(stage, [word.format(**folders) for word in words], folders[stage], place, run)
-        if error:
-            break
-    row = row_of(case, campaign, error)
-    if not error:
-        row |= {name: _value(folders, result.at) for name, result in campaign.results.items()}
-    throw_away(place, campaign.keep)
-    timing = {"wall_s": round(time.perf_counter() - started, 3)}
-    (place / "timing.json").write_text(json.dumps(timing))
-    unfinished = place / (ROW + ".partial")
-    write_json(unfinished, row)
-    unfinished.rename(row_path)
-    return row
+    with tempfile.TemporaryDirectory(prefix="case-", dir=_scratch()) as folder:
+        work = _Work(case, campaign, where, run, Path(folder))
+        try:
+            work.run_stages()
+            row = row_of(case, campaign, "") | work.results()
+        except StageFailed as failure:
+            row = row_of(case, campaign, str(failure))
+        work.keep_files()
+    wall_s = round(time.perf_counter() - started, 3)
+    where.runs.put(f"{ROWS}/{case.name}.json", json.dumps({"row": row, "wall_s": wall_s}).encode())
+    return row, wall_s
 
 
 def row_of(case: Case, campaign: Campaign, error: str) -> Row:
@@ -61,58 +79,112 @@ def row_of(case: Case, campaign: Campaign, error: str) -> Row:
     return {"case": case.name, **case.factors, "failed": bool(error), "error": error, **nothing}
 
 
-def stage_folders(
-    commands: Mapping[str, Sequence[str]], place: Path, shared: Collection[str]
-) -> dict[str, Path]:
-    """Where each stage's output lies: in the case's folder, or beside the cases, named by what makes it."""
-    folders: dict[str, Path] = {}
-    recipes: dict[str, str] = {}
-    for stage, words in commands.items():
-        # With the recipes of earlier stages in their braces: the same recipe is the same output.
-        recipes[stage] = json.dumps([word.format(**recipes) for word in words])
-        name = hashlib.sha256(recipes[stage].encode()).hexdigest()[:12]
-        folders[stage] = place.parents[1] / SHARED / name if stage in shared else place / stage
-    return folders
+def recipes(case: Case, maker: str) -> dict[str, str]:
+    """For each stage a hash of all that makes its output: the same hash is the same output."""
+    known = {BAG: f"{case.factors.get(BAG)} {case.bag_version}"}
+    for stage, words in case.commands.items():
+        text = json.dumps([maker, [word.format(**known) for word in words]])
+        known[stage] = hashlib.sha256(text.encode()).hexdigest()[:32]
+    return {stage: known[stage] for stage in case.commands}
 
 
-def _run_stage(stage: str, words: Sequence[str], out: Path, place: Path, run: Run) -> str:
-    """Run one command into its folder; the reason in one line when it did not finish its outputs."""
-    if (out / "manifest.json").is_file():
-        return ""
-    mine = out if out.parent == place else place / stage
-    shutil.rmtree(mine, ignore_errors=True)  # what a killed worker had half thrown away
-    told, said = io.StringIO(), io.StringIO()
+def kept_at(case: Case, campaign: Campaign, maker: str, stage: str) -> str:
+    """Part of the store that holds the files kept of a stage: a case's own, or that of all who share it."""
+    if stage in campaign.shared:
+        return f"{SHARED}/{recipes(case, maker)[stage][:16]}"
+    return f"{CASES}/{case.name}/{stage}"
+
+
+def _scratch() -> str | None:
+    """The folder in which a Dask worker may write; elsewhere that of the system."""
+    from distributed import get_worker
+
     try:
-        with contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
-            code = run([*words, "--quiet", "--out", str(mine), "--force"])
-    except (Exception, SystemExit) as error:
-        # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
-        return f"{stage}: {type(error).__name__}: {error}".replace("\n", " ")
-    if not (mine / "manifest.json").is_file():
-        last = told.getvalue().strip().splitlines()[-1:] or [f"exit code {code}"]
-        return f"{stage}: {last[0]}".replace(str(place), "CASE")
-    if mine != out:
-        out.parent.mkdir(exist_ok=True)
-        with contextlib.suppress(OSError):  # another case was quicker: its output is the same
-            mine.rename(out)
-        shutil.rmtree(mine, ignore_errors=True)
-    return ""
+        return str(get_worker().local_directory)
+    except ValueError:
+        return None
 
 
-def _value(folders: Mapping[str, Path], where: str) -> Any:
-    """The number at `stage:dotted.path` of a stage's metrics.json; None when it is not there."""
+class _Work:
+    """The stages of one case, in a folder."""
+
+    def __init__(self, case: Case, campaign: Campaign, where: Where, run: Run, folder: Path) -> None:
+        self._case, self._campaign, self._where, self._run = case, campaign, where, run
+        self._folder = folder
+        self._recipes = recipes(case, where.maker)
+        self._places = {stage: folder / stage for stage in case.commands}
+        self._bag = folder
+
+    def run_stages(self) -> None:
+        """Run what is not made already; StageFailed at the first stage that leaves nothing."""
+        if BAG in self._case.factors:
+            said = {word.rpartition("=")[2] for words in self._case.commands.values() for word in words}
+            try:
+                self._bag = brought(str(self._case.factors[BAG]), self._folder / BAG, said)
+            except InputError as error:
+                raise StageFailed(f"{BAG}: {error}") from None
+        for stage in self._case.commands:
+            if stage in self._campaign.shared:
+                name, make = f"{self._recipes[stage]}.tar", partial(self._packed, stage)
+                packed = made_once(self._where.outputs, name, make)
+                if not self._places[stage].exists():
+                    _unpack(packed, self._places[stage])
+            else:
+                self._make(stage)
+
+    def results(self) -> Row:
+        """The numbers to keep: each at `stage:dotted.path` of a stage's metrics.json, None if not there."""
+        return {name: _value(self._places, result.at) for name, result in self._campaign.results.items()}
+
+    def keep_files(self) -> None:
+        """Put the files to keep into the store, those of a stage that several cases share once."""
+        for stage, place in self._places.items():
+            target = kept_at(self._case, self._campaign, self._where.maker, stage)
+            if stage in self._campaign.shared and self._where.runs.has(f"{target}/manifest.json"):
+                continue
+            for path in sorted(place.rglob("*"), key=lambda path: (path.name == "manifest.json", path)):
+                if path.is_file() and ("*" in self._campaign.keep or path.name in self._campaign.keep):
+                    self._where.runs.put(f"{target}/{path.relative_to(place).as_posix()}", path.read_bytes())
+
+    def _packed(self, stage: str) -> bytes:
+        """The output of a shared stage, made here, as one file."""
+        self._make(stage)
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w") as archive:
+            archive.add(self._places[stage], ".")
+        return packed.getvalue()
+
+    def _make(self, stage: str) -> None:
+        """Run the command of a stage into its folder."""
+        out = self._places[stage]
+        words = [word.format(**self._places, **{BAG: self._bag}) for word in self._case.commands[stage]]
+        told, said = io.StringIO(), io.StringIO()
+        code = None
+        try:
+            # Streams, settings and libraries belong to the whole process: threads take turns.
+            with _one, contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
+                code = self._run([*words, "--quiet", "--out", str(out), "--force"])
+        except (Exception, SystemExit) as error:
+            # A defect in one case must not end a campaign of a thousand: it becomes that case's result.
+            raise self._failure(stage, f"{type(error).__name__}: {error}") from None
+        if not (out / "manifest.json").is_file():
+            last = told.getvalue().strip().splitlines()[-1:] or [f"exit code {code}"]
+            raise self._failure(stage, last[0])
+
+    def _failure(self, stage: str, reason: str) -> StageFailed:
+        named = " ".join(reason.split())
+        if BAG in self._case.factors:
+            named = named.replace(str(self._bag), str(self._case.factors[BAG]))
+        return StageFailed(f"{stage}: {named.replace(str(self._folder), 'CASE')}")
+
+
+def _unpack(packed: bytes, folder: Path) -> None:
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        archive.extractall(folder, filter="data")
+
+
+def _value(places: Mapping[str, Path], where: str) -> Any:
     stage, _, path = where.partition(":")
-    file = folders[stage] / "metrics.json"
+    file = places[stage] / "metrics.json"
     value = lookup(read_json(file), path) if file.is_file() else None
     return value if isinstance(value, (bool, int, float, str)) else None
-
-
-def throw_away(place: Path, keep: Sequence[str]) -> None:
-    """Delete everything in the stage folders below `place` but the files to keep."""
-    if "*" in keep:
-        return
-    for path in sorted(place.rglob("*"), reverse=True):
-        if path.is_file() and path.name not in keep:
-            path.unlink()
-        elif path.is_dir() and not any(path.iterdir()):
-            shutil.rmtree(path)

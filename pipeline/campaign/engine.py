@@ -1,4 +1,4 @@
-"""Cases on Dask: a local cluster as large as the machine, or a scheduler somewhere else."""
+"""Cases on Dask: processes or threads of this machine, or a scheduler somewhere else."""
 
 from __future__ import annotations
 
@@ -6,17 +6,24 @@ import logging
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.campaign.campaign_file import Campaign, Case
-from turtlebag.pipeline.campaign.case import Row, Run, row_of, run_case
+from turtlebag.pipeline.campaign.campaign_file import Campaign
+from turtlebag.pipeline.campaign.case import Done, Run, Where, row_of, run_case
+from turtlebag.pipeline.campaign.cases import Case
+
+THREADS = "threads"
+"""In the place of a scheduler's address: threads of this process."""
+AHEAD = 8
+"""Cases at the scheduler, for each thread of a worker: what it holds does not grow with a campaign."""
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A Dask client; the local cluster has one single-threaded process a core and no dashboard."""
+def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterator[Any]:
+    """A Dask client; the local cluster has one single-threaded worker a core and no dashboard."""
     try:
         import dask
         from distributed import Client, LocalCluster
@@ -24,7 +31,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         raise InputError("campaigns need Dask: run `make setup` again, or pip install distributed") from None
     logging.getLogger("distributed").setLevel(logging.ERROR)
     dask.config.set({"distributed.scheduler.allowed-failures": 1})
-    if scheduler is not None:
+    if scheduler not in (None, THREADS):
         try:
             client = Client(scheduler, timeout="10s")
         except (OSError, ValueError):
@@ -33,13 +40,15 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             yield client
         return
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+    processes: dict[str, Any] = {"processes": False} if scheduler == THREADS else {"env": threads}
     with (
         LocalCluster(
             n_workers=workers or os.cpu_count() or 1,
             threads_per_worker=1,
             dashboard_address=":0",
             silence_logs=logging.CRITICAL,
-            env=threads,
+            local_directory=str(scratch),
+            **processes,
         ) as cluster,
         Client(cluster) as client,
     ):
@@ -49,36 +58,37 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def run_cases(
     campaign: Campaign,
     todo: Sequence[Case],
-    folder: Path,
+    where: Where,
     run: Run,
+    scratch: Path,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-) -> Iterator[Row]:
-    """Rows of the cases as they finish, in any order; a case whose worker died is a `failed` row.
+) -> Iterator[Done]:
+    """The cases as they finish, in any order.
 
-    Workers write below `folder`: with a remote scheduler it must be on a file system they share.
+    A case whose worker died is run once more by another; when that dies too, it is a `failed` row. Workers
+    need to see nothing but the store; those of this machine work below `scratch`.
     """
     from distributed import as_completed
 
-    place = folder.resolve()
-    with _client(scheduler, workers) as client:
-        futures = {
-            client.submit(
-                run_case,
-                case,
-                campaign,
-                place / case.name,
-                run,
-                key=f"{campaign.name}-{case.name}",
-                pure=False,
-            ): case
-            for case in todo
-        }
-        for future in as_completed(list(futures)):
-            case = futures[future]
+    with _client(scheduler, workers, scratch) as client:
+        going: dict[str, Case] = {}
+        waiting, finished = iter(todo), as_completed()
+
+        def start(count: int) -> None:
+            for case in islice(waiting, count):
+                key = f"{campaign.name}-{case.name}"
+                going[key] = case
+                finished.add(client.submit(run_case, case, campaign, where, run, key=key, pure=False))
+
+        start(AHEAD * max(sum(client.nthreads().values()), 8))
+        for future in finished:
+            case = going.pop(future.key)
             if future.status == "finished":
                 yield future.result()
             else:
                 # Not written: a resumed campaign tries the case again.
-                yield row_of(case, campaign, f"worker died ({type(future.exception()).__name__})")
+                yield row_of(case, campaign, f"worker died ({type(future.exception()).__name__})"), None
+            future.release()
+            start(1)

@@ -5,34 +5,37 @@ from __future__ import annotations
 import json
 import platform
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 
 from llvmlite.binding import get_host_cpu_name
 
-from turtlebag.datasets.claims import MARKER, Claim, claimed
+from turtlebag.datasets.claims import claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, write_json, write_manifest
+from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, sha256_tree, write_manifest
+from turtlebag.datasets.urls import reason_of
 from turtlebag.datasets.yaml_files import config_text
-from turtlebag.pipeline.campaign.campaign_file import Campaign, Case, campaign_path, cases, load_campaign
-from turtlebag.pipeline.campaign.case import ROW, SHARED, Row, Run, throw_away
-from turtlebag.pipeline.campaign.engine import run_cases
-from turtlebag.pipeline.campaign.table import write_parquet
+from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
+from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, Done, Row, Run, Where, recipes
+from turtlebag.pipeline.campaign.cases import Case, cases
+from turtlebag.pipeline.campaign.engine import THREADS, run_cases
+from turtlebag.pipeline.campaign.progress import Progress
+from turtlebag.pipeline.campaign.results import PAGE, write_results
+from turtlebag.pipeline.campaign.store import UNFINISHED, Store
 from turtlebag.pipeline.terminal.messages import log, track
-from turtlebag.reports.campaign import compare_pairs, summarise
-from turtlebag.reports.campaign_page import Study, draw_campaign, render_campaign
-from turtlebag.reports.figures.album import Album
-from turtlebag.reports.figures.campaign import Wish
-from turtlebag.reports.stages import read_json
 
-TABLE = "results.parquet"
 TELL_S = 60.0
 MARK = "made_by.txt"
-"""In a growing folder: fingerprint of the code, the packages and the machine that made its rows."""
+"""In a campaign's store: fingerprint of the code, the packages and the machine that made its rows."""
+OUTPUTS = "outputs"
+"""Part of a store that keeps what `shared` stages made, for all campaigns of it."""
+SCRATCH = "scratch"
+"""Folder in which the workers of this machine work."""
 ROOT = Path(__file__).parents[2]
 MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 
@@ -42,6 +45,7 @@ def sweep(
     out: Path,
     run: Run,
     *,
+    store: str | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
     force: bool = False,
@@ -50,23 +54,28 @@ def sweep(
     """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
     any case failed.
 
-    The work grows in `OUT.partial` and stays there when it is stopped: the same command goes on with it.
+    Workers keep what they make in `store`, which is `out` itself where no URL is given. It grows in
+    `OUT.partial` and stays there when it is stopped: the same command goes on with it.
     """
     watch = Stopwatch()
     campaign = load_campaign(campaign_name)
     check_free(out, force=force, kind="folder")
+    todo = cases(campaign)
     with claimed(out, force=force) as claim:
-        folder = _work_folder(campaign, claim)
-        todo = cases(campaign)
         inputs = _inputs(campaign_name, todo)
         claim.watch(inputs.values())
-        rows = _run(campaign, todo, folder / "cases", run, scheduler, workers)
-        timing = _collect_timing(folder / "cases")
-        _tidy(folder, campaign)
-        write_results(campaign, rows, folder)
-        extra = {"case_wall_s": timing}
+        where = _where(campaign, store, claim.partial, inputs, scheduler)
+        _begin(where.runs, campaign, force=force)
+        progress = Progress(campaign, where, todo)
+        rows, timing = _run(campaign, todo, where, run, progress, claim.partial / SCRATCH, scheduler, workers)
+        (claim.partial / "config.yaml").write_text(config_text(campaign))
+        write_results(campaign, rows, where.runs, claim.partial, progress.worst)
+        _tidy(Store(str(claim.partial)))
+        extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
         wall_s = watch.seconds()
-        write_manifest(folder, "sweep", command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra)
+        write_manifest(
+            claim.partial, "sweep", command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
+        )
         claim.finish()
     failed = sum(bool(row["failed"]) for row in rows)
     log.info(f"{out}: {len(rows)} cases, {failed} failed")
@@ -84,21 +93,48 @@ def _inputs(campaign_name: str, todo: Sequence[Case]) -> dict[str, Path]:
     return {"campaign": campaign_path(campaign_name), **dict(sorted(files.items()))}
 
 
-def _work_folder(campaign: Campaign, claim: Claim) -> Path:
-    """OUT.partial: a new one, or the one an earlier start of the same campaign and code left."""
-    folder = claim.partial
+def _where(
+    campaign: Campaign, store: str | None, folder: Path, inputs: Mapping[str, Path], scheduler: str | None
+) -> Where:
+    read = {name: sha256_tree(path) for name, path in inputs.items() if name != "campaign"}
+    maker = fingerprint([surroundings(), read])
+    if store is None:
+        runs = Store(str(folder.absolute()))
+        return Where(runs, runs.below(OUTPUTS), maker)
+    whole = Store(store)
+    if "memory" in whole.files.protocol and scheduler is None:
+        raise InputError(f"--store {store}: only this process sees it; add --scheduler {THREADS}")
+    return Where(whole.below(campaign.name), whole.below(OUTPUTS), maker)
+
+
+def _begin(runs: Store, campaign: Campaign, *, force: bool) -> None:
+    """Mark a store with the campaign and the code that make its rows; InputError when it holds others."""
     marks = {"config.yaml": config_text(campaign), MARK: surroundings() + "\n"}
-    if any(path.name != MARKER for path in folder.iterdir()) and (maker := _other_maker(folder, marks)):
-        if not claim.force:
-            raise InputError(f"{folder}: left by {maker}; remove it or pass --force to start over")
-        claim.clear()
     try:
-        (folder / "cases").mkdir(parents=True, exist_ok=True)
+        if maker := _other_maker(runs, marks):
+            if not force:
+                raise InputError(f"{runs.url}: left by {maker}; remove it or pass --force to start over")
+            for part in (ROWS, CASES, SHARED):
+                runs.delete_below(part)
         for name, text in marks.items():
-            (folder / name).write_text(text)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-    return folder
+            runs.put(name, text.encode())
+    except InputError:
+        raise
+    except Exception as error:  # a store's client raises whatever its own libraries do
+        raise InputError(f"{runs.url}: cannot be written ({reason_of(error)})") from None
+
+
+def _other_maker(runs: Store, marks: Mapping[str, str]) -> str:
+    """What made a store's rows when it is not what the marks say; empty when it is, or there are none."""
+    kinds = (
+        "another campaign",
+        "made with other code or packages, or on another machine: it cannot be resumed",
+    )
+    found = [runs.read(name) for name in marks]
+    for content, text, kind in zip(found, marks.values(), kinds, strict=True):
+        if any(found) and (content is None or sha256_text(content.decode()) != sha256_text(text)):
+            return kind
+    return ""
 
 
 @cache
@@ -115,110 +151,73 @@ def surroundings() -> str:
     return fingerprint([read, package_versions(), machine])
 
 
-def _other_maker(folder: Path, marks: Mapping[str, str]) -> str:
-    """What made a folder's rows when it is not what the marks say; empty when it is."""
-    kinds = (
-        "another campaign",
-        "made with other code or packages, or on another machine: it cannot be resumed",
-    )
-    for (name, text), kind in zip(marks.items(), kinds, strict=True):
-        path = folder / name
-        if not path.is_file() or sha256_text(path.read_text()) != sha256_text(text):
-            return kind
-    return ""
-
-
 def _run(
     campaign: Campaign,
     todo: Sequence[Case],
-    folder: Path,
+    where: Where,
     run: Run,
+    progress: Progress,
+    scratch: Path,
     scheduler: str | None,
     workers: int | None,
-) -> list[Row]:
-    """Rows of all cases in the campaign's order; those that were done before are only read."""
+) -> tuple[list[Row], dict[str, float]]:
+    """Rows of all cases in the campaign's order, and how long each took [s]; those that were done before are
+    only read."""
+    wanted = {case.name for case in todo}
     rows: dict[str, Row] = {}
-    for case in todo:
-        if (folder / case.name / ROW).is_file():
-            rows[case.name] = read_json(folder / case.name / ROW)
+    timing: dict[str, float] = {}
+    names = [name for name in where.runs.names(ROWS) if Path(name).stem in wanted]
+    for content in where.runs.read_all(names):
+        done = json.loads(content)
+        rows[done["row"]["case"]], timing[done["row"]["case"]] = done["row"], done["wall_s"]
+        progress.add(done["row"])
     # Draws may repeat a case: it runs once.
     left = list({case.name: case for case in todo if case.name not in rows}.values())
     if rows:
         log.info(f"resuming: {len(rows)} of {len(todo)} cases are done")
     if left:
-        found = run_cases(campaign, left, folder, run, scheduler=scheduler, workers=workers)
-        for row in track(_told(found, len(left)), campaign.name, total=len(left)):
+        progress.start()
+        log.info(f"the page of how far it is: {where.runs.url}/{PAGE}")
+        found = run_cases(
+            campaign, _spread(left, campaign), where, run, scratch, scheduler=scheduler, workers=workers
+        )
+        for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
+            if wall_s is not None:
+                timing[row["case"]] = wall_s
+            progress.add(row)
             if row["failed"]:
                 log.warning(f"{row['case']}: {row['error']}")
-    return [rows[case.name] for case in todo]
+    return [rows[case.name] for case in todo], dict(sorted(timing.items()))
 
 
-def _told(found: Iterable[Row], total: int) -> Iterator[Row]:
-    """The rows; where no progress bar is seen, a line a minute says how far it is."""
+def _told(found: Iterable[Done], total: int) -> Iterator[Done]:
+    """What is found; where no progress bar is seen, a line a minute says how far it is."""
     watch, told_s = Stopwatch(), 0.0
-    for done, row in enumerate(found, start=1):
-        yield row
+    for done, item in enumerate(found, start=1):
+        yield item
         if not sys.stderr.isatty() and watch.seconds() - told_s > TELL_S:
             told_s = watch.seconds()
             left_s = told_s / done * (total - done)
             log.info(f"{done} of {total} cases, about {left_s / 60.0:.0f} min left")
 
 
-def _collect_timing(folder: Path) -> dict[str, float]:
-    """Wall time of each case [s]; taken out of the folder, which is the same when a campaign is repeated."""
-    timing = {}
-    for path in sorted(folder.glob("*/timing.json")):
-        timing[path.parent.name] = float(json.loads(path.read_text())["wall_s"])
-        path.unlink()
-    return timing
+def _spread(left: Sequence[Case], campaign: Campaign) -> list[Case]:
+    """The cases in such an order that those which share an output come one after the other's first: workers
+    rather make two outputs than wait for one."""
+    if not campaign.shared:
+        return list(left)
+    rank: Counter[str] = Counter()
+    ranked = []
+    for case in left:
+        first = recipes(case, "")[campaign.shared[0]]
+        ranked.append((rank[first], case))
+        rank[first] += 1
+    return [case for _, case in sorted(ranked, key=itemgetter(0))]
 
 
-def _tidy(folder: Path, campaign: Campaign) -> None:
-    """What only the running campaign needed goes; of shared outputs stays what stays of any stage."""
-    (folder / MARK).unlink(missing_ok=True)
-    if (folder / SHARED).is_dir():
-        throw_away(folder / SHARED, campaign.keep)
-
-
-def write_results(campaign: Campaign, rows: Sequence[Row], folder: Path) -> None:
-    """The Parquet table, the statistics and the page."""
-    write_parquet(rows, folder / TABLE)
-    results = list(campaign.results)
-    summaries = {
-        factor: summarise(rows, factor, results, campaign.seed)
-        for factor in campaign.factors
-        if factor != "seed"
-    }
-    pairs = []
-    if campaign.compare is not None and campaign.against is not None:
-        others = [factor for factor in campaign.factors if factor != campaign.compare]
-        pairs = compare_pairs(rows, campaign.compare, campaign.against, others, results, campaign.seed)
-    write_json(
-        folder / "summary.json",
-        {
-            "levels": {factor: [asdict(item) for item in found] for factor, found in summaries.items()},
-            "pairs": [asdict(pair) for pair in pairs],
-        },
-    )
-    album = Album(folder / "figures", paper=True)
-    names = {key: (item.label or key.replace("_", " "), item.unit) for key, item in campaign.results.items()}
-    wishes = [
-        Wish(f.x, f.y, names[f.y][0], f.unit or names[f.y][1], f.lines, f.panels, f.title, f.log)
-        for f in campaign.figures
-    ]
-    draw_campaign(wishes, rows, campaign.seed, album)
-    study = Study(
-        campaign.name,
-        campaign.question,
-        list(campaign.factors),
-        rows,
-        names,
-        summaries,
-        pairs,
-        campaign.compare or "",
-        campaign.against,
-        config_text(campaign),
-    )
-    page = render_campaign(study, album.pictures)
-    (folder / "index.html").write_text(page)
+def _tidy(folder: Store) -> None:
+    """What only the running campaign needed goes."""
+    folder.delete(MARK)
+    for part in (ROWS, OUTPUTS, SCRATCH, UNFINISHED):
+        folder.delete_below(part)

@@ -1,58 +1,108 @@
-"""Rows of a campaign as one Parquet file, written and asked by DuckDB."""
+"""Rows of a campaign as hive-partitioned Parquet in its store, written and asked by DuckDB.
+
+`results/FACTOR=LEVEL/data_0.parquet`, one file for each level of one factor, and, put last, an index that
+names the files and the columns: where it is, the table is whole.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.campaign.store import Store
+
+RESULTS = "results"
+INDEX = "results.json"
 
 
-def _duckdb() -> Any:
+@contextmanager
+def _duckdb() -> Iterator[tuple[Any, Any]]:
     try:
         import duckdb
     except ImportError:
         raise InputError("campaigns need DuckDB: run `make setup` again, or pip install duckdb") from None
-    return duckdb
-
-
-def write_parquet(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """One Parquet table of the rows, in their order; columns are the keys of all rows."""
-    lines = path.with_suffix(".ndjson")
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    with lines.open("w") as file:
-        for row in rows:
-            file.write(json.dumps({key: row.get(key) for key in columns}) + "\n")
-    duckdb = _duckdb()
     connection = duckdb.connect()
     try:
-        connection.execute("SET threads = 1")
+        yield connection, duckdb.Error
+    finally:
+        connection.close()
+
+
+def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) -> None:
+    """Put the rows into the store, a file for each level of the column `partition`.
+
+    Columns are the keys of all rows. What is left of an earlier table goes.
+    """
+    with tempfile.TemporaryDirectory(prefix="turtlebag-") as folder, _duckdb() as (connection, problem):
+        lines, tree = Path(folder, "rows.ndjson"), Path(folder, RESULTS)
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        with lines.open("w") as file:
+            for row in rows:
+                file.write(json.dumps({key: row.get(key) for key in columns}) + "\n")
         source = f"read_json('{_quoted(lines)}', format = 'newline_delimited', sample_size = -1)"
-        connection.execute(f"COPY (SELECT * FROM {source}) TO '{_quoted(path)}' (FORMAT parquet)")
-    except duckdb.Error as error:
-        raise InputError(f"{path}: cannot be written ({str(error).splitlines()[0]})") from None
-    finally:
-        connection.close()
-        lines.unlink()
+        split = f"FORMAT parquet, PARTITION_BY ({_column(partition)})"
+        try:
+            connection.execute("SET threads = 1")
+            connection.execute(f"CREATE TABLE runs AS SELECT * FROM {source}")
+            types = {name: kind for name, kind, *_ in connection.execute("DESCRIBE runs").fetchall()}
+            connection.execute(f"COPY runs TO '{_quoted(tree)}' ({split})")
+        except problem as error:
+            raise InputError(f"{store.url}: the table cannot be written ({_first_line(error)})") from None
+        files = sorted(path for path in tree.rglob("*.parquet"))
+        names = [path.relative_to(folder).as_posix() for path in files]
+        store.delete(INDEX)
+        for name in store.names(RESULTS):
+            store.delete(name)
+        for name, path in zip(names, files, strict=True):
+            store.put(name, path.read_bytes())
+        index = {"columns": types, "partition": partition, "files": names}
+        store.put(INDEX, (json.dumps(index, indent=2) + "\n").encode())
 
 
-def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """(column names, rows) of a query in which the table is called `runs`; InputError for bad SQL."""
-    duckdb = _duckdb()
-    connection = duckdb.connect()
-    try:
-        connection.execute(f"CREATE VIEW runs AS SELECT * FROM read_parquet('{_quoted(path)}')")
-        result = connection.execute(sql)
-        if result is None or result.description is None:
-            raise InputError("query: it is empty; for example: SELECT * FROM runs")
-        return [column[0] for column in result.description], result.fetchall()
-    except duckdb.Error as error:
-        raise InputError(f"query: {str(error).splitlines()[0]}") from None
-    finally:
-        connection.close()
+def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """(column names, rows) of a query in which the table is called `runs`; InputError for bad SQL, and for a
+    store without a table."""
+    content = store.read(INDEX)
+    if content is None:
+        raise InputError(f"{store.url}: not a finished sweep (it has no {INDEX})")
+    index = json.loads(content)
+    partition, columns = index["partition"], index["columns"]
+    with _duckdb() as (connection, problem):
+        try:
+            files = ", ".join(f"'{_quoted(path)}'" for path in _paths(connection, store, index["files"]))
+            kind = f"hive_partitioning = true, hive_types = {{{_column(partition)}: {columns[partition]}}}"
+            chosen = ", ".join(_column(name) for name in columns)
+            connection.execute(f"CREATE VIEW runs AS SELECT {chosen} FROM read_parquet([{files}], {kind})")
+            result = connection.execute(sql)
+            if result is None or result.description is None:
+                raise InputError("query: it is empty; for example: SELECT * FROM runs")
+            return [column[0] for column in result.description], result.fetchall()
+        except problem as error:
+            raise InputError(f"query: {_first_line(error)}") from None
 
 
-def _quoted(path: Path) -> str:
+def _paths(connection: Any, store: Store, names: Sequence[str]) -> list[str]:
+    """How DuckDB calls objects of the store; those elsewhere it reads through fsspec, by ranges."""
+    paths = [store.at(name) for name in names]
+    if store.is_local:
+        return paths
+    connection.register_filesystem(store.files)
+    return [store.files.unstrip_protocol(path) for path in paths]
+
+
+def _column(name: str) -> str:
+    quoted = name.replace('"', '""')
+    return f'"{quoted}"'
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0]
+
+
+def _quoted(path: Path | str) -> str:
     return str(path).replace("'", "''")

@@ -112,6 +112,7 @@ CHECKS: dict[str, Callable[[], str]] = {
             "dask": "dask",
             "tornado": "tornado.web",
             "distributed": "distributed",
+            "fsspec": "fsspec",
             "duckdb": "duckdb",
             "shtab": "shtab",
         }.items()

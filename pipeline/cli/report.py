@@ -7,6 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import add_output
+from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
 
@@ -20,12 +21,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--index", action="store_true", help=text)
     text = "leave out the animations, for a smaller page"
     parser.add_argument("--no-animation", action="store_true", help=text)
+    text = "file of another system to show beside ours (see compare); may be repeated"
+    parser.add_argument("--rival", action="append", default=[], metavar="[NAME=]FILE", help=text)
+    add_rival_options(parser)
     add_output(parser)
 
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """What is read: for an index what is found below the folders, among which the index may lie."""
-    return [] if args.index else args.folders
+    return [] if args.index else [*args.folders, *existing_rivals(args.rival, args)]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,7 +37,11 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.report import make_index, make_report
 
     if args.index:
-        for option, given in (("--paper", args.paper), ("--no-animation", args.no_animation)):
+        for option, given in (
+            ("--paper", args.paper),
+            ("--no-animation", args.no_animation),
+            ("--rival", args.rival),
+        ):
             if given:
                 raise InputError(f"{option}: has no effect with --index; remove it")
         print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
@@ -41,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     page = make_report(
         args.folders,
         args.out,
+        rivals=rivals(args.rival, args),
         force=args.force,
         animate=not args.no_animation,
         paper=args.paper,

@@ -16,23 +16,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", metavar="FILE", help="campaign file, or the name of a built-in study")
     add_output(parser, required=False)
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a running Dask scheduler (tcp://...)"
+        "--store",
+        metavar="URL",
+        help="where workers keep what they make, by fsspec: s3://BUCKET/..., a folder (default: --out)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a running Dask scheduler (tcp://...), or `threads` of this process",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
     parser.add_argument(
         "--query",
         metavar="SQL",
-        help="run an SQL query on the table `runs` of a finished sweep; FILE is then its folder",
+        help="run an SQL query on the table `runs` of a finished sweep; FILE is then its folder or its store",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the campaign and print its page's path, or answer a query."""
     if args.query is not None:
-        for name in ("out", "force", "scheduler", "workers"):
+        for name in ("out", "force", "store", "scheduler", "workers"):
             if getattr(args, name):
                 raise InputError(f"--{name}: cannot be used with --query; remove it")
-        return _answer(Path(args.campaign), args.query)
+        return _answer(args.campaign, args.query)
     if args.out is None:
         raise InputError("sweep: --out DIR is needed")
     if args.workers is not None and args.workers < 1:
@@ -44,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         args.campaign,
         args.out,
         main,
+        store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,
         force=args.force,
@@ -53,13 +61,14 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _answer(folder: Path, sql: str) -> int:
-    from turtlebag.pipeline.campaign.sweep import TABLE
+def _answer(place: str, sql: str) -> int:
+    from turtlebag.pipeline.campaign.store import Store
     from turtlebag.pipeline.campaign.table import query
+    from turtlebag.reports.stages import read_json
 
-    if not (folder / TABLE).is_file():
-        raise InputError(f"{folder}: not a finished sweep (it has no {TABLE})")
-    names, rows = query(folder / TABLE, sql)
+    manifest = Path(place, "manifest.json")
+    store = read_json(manifest).get("store", place) if manifest.is_file() else place
+    names, rows = query(Store(str(store)), sql)
     print("\t".join(names))
     for row in rows:
         print("\t".join("" if value is None else str(value) for value in row))

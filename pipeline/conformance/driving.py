@@ -33,7 +33,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import CONTROL_HZ, SimConfig, Simulator
 
 PERIOD = 1.0 / CONTROL_HZ
-AT_GOAL_M, AT_GOAL_RAD, DRIVE_S = 0.2, 0.35, 60.0
+AT_GOAL_M, AT_GOAL_RAD, DRIVE_S = 0.2, 0.35, 45.0
 """Where a controller must have come to after so long."""
 TASK_S = 6.0
 
@@ -99,9 +99,9 @@ def check_controller(controller: Callable[[RobotModel, float], Controller]) -> N
     """
     model = load_robot("burger").model
     costmap = costmap_from_grid(room().rasterize(HEIGHT_M), CostmapConfig())
-    legs = [np.linspace(1.0, 5.0, 81), np.full(80, 5.0)], [np.full(81, 1.0), np.linspace(1.05, 5.0, 80)]
+    legs = [np.linspace(2.0, 5.0, 61), np.full(40, 5.0)], [np.full(61, 1.0), np.linspace(1.05, 3.0, 40)]
     x, y = (np.concatenate(leg) for leg in legs)
-    path = SE2(np.column_stack([x, y, np.repeat([0.0, np.pi / 2.0], [81, 80])]))
+    path = SE2(np.column_stack([x, y, np.repeat([0.0, np.pi / 2.0], [61, 40])]))
     before = bytes_of(path.xyt, costmap.lethal)
     first, again = (_driven(controller, model, path, costmap) for _ in range(2))
     if bytes_of(*first) != bytes_of(*again):

@@ -39,8 +39,9 @@ def check_localiser(localiser: Callable[..., Localiser]) -> None:
     """
     poses = lap()
     odometry, ranges = wheels(poses), ranges_from(poses)
-    first, again = (_localised(localiser, poses, odometry, ranges) for _ in range(2))
-    if bytes_of(first[0]) != bytes_of(again[0]):
+    first = _localised(localiser, poses, odometry, ranges)
+    again = _localised(localiser, poses[:20], odometry, ranges)
+    if bytes_of(first[0][:20]) != bytes_of(again[0]):
         raise broken(localiser, "the same scans and the same rng must give the same bytes")
     one = first[1]
     off = apart(SE2(poses[-1]), one.T_map_odom @ SE2(odometry[-1]))

@@ -32,7 +32,7 @@ from turtlebag.pipeline.slam.track import Track, TrackingConfig
 OFF_M, OFF_RAD = 0.1, 0.05
 """How far off a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
 EMPTY, GAP, BACK, HOSTILE = (12, 13), 24, 34, 40
-"""Of so many scans: those without a return, the first after a gap of 10 s, and one stamped before the last."""
+"""Of so many scans: those without return, the first after a gap of 10 s, and one stamped before the last."""
 
 
 def check_front_end(front_end: Callable[[Any], FrontEnd], *, without_odometry: bool = True) -> None:

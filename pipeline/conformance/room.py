@@ -19,7 +19,7 @@ from turtlebag.sim.raycast import cast
 from turtlebag.sim.shapes import box, sections
 from turtlebag.sim.world import World
 
-LIDAR = LidarSpec(360, 0.0, math.radians(1.0), 0.12, 8.0)
+LIDAR = LidarSpec(180, 0.0, math.radians(2.0), 0.12, 8.0)
 HEIGHT_M, NOISE_M = 0.2, 0.01
 BOXES = (
     ((4.0, -0.1), (8.2, 0.2)),

@@ -14,8 +14,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.yaml_files import load_model
 
-ScanNumber = Annotated[int, Field(ge=0)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+ScanNumber = Annotated[int, Field(strict=True, ge=0)]
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 # The scan that a person laid on a place is looked for so far about there [m], [rad].
 HAND_M, HAND_RAD = 0.5, 0.35

@@ -94,7 +94,8 @@ def pose_all_scans(
         by_lines[some] = [both.placed_by(k) == "lines" for k in numbers.tolist()]
         return in_parts(
             lambda part: _align_each(
-                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt, information
+                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt, information,
+                ITERATIONS,
             ),
             len(some),
         )  # fmt: skip
@@ -122,15 +123,19 @@ def _align_each(
     near: NDArray,
     key_poses: Array,
     information: Array,
+    iterations: int,
 ) -> tuple[Array, Array]:
-    """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,)."""
+    """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,).
+
+    As a constant of the kernel's, `iterations` would have the whole of `align_kernel` compiled once more.
+    """
     out, overlap = poses.copy(), np.zeros(len(scans))
     for k in range(len(scans)):
         scan = scans[k]
         stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // MOST_POINTS
         pose, _, matched, usable, _, _, _ = align_kernel(
             clouds, scan, stride, poses[k], keys[near[k]], key_poses[near[k]],
-            FINE_GATE_M, FINE_SIGMA_M, ITERATIONS, poses[k], information, 0.0,
+            FINE_GATE_M, FINE_SIGMA_M, iterations, poses[k], information, 0.0,
         )  # fmt: skip
         out[k] = pose
         if usable > 0:

@@ -160,8 +160,8 @@ def _changes(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
     for key, was in before.items():
         if isinstance(was, Mapping):
             yield from _changes(was, now[key], f"{path}{key}.")
-        elif was != now[key]:
-            yield f"{path}{key}", json.dumps(was), json.dumps(now[key])
+        elif was != now.get(key):
+            yield f"{path}{key}", json.dumps(was), json.dumps(now.get(key))
 
 
 def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:

@@ -1,4 +1,4 @@
-"""Compare two outputs of one stage, as a table and as a page."""
+"""Compare two outputs of one stage, or one with what other systems made, as a table and as a page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.rivals import RivalFiles
+from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
+from turtlebag.reports.beside import Beside, beside, write_pairs
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.page import render_comparison
+from turtlebag.reports.page import render_beside, render_comparison
 from turtlebag.reports.stages import Stage, load_stage
 
 
@@ -37,3 +40,30 @@ def write_comparison(
 def _names(a: Stage, b: Stage) -> tuple[str, str]:
     """Folder names, told apart by A and B."""
     return f"A: {a.folder.resolve().name}", f"B: {b.folder.resolve().name}"
+
+
+def compare_rivals(
+    folder: Path,
+    files: Sequence[RivalFiles],
+    out: Path | None = None,
+    *,
+    force: bool = False,
+    command: Sequence[str] = (),
+) -> Beside:
+    """An output of ours beside what other systems made of the same recording.
+
+    With `out` also `index.html`, `figures/*.png`, `rivals/*.tum`, `metrics.json` and the manifest.
+    """
+    watch = Stopwatch()
+    stage = ours_of([load_stage(folder)])
+    known, systems = measured(stage, files)
+    if out is None:
+        return beside(systems, known, Album(None), "rivals")
+    with staged_output(out, force=force) as partial:
+        found = beside(systems, known, Album(partial / "figures"), "rivals")
+        (partial / "index.html").write_text(render_beside(stage.folder.resolve().name, found))
+        write_pairs(systems, partial / "rivals")
+        write_json(partial / "metrics.json", found.metrics)
+        inputs = {"ours": folder, **inputs_of(files)}
+        write_manifest(partial, "compare", command, inputs, wall_s=watch.seconds())
+    return found

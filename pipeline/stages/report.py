@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.rivals import RivalFiles
+from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
 from turtlebag.pipeline.terminal.messages import drawing
+from turtlebag.reports.beside import beside, write_pairs
 from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.index import index_lines, shown_outputs
 from turtlebag.reports.layout import viewer_layouts
+from turtlebag.reports.metrics.systems import Known
 from turtlebag.reports.page import render, render_index
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.tables import write_tables
@@ -23,6 +28,7 @@ def make_report(
     folders: Sequence[Path],
     out: Path,
     *,
+    rivals: Sequence[RivalFiles] = (),
     force: bool = False,
     animate: bool = True,
     paper: bool = False,
@@ -34,27 +40,33 @@ def make_report(
 
     `folders` are finished outputs of record, map and navigate in any number and order; those that
     share a world or data files by hash are shown together. `paper` adds each figure as PDF and SVG.
-    InputError for anything that is not such an output.
+    `rivals` are shown beside ours. InputError for anything that is not such an output, and for rivals
+    on more than one world or log.
     """
     watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
-    with staged_output(out, force=force, inputs=folders) as partial:
+    known, systems = measured_in(groups, rivals) if rivals else (Known(), [])
+    files = inputs_of(rivals)
+    with staged_output(out, force=force, inputs=[*folders, *files.values()]) as partial:
         with drawing() as told:
             album = Album(partial / "figures", animate=animate, paper=paper, told=told)
             chapters = [build_chapter(group, album) for group in groups]
+            if systems:
+                shown = beside(systems, known, album, f"{chapters[0].anchor}-rivals")
+                chapters = [replace(chapters[0], beside=shown)]
+                write_pairs(systems, partial / "rivals")
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")
         stages = [stage for group in groups for stage in group.stages]
         for name, layout in viewer_layouts(stages).items():
             (partial / name).write_text(layout)
-        numbers = {
-            chapter.name: {part.stage.label: part.metrics for part in chapter.parts} for chapter in chapters
-        }
+        numbers = {chapter.name: chapter.metrics for chapter in chapters}
         write_json(partial / "metrics.json", numbers)
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
         # A report moved together with its inputs still finds them.
         places = {name: os.path.relpath(folder, out) for name, folder in inputs.items()}
-        write_manifest(partial, "report", command, inputs, wall_s=watch.seconds(), extra={"folders": places})
+        extra = {"folders": places, "rivals": remembered(rivals, out)}
+        write_manifest(partial, "report", command, inputs | files, wall_s=watch.seconds(), extra=extra)
     return out / "index.html"
 
 

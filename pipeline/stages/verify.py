@@ -6,7 +6,7 @@ import difflib
 import html
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from turtlebag.pipeline.stages.recompute import (
     truth_disagreement,
 )
 from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
+from turtlebag.pipeline.stages.verify_rivals import measured_again, unit_of
+from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
@@ -33,6 +35,7 @@ from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
 from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import (
+    MARK,
     Group,
     Stage,
     changed_files,
@@ -65,6 +68,8 @@ def stage_folders(report: Path) -> list[Path]:
         raise InputError(f"{report}: is a {manifest.stage} output, not a report")
     folders = []
     for label, entry in manifest.inputs.items():
+        if label.startswith(MARK):
+            continue
         for candidate in (report / manifest.folders.get(label, ""), entry.path):
             if (candidate / "manifest.json").is_file():
                 folders.append(candidate)
@@ -102,8 +107,11 @@ def verify(report: Path, run: Run | None = None) -> Verification:
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
             _check_stage(stage, group, metrics, places, again, found)
+    rivals, done, problems = measured_again(report, read_manifest(report / "manifest.json"), groups, reported)
+    found.checks += done
+    found.problems += problems + [_differs(check) for check in done if not check.agrees]
     _check_page(_file(report, "index.html"), found)
-    _check_texts(_file(report, "index.html"), groups, found)
+    _check_texts(_file(report, "index.html"), groups, rivals, found)
     return found
 
 
@@ -158,9 +166,11 @@ def _check_stage(
         left = _unknown(name, metrics, done)
     found.checks += done
     found.unchecked += left
-    for check in done:
-        if not check.agrees:
-            found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
+    found.problems += [_differs(check) for check in done if not check.agrees]
+
+
+def _differs(check: Check) -> str:
+    return f"{check.key}: reported {check.reported}, computed {check.found}"
 
 
 def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]:
@@ -213,7 +223,7 @@ def _check_page(page: Path, found: Verification) -> None:
             found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
 
 
-def _check_texts(page: Path, groups: list[Group], found: Verification) -> None:
+def _check_texts(page: Path, groups: list[Group], rivals: Beside | None, found: Verification) -> None:
     """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
     text = page.read_text()
     computed = {check.key: check.found for check in found.checks if not check.agrees}
@@ -225,6 +235,8 @@ def _check_texts(page: Path, groups: list[Group], found: Verification) -> None:
             for stage in group.stages
         }
         chapters.append(build_chapter(group, album, measured))
+    if rivals is not None:
+        chapters = [replace(chapters[0], beside=rivals)]
     said, expected = words_of(text), words_of(render(chapters, groups))
     changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
     for kind, a0, a1, b0, b1 in changes:
@@ -262,6 +274,8 @@ def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
 
 def _unit(key: str) -> str | None:
     path = key.partition(":")[2]
+    if path.startswith("systems."):
+        return unit_of(path)
     last = path.rpartition(".")[2]
     if path.startswith("goals."):
         return GOAL_UNITS.get(last)

@@ -49,10 +49,11 @@ def map_save(run: Run, deed: inputs.MapSave) -> str:
         if not mapper.ready:
             raise InputError("map_save: too little was mapped so far; drive on a little")
         grid = mapper.finish()
-        run.room.tee.map(run.stamp_ns, grid)
     if grid is None:
         raise InputError("map_save: there is no map; start mapping and drive, or load one")
     shelf.save_map(deed.name, grid, run.keepout)
+    if mapper is not None:
+        run.room.tee.map(run.stamp_ns, grid)
     return f"map {deed.name} saved"
 
 
@@ -181,7 +182,7 @@ def keep_out(run: Run, deed: inputs.Keepout) -> str:
                 raise InputError(f"keepout {number}: lies outside the map; draw it on the map")
         run.pilot.keep_out(costmap)
     run.keepout = keepout
-    return f"{len(keepout)} places to keep out of"
+    return f"{len(keepout)} {'place' if len(keepout) == 1 else 'places'} to keep out of"
 
 
 DEEDS: dict[type[Any], Callable[[Run, Any], str]] = {

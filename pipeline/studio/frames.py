@@ -22,8 +22,18 @@ from turtlebag.pipeline.studio.tiles import GridTiles
 from turtlebag.pipeline.studio.view import BagMarks, Scene, View
 from turtlebag.pipeline.terminal.keyboard import STEP_V, STEP_W
 
-COLUMNS = {"scan": 2, "particles": 3, "plan": 2, "local": 2, "boxes": 4}
+COLUMNS = {
+    "scan": 2,
+    "particles": 3,
+    "plan": 2,
+    "local": 2,
+    "boxes": 4,
+    "mover_segments": 4,
+    "mover_circles": 3,
+}
 """Blobs that are sent whole when they change: what one row holds."""
+SHOWN_BY = {"mover_segments": "ghost", "mover_circles": "ghost"}
+"""Layers that show blobs of another name."""
 PATHS = {"odom_path": "odom_path", "slam_path": "slam_path", "true_path": "ghost"}
 """Blobs that grow at their end, and the layers that they are shown by."""
 GRIDS = {"map": 255, "costmap": 0}
@@ -180,7 +190,7 @@ class Frames:
 
     def _changed(self, name: str, value: object) -> bool:
         """Whether to send it: it is wanted, and another object than was sent last. Then it counts as sent."""
-        return self._wanted(name) and self._is_new(name, value)
+        return self._wanted(SHOWN_BY.get(name, name)) and self._is_new(name, value)
 
     def _is_new(self, name: str, value: object) -> bool:
         known = self._sent.get(name)

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tornado.netutil import bind_sockets
 from tornado.web import HTTPError, RequestHandler
@@ -144,6 +145,11 @@ class Guarded(RequestHandler):
         """One line of plain text."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {self._reason}\n")
+
+    def log_exception(self, kind: Any, error: Any, trace: Any) -> None:
+        """What is refused is the client's concern: the terminal tells of our own faults alone."""
+        if not isinstance(error, HTTPError):
+            super().log_exception(kind, error, trace)
 
     @property
     def _guard(self) -> Guard:

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from turtlebag.datasets.errors import InputError
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-Coordinate = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
-Speed = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(strict=True, ge=-1e4, le=1e4, allow_inf_nan=False)]
+Speed = Annotated[float, Field(strict=True, ge=-100.0, le=100.0, allow_inf_nan=False)]
 Point = tuple[Coordinate, Coordinate]
 Pose = tuple[Coordinate, Coordinate, Coordinate]
 """x, y [m] and yaw [rad] in the map frame."""
@@ -105,7 +105,7 @@ class Stopover(_Input):
     """A place of a patrol, and how long to stay there [s]; without `wait`, as long as patrols do."""
 
     pose: Pose
-    wait: Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)] | None = None
+    wait: Annotated[float, Field(strict=True, ge=0.0, le=3600.0, allow_inf_nan=False)] | None = None
 
 
 Stopovers = Annotated[list[Stopover], Field(min_length=1, max_length=MOST_WAYPOINTS)]
@@ -116,7 +116,7 @@ class Patrol(_Input):
 
     do: Literal["patrol"] = "patrol"
     waypoints: Stopovers
-    laps: Annotated[int, Field(ge=1, le=1000)] = 1
+    laps: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
 
 
 class WaypointsSave(_Input):
@@ -170,7 +170,7 @@ class DropBox(_Input):
 
     do: Literal["box"] = "box"
     xy: Point
-    size: Annotated[float, Field(ge=0.05, le=2.0, allow_inf_nan=False)] = 0.3
+    size: Annotated[float, Field(strict=True, ge=0.05, le=2.0, allow_inf_nan=False)] = 0.3
 
 
 class Keepout(_Input):
@@ -184,7 +184,7 @@ class Seek(_Input):
     """Go on with the bag from this time after its start [s]."""
 
     do: Literal["seek"] = "seek"
-    t: Annotated[float, Field(ge=0.0, le=1e7, allow_inf_nan=False)]
+    t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
 
 
 class MapBuild(_Input):
@@ -193,7 +193,7 @@ class MapBuild(_Input):
     do: Literal["map_build"] = "map_build"
 
 
-ScanNumber = Annotated[int, Field(ge=0, le=10**8)]
+ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 
 
 class LoopShow(_Input):

@@ -169,14 +169,16 @@ class Session:
     def _record(self, name: str) -> str:
         if self._bag is not None:
             raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
-        setup, tee = self.setup, self._room.tee
+        setup, tee, folder = self.setup, self._room.tee, self._folder / "bags" / name
+        if folder.exists():
+            raise InputError(f"record: there is a bag {name} already; choose another name")
         custom = {
             "seed": str(setup.seed),
             "config_sha256": sha256_text(config_text(setup.config)),
             "world": setup.arena.name,
             "task": "studio",
         }
-        bag = BagWriter(self._folder / "bags" / name, custom=custom)
+        bag = BagWriter(folder, custom=custom)
         self._bag, tee.bag = (name, bag), bag
         bag.static_transforms(self.stamp_ns, static_transforms(setup.spec))
         if tee.grid is not None:
@@ -235,6 +237,8 @@ class Session:
             graph=look.graph(),
             boxes=run.boxes,
             keepout=run.keepout,
+            mover_segments=room.simulator.moving.segments,
+            mover_circles=room.simulator.moving.circles,
             map=look.map(room.tee.grid),
             costmap=look.costmap(),
         )

@@ -236,10 +236,14 @@ class View:
     """Where the robot took itself to be."""
     true_path: Path
     graph: Graph | None
-    boxes: Array
+    boxes: Array | None
     """Boxes that were dropped: (n, 4) x, y of the middle, length along x, width along y."""
     keepout: tuple[Array, ...]
     """Outlines (k, 2) that are kept out of."""
+    mover_segments: Array | None
+    """Of what moves in the true world, for the ghost alone: (n, 4), see `Scene`."""
+    mover_circles: Array | None
+    """(m, 3)."""
     map: MapLayer | None
     costmap: CostLayer | None
     bag: BagMarks | None = None

@@ -66,7 +66,7 @@ def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: T
 
 def error_axis(axis: Axes) -> None:
     """From 0 up, with ticks: linear for small errors, else linear up to 1 and logarithmic beyond."""
-    most = max((float(np.max(line.get_ydata())) for line in axis.get_lines()), default=0.0)
+    most = max((float(np.nanmax(line.get_ydata())) for line in axis.get_lines()), default=0.0)
     if most <= LINEAR_TO:
         axis.yaxis.set_major_locator(MaxNLocator(4))
     else:

@@ -213,6 +213,29 @@ def test_a_world_is_a_class_with_options(here):
         load_world("hals")
 
 
+def test_a_localiser_and_a_back_end_of_ones_own_do_the_work(here, log, monkeypatch):
+    Path(f"{here}_more.py").write_text(
+        "from turtlebag.pipeline.localisation.amcl import Amcl\n"
+        "from turtlebag.pipeline.slam.pose_graph import Gtsam\n"
+        "asked = []\n"
+        "class Mine(Amcl):\n"
+        "    def update(self, *given): asked.append('scan'); return super().update(*given)\n"
+        "class Solver(Gtsam):\n"
+        "    def optimise(self, *given): asked.append('graph'); return super().optimise(*given)\n"
+    )
+    back_end = ["--set", f"back_end={here}_more:Solver"]
+    assert main(["map", str(log), *back_end, "--out", "map", "-q"]) == 0
+    assert main(["map", str(log), "--out", "ours", "-q"]) == 0
+    for name in ("map.pgm", "trajectory.tum", "graph.g2o"):
+        assert Path("map", name).read_bytes() == Path("ours", name).read_bytes()
+    words = ["localise", str(log), "--map", "map/map.yaml", "--initial-pose", "0,0,0", "-q", "--out"]
+    assert main([*words, "found", "--set", f"localiser={here}_more:Mine"]) in (0, 1)
+    manifest = json.loads(Path("found/manifest.json").read_text())
+    assert manifest["parts"] == {"localiser": f"{here}_more:Mine"}
+    assert "localiser" in manifest["inputs"]
+    assert set(sys.modules[f"{here}_more"].asked) == {"scan", "graph"}
+
+
 def test_a_campaign_takes_classes_as_levels():
     campaign = Campaign.model_validate(
         {

@@ -11,8 +11,6 @@ from turtlebag.pipeline.stages.compare import write_comparison
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
-pytestmark = pytest.mark.slow
-
 pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="no Chromium here: `make browser` installs one, or set TURTLEBAG_CHROMIUM"
 )

@@ -76,6 +76,7 @@ def test_scans_that_are_not_there_or_beside_each_other_are_refused():
     [
         ("rejects: []", "rejects: unknown key"),
         ("reject: [{scan: -1, place: 2}]", "reject.0.scan"),
+        ("reject: [{scan: true, place: 2}]", "reject.0.scan"),
         ("add: [{scan: 40, place: 2}]", "add.0.pose"),
         ("add: [{scan: 40, place: 2, pose: [.nan, 0, 0]}]", "add.0.pose.0"),
         ("version: 2", "version"),

@@ -13,10 +13,13 @@ import pytest
 from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
-from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, Case, cases, load_campaign
-from turtlebag.pipeline.campaign.case import run_case
-from turtlebag.pipeline.campaign.table import query, write_parquet
+from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
+from turtlebag.pipeline.campaign.case import Where, run_case
+from turtlebag.pipeline.campaign.cases import Case, cases
+from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.reports.campaign import compare_pairs, summarise
+from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
 
 CAMPAIGN = """
@@ -140,25 +143,28 @@ def test_mistakes_in_a_campaign_are_named(tmp_path, old, new, message):
 
 @pytest.mark.parametrize("sql", ["", ";", "-- nothing"])
 def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
-    write_parquet([{"size": 1}], tmp_path / "runs.parquet")
-    assert query(tmp_path / "runs.parquet", "SELECT size FROM runs") == (["size"], [(1,)])
+    store = Store(str(tmp_path))
+    with pytest.raises(InputError, match="not a finished sweep"):
+        query(store, "SELECT 1")
+    write_table([{"size": 1, "failed": False}], "failed", store)
+    assert query(store, "SELECT size FROM runs") == (["size"], [(1,)])
     with pytest.raises(InputError, match="is empty"):
-        query(tmp_path / "runs.parquet", sql)
+        query(store, sql)
 
 
 def row_of(tmp_path, run=fake_main, **factors):
     commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
     wanted = {"results": {"error_m": "make:error.rmse"}, "keep": ["metrics.json"]}
     campaign = Campaign(name="small", factors={"size": [1]}, stages={"make": "fake"}, **wanted)
-    return run_case(Case(0, "c", factors, commands), campaign, tmp_path / "c", run)
+    where = Where(Store(str(tmp_path)), Store(str(tmp_path / "outputs")), "")
+    return run_case(Case("c", factors, commands), campaign, where, run)[0]
 
 
 def test_a_case_leaves_its_row_and_what_is_to_be_kept(tmp_path):
     row = row_of(tmp_path, size=2)
     assert row == {"case": "c", "size": 2, "failed": False, "error": "", "error_m": pytest.approx(0.202)}
-    assert json.loads((tmp_path / "c/row.json").read_text()) == row
-    assert not (tmp_path / "c/make/big.bin").exists()
-    assert (tmp_path / "c/make/metrics.json").exists()
+    assert json.loads((tmp_path / "rows/c.json").read_text())["row"] == row
+    assert [path.name for path in (tmp_path / "cases/c/make").iterdir()] == ["metrics.json"]
 
 
 @pytest.mark.parametrize(("size", "reason"), [(98, "turtlebag: bad size 98"), (99, "RuntimeError: a defect")])
@@ -167,11 +173,6 @@ def test_a_case_that_breaks_says_why_and_has_no_numbers(tmp_path, size, reason):
     assert row["failed"]
     assert row["error"] == f"make: {reason}"
     assert row["error_m"] is None
-
-
-def test_a_finished_case_is_not_run_again(tmp_path):
-    first = row_of(tmp_path, size=2)
-    assert row_of(tmp_path, lambda argv: pytest.fail("ran again"), size=2) == first
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +190,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
     assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
     names, rows = query(
-        tmp_path / "out/results.parquet",
+        Store(str(tmp_path / "out")),
         "SELECT size, median(error_m) AS m, "
         "count(*) FILTER (failed) AS f FROM runs GROUP BY size ORDER BY size",
     )
@@ -210,7 +211,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     assert pair["found"]["difference"]["value"] == pytest.approx(0.1)
     assert pair["found"]["difference"]["n"] == 8
     with pytest.raises(InputError):
-        query(tmp_path / "out/results.parquet", "SELECT nothing FROM runs")
+        query(Store(str(tmp_path / "out")), "SELECT nothing FROM runs")
 
 
 @pytest.mark.slow
@@ -229,7 +230,7 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
     monkeypatch.setattr("turtlebag.pipeline.campaign.sweep.track", stopped)
     with pytest.raises(KeyboardInterrupt):
         sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler)
-    done = len(list((tmp_path / "parts.partial/cases").glob("*/row.json")))
+    done = len(list((tmp_path / "parts.partial/rows").glob("*.json")))
     assert 10 <= done <= 24
     monkeypatch.undo()
     assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler) == 0
@@ -261,7 +262,7 @@ def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler)
     shared = list((tmp_path / "together/shared").iterdir())
     assert len(shared) == 12
     assert {path.name for path in shared[0].iterdir()} == {"metrics.json", "manifest.json"}
-    assert not (tmp_path / "together/cache").exists()
+    assert not (tmp_path / "together/outputs").exists()
 
 
 def test_without_a_terminal_lines_say_how_much_is_left(monkeypatch, caplog):
@@ -270,7 +271,7 @@ def test_without_a_terminal_lines_say_how_much_is_left(monkeypatch, caplog):
     monkeypatch.setattr(sweep, "TELL_S", -1.0)
     monkeypatch.setattr(sweep.Stopwatch, "seconds", lambda watch: 600.0)
     with caplog.at_level("INFO", logger="turtlebag"):
-        assert list(sweep._told(iter([{"case": "a"}, {"case": "b"}]), 4)) == [{"case": "a"}, {"case": "b"}]
+        assert list(sweep._told(iter([({"case": "a"}, 1.0), ({"case": "b"}, 2.0)]), 4))[1][0] == {"case": "b"}
     assert [record.message for record in caplog.records] == [
         "1 of 4 cases, about 30 min left",
         "2 of 4 cases, about 10 min left",
@@ -296,14 +297,15 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
     for _ in range(2):
         with claimed(arguments[1]) as claim:
-            folder = sweep._work_folder(load_campaign(arguments[0]), claim)
-            (folder / "cases/row").write_text("old")
+            sweep._begin(Store(str(claim.partial)), load_campaign(arguments[0]), force=False)
+            (claim.partial / "rows").mkdir(exist_ok=True)
+            (claim.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
         sweep.sweep(*arguments, scheduler=scheduler)
-    assert (folder / "cases/row").exists()
+    assert (tmp_path / "out.partial/rows/old.json").exists()
     assert sweep.sweep(*arguments, scheduler=scheduler, force=True) == 0
-    assert not (arguments[1] / "cases/row").exists()
+    assert not (arguments[1] / "rows").exists()
     assert not (arguments[1] / sweep.MARK).exists()
 
 
@@ -334,6 +336,20 @@ def test_the_median_interval_covers_the_true_median_about_as_often_as_it_says():
         found = median_interval(rng.exponential(size=30), rng)
         hits += found.low <= math.log(2.0) <= found.high
     assert 85 <= hits <= 100
+
+
+def test_the_interval_of_many_values_is_that_of_the_resamples(monkeypatch):
+    rng = np.random.default_rng(6)
+    values = rng.exponential(size=2001)
+    drawn = median_interval(values, rng)
+    monkeypatch.setattr(statistics, "LARGE", 2000)
+    reckoned = median_interval(values, rng)
+    assert (reckoned.n, reckoned.value) == (drawn.n, drawn.value)
+    width = drawn.high - drawn.low
+    assert abs(reckoned.low - drawn.low) < 0.1 * width
+    assert abs(reckoned.high - drawn.high) < 0.1 * width
+    many = median_interval(rng.exponential(size=1_000_000), rng)
+    assert many.high - many.low == pytest.approx(2 * 1.96 / 1000.0, rel=0.1)  # what theory says
 
 
 def test_wilsons_interval_is_the_published_one():

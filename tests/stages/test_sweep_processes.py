@@ -1,4 +1,4 @@
-"""Campaigns in processes of their own: killed and started again, on a scheduler with two workers."""
+"""Campaigns in processes of their own: killed and started again, on a scheduler with four workers."""
 
 import os
 import signal
@@ -11,6 +11,8 @@ import distributed
 import pytest
 
 from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.campaign.table import query
 
 pytestmark = pytest.mark.slow
 
@@ -21,16 +23,24 @@ factors: {size: [1, 2, 3, 4, 5, 6], seed: {first: 1, last: 3}}
 stages: {make: "fake --size {size} --seed {seed}"}
 results: {error_m: "make:error"}
 """
+SHARED = CAMPAIGN.replace("{make:", '{base: "base --size {size} --seed 0", make:') + "shared: [base]\n"
 # Loaded by the command and by every worker: stages that take a moment and say which process ran them.
 STAND_IN = """
 import os, sys, time
 from pathlib import Path
+from turtlebag.pipeline.campaign import leases
 from turtlebag.datasets.outputs import write_json, write_manifest
+
+leases.LEASE_S, leases.BEAT_S = 2.0, 0.3
 
 def main(argv):
     out = Path(argv[argv.index("--out") + 1])
+    note = Path(os.environ["RAN"], f"{os.getpid()}-{argv[0]}-{argv[2]}-{argv[4]}-{time.monotonic_ns()}")
+    if argv[0] == "base":
+        note.with_suffix(".begun").touch()
+        time.sleep(0.5)
     time.sleep(0.15)
-    Path(os.environ["RAN"], f"{os.getpid()}-{out.parent.name}-{time.monotonic_ns()}").touch()
+    note.touch()
     if argv[2] == "6" and argv[4] == "3":
         raise RuntimeError("a defect")
     out.mkdir(parents=True, exist_ok=True)
@@ -42,7 +52,7 @@ if __name__ == "__main__":
     from turtlebag.pipeline.campaign.sweep import sweep
     from turtlebag.pipeline.terminal.messages import set_verbosity
     set_verbosity(0)
-    options = {"scheduler": sys.argv[3]} if len(sys.argv) > 3 else {"workers": 1}
+    options = {"scheduler": sys.argv[3], "store": sys.argv[4]} if len(sys.argv) > 3 else {"workers": 1}
     sys.exit(sweep(sys.argv[1], Path(sys.argv[2]), main, **options))
 """
 
@@ -56,13 +66,13 @@ def place(tmp_path):
     return tmp_path
 
 
-def start(place, *words):
+def start(place, *words, at=None):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RAN": str(place / "ran")}
     with (place / "log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, *map(str, words)],
             env=environment,
-            cwd=place,
+            cwd=at or place,
             stdout=log,
             stderr=log,
             start_new_session=True,
@@ -78,7 +88,7 @@ def wait_until(true, process, seconds=120.0):
 
 
 def rows(folder):
-    return len(list(folder.glob("cases/*/row.json")))
+    return len(list(folder.glob("rows/*.json")))
 
 
 def undisturbed(place, monkeypatch):
@@ -122,7 +132,17 @@ def test_a_killed_campaign_goes_on_where_it_was_and_ends_in_the_same_bytes(place
     assert "parts: 18 cases, 1 failed" in said
 
 
-def test_a_scheduler_with_two_workers_survives_the_loss_of_one(place):
+def begun(place):
+    """Shared outputs that are under way: process and which, of those that have begun and not ended."""
+    names = [path.name for path in (place / "ran").iterdir()]
+    ended = {name for name in names if not name.endswith(".begun")}
+    return [
+        tuple(name.split("-")[:3:2]) for name in names if name.endswith(".begun") and name[:-6] not in ended
+    ]
+
+
+def test_four_workers_with_nothing_but_a_store_in_common_survive_the_loss_of_one(place):
+    (place / "small.yaml").write_text(SHARED)
     scheduler = start(
         place,
         "-m",
@@ -136,25 +156,40 @@ def test_a_scheduler_with_two_workers_survives_the_loss_of_one(place):
     workers = []
     try:
         wait_until((place / "where").exists, scheduler)
-        for _ in range(2):
-            options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", "stand_in.py"]
-            workers.append(
-                start(place, "-m", "distributed.cli.dask_worker", "--scheduler-file", "where", *options)
-            )
-        wait_until(lambda: (place / "log").read_text().count("Registered to:") == 2, scheduler)
+        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", "."]
+        options += ["--scheduler-file", place / "where", "--preload", place / "stand_in.py"]
+        for number in range(4):
+            own = place / f"worker-{number}"
+            own.mkdir()
+            workers.append(start(place, "-m", "distributed.cli.dask_worker", *options, at=own))
+        wait_until(lambda: (place / "log").read_text().count("Registered to:") == 4, scheduler)
         address = next(
             line.split()[-1] for line in (place / "log").read_text().splitlines() if "Scheduler at:" in line
         )
-        run = start(place, "stand_in.py", "small.yaml", "out", address)
-        wait_until(lambda: rows(place / "out.partial") >= 6, run)
-        os.killpg(workers[0].pid, signal.SIGKILL)
+        run = start(place, "stand_in.py", "small.yaml", "out", address, (place / "store").as_uri())
+        wait_until(lambda: begun(place), run)
+        pid, half_made = begun(place)[0]
+        lost = next(worker for worker in workers if worker.pid == int(pid))
+        os.killpg(lost.pid, signal.SIGKILL)
         assert run.wait(120) == 1
     finally:
         for process in (*workers, scheduler):
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-    ran = {path.name.split("-")[0] for path in (place / "ran").iterdir()}
-    assert ran == {str(worker.pid) for worker in workers}
-    assert rows(place / "out") == 18
+    made = [path.name.split("-")[1:4] for path in (place / "ran").iterdir() if path.suffix != ".begun"]
+    # Each shared output once, that of the lost worker by another; every case, and the broken one as it is.
+    assert sorted(size for stage, size, _ in made if stage == "base") == list("123456")
+    assert (pid, half_made) in begun(place)
+    assert len([stage for stage, *_ in made if stage == "fake"]) == 18
+    _, table = query(Store(str(place / "store/small")), "SELECT size, seed, error_m, failed FROM runs")
+    expected = {
+        (i, k): None if (i, k) == (6, 3) else round(0.1 * i + 0.01 * k, 9)
+        for i in range(1, 7)
+        for k in (1, 2, 3)
+    }
+    assert {(i, k): error and round(error, 9) for i, k, error, _ in table} == expected
+    assert [(i, k) for i, k, _, failed in table if failed] == [(6, 3)]
     assert "out: 18 cases, 1 failed" in (place / "log").read_text()
+    assert {path.name for path in (place / "store").iterdir()} == {".unfinished", "outputs", "small"}
+    assert not list(place.glob("worker-*/**/*.json"))

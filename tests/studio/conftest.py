@@ -27,9 +27,10 @@ def session():
 
 
 @pytest.fixture
-def served(session):
+def served(browser, session):
     with Served(session) as server:
         yield server
+        browser.leave()
     assert server.failure is None
 
 

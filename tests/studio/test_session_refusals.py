@@ -100,7 +100,8 @@ def test_a_bag_at_a_time_and_a_name_only_once(without_map):
     without_map.wait(0.1)
     assert "one is being recorded" in refused(without_map, "record", name="two")
     without_map.do("record_stop")
-    assert "there is a bag already" in refused(without_map, "record", name="one")
+    said = "record: there is a bag one already; choose another name"
+    assert refused(without_map, "record", name="one") == said
     assert without_map.view.recording is None
 
 
@@ -131,6 +132,10 @@ BAD = [
     {"do": "goal", "pose": [0, 0]},
     {"do": "goal", "pose": [0, math.nan, 0]},
     {"do": "goal", "pose": [1e9, 0, 0]},
+    {"do": "goal", "pose": [True, 0, 0]},
+    {"do": "goal", "pose": ["1", 0, 0]},
+    {"do": "drive", "v": False},
+    {"do": "patrol", "waypoints": [{"pose": [0, 0, 0]}], "laps": True},
     {"do": "stop", "now": True},
     {"do": "record", "name": "../up"},
     {"do": "record", "name": ""},

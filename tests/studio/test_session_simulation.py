@@ -121,6 +121,16 @@ def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(tmp
         assert np.linalg.norm(person.view.T_world_base.xy - [-1.5, -0.5]) < 0.25
 
 
+def test_what_moves_in_the_true_world_is_there_for_the_ghost(tmp_path):
+    with at_the_studio(tmp_path / "live", "turtlebot3_world+clutter:7,boxes=0,movers=2") as person:
+        before = person.view
+        person.wait(1.0)
+        after = person.view
+        assert len(before.mover_circles) + len(before.mover_segments) >= 2
+        assert not np.array_equal(before.mover_circles, after.mover_circles)
+        assert len(person.view.boxes) == 0
+
+
 def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, arena_map):
     with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
         start = person.view

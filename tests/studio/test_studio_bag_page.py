@@ -33,7 +33,9 @@ def bag_page(browser, playback):
     with Served(playback) as served:
         open_page(browser, served)
         yield browser
-        assert browser.problems() == []
+        problems = browser.problems()
+        browser.leave()
+    assert problems == []
     assert served.failure is None
 
 

@@ -53,7 +53,9 @@ def matrices(columns):
 def journeys(draw):
     """Views that follow one another: arrays come, stay and go, paths grow or turn over, the map grows."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    now = dict.fromkeys(("scan", "particles", "plan", "local"), None) | {"boxes": np.zeros((0, 4))}
+    now = dict.fromkeys(("scan", "particles", "plan", "local"), None) | {
+        name: np.zeros((0, COLUMNS[name])) for name in ("boxes", "mover_segments", "mover_circles")
+    }
     paths = {name: Path(0, np.zeros((0, 2))) for name in ("odom_path", "slam_path", "true_path")}
     known, graph, keepout = None, None, ()
     views = []

@@ -1,10 +1,7 @@
-"""Those who do not mean well: other programs, other pages, noise, and clients that never read."""
+"""Who is let in: pages and sockets with the token, the host and the origin that are ours, and no others."""
 
-import asyncio
 import os
 import socket
-import time
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -13,9 +10,8 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from tornado.iostream import IOStream
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.studio import frames as frames_module
 from turtlebag.pipeline.studio import server
-from turtlebag.pipeline.studio.guard import Guard, Rate, is_loopback, listen
+from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen
 
 
 @pytest.fixture(scope="module")
@@ -37,18 +33,6 @@ def served(tmp_path_factory):
 
 async def fetch(url, **headers):
     return await AsyncHTTPClient().fetch(url, headers=headers, raise_error=False, follow_redirects=False)
-
-
-def answers(served):
-    """Whether the server still does what it is for."""
-
-    async def watch():
-        client = await connect(served.url)
-        await client.until(lambda p: p.head)
-        client.close()
-
-    run(watch())
-    return True
 
 
 def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
@@ -75,7 +59,7 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
 @pytest.mark.parametrize(
     "query", ["", "?token=", "?token=wrong", "?token=%00%ff", "?token={}x", "?token={}&token=x"]
 )
-def test_without_the_token_there_is_neither_page_nor_socket(served, query):
+def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplog):
     async def attempt():
         query_ = query.format(served.guard.token)
         page = await fetch(f"{served.place}/{query_}")
@@ -85,6 +69,7 @@ def test_without_the_token_there_is_neither_page_nor_socket(served, query):
             await connect(f"{served.place}/{query_}")
 
     run(attempt())
+    assert caplog.text == ""  # nobody can fill the terminal
 
 
 @pytest.mark.parametrize(
@@ -165,203 +150,6 @@ def test_there_is_nothing_to_be_sent_but_by_the_socket(served, method):
     run(attempt())
 
 
-MALFORMED = (
-    "", "x", "[]", "null", '"drive"', "{}", '{"do": 1}', '{"do": "shutdown"}', '{"do": ["drive"]}',
-    "[" * 60_000, '{"do": "drive", "v": ' + "9" * 5000 + "}", "\0", b"\x00\x01", b"{}",
-    '{"do": "stop"}' + " " * 65_536,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("message", MALFORMED, ids=range(len(MALFORMED)))
-def test_a_message_that_no_page_sends_ends_the_socket_with_a_reason(served, message):
-    async def attempt():
-        client = await connect(served.url)
-        await client.until(lambda p: p.head)
-        client.send(message)
-        with pytest.raises(EOFError, match=r"a message|messages are"):
-            await client.until(lambda p: False)
-        assert client.code == 1008
-
-    run(attempt())
-    assert answers(served)
-
-
-@pytest.mark.parametrize(
-    ("message", "said"),
-    [
-        ('{"do": "drive", "v": NaN, "w": 0}', "drive: v"),
-        ('{"do": "drive", "v": 1e999, "w": 0}', "drive: v"),
-        ('{"do": "drive", "x": 1}', "unknown key"),
-        ('{"do": "map_save", "name": "../../etc/passwd"}', "name"),
-        ('{"do": "record", "name": "a/b"}', "name"),
-        ('{"do": "goal", "pose": [1]}', "pose"),
-        ('{"do": "speed", "factor": -1}', "speed"),
-        ('{"do": "layers", "layers": ' + str(["x"] * 100).replace("'", '"') + "}", "layers"),
-    ],
-)
-def test_values_that_make_no_sense_are_refused_in_one_line(served, message, said):
-    async def attempt():
-        client = await connect(served.url)
-        await client.until(lambda p: p.head)
-        client.send(message)
-        await client.read_for(0.4)
-        client.close()
-        return client.picture.errors
-
-    errors = run(attempt())
-    assert all("\n" not in error and len(error) < 300 for error in errors)
-    assert said in errors[0]
-
-
-@pytest.mark.slow
-def test_a_giant_message_is_not_even_read(served):
-    async def attempt():
-        client = await connect(served.url)
-        await client.until(lambda p: p.head)
-        client.send("x" * 50_000_000)
-        while await client.next():
-            pass
-
-    run(attempt())
-    assert answers(served)
-
-
-def test_more_messages_than_a_person_sends_end_the_socket(served):
-    async def attempt():
-        client = await connect(served.url)
-        await client.until(lambda p: p.head)
-        for _ in range(200):
-            client.ask("stop")
-        with pytest.raises(EOFError, match="at most 60 messages a second"):
-            await client.until(lambda p: False)
-
-    before = len(served.session.applied)
-    run(attempt())
-    assert len(served.session.applied) - before <= 60
-
-
-@pytest.mark.slow
-def test_random_bytes_end_the_connection_they_come_by(served):
-    async def attempt(seed, opened):
-        noise = np.random.default_rng(seed).bytes(20_000)
-        stream = IOStream(socket.socket())
-        await stream.connect(("127.0.0.1", served.guard.port))
-        if opened:
-            await stream.write(
-                f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
-                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-                "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-            )
-            await stream.read_until(b"\r\n\r\n")
-        await stream.write(noise + b"\r\n\r\n")
-        await asyncio.wait_for(stream.read_until_close(), 10.0)
-
-    for seed in range(10):
-        run(attempt(seed, opened=seed % 2 == 0))
-    assert answers(served)
-
-
-@pytest.mark.slow
-def test_two_hundred_connections_and_sixteen_of_them_watch(served):
-    async def crowd():
-        idle = []
-        for _ in range(200):
-            stream = IOStream(socket.socket())
-            await stream.connect(("127.0.0.1", served.guard.port))
-            idle.append(stream)
-        clients = await asyncio.gather(*(connect(served.url) for _ in range(200)))
-
-        async def watch(client):
-            while client.picture.bye is None and not client.picture.head:
-                await client.next()
-            return client.picture.bye
-
-        said = await asyncio.gather(*map(watch, clients))
-        assert Counter(said) == {None: 16, "16 pages are open already: close one": 184}
-        for client in clients:
-            client.close()
-        for stream in idle:
-            stream.close()
-
-    run(crowd())
-    time.sleep(0.5)
-    assert answers(served)
-
-
-def deaf(served):
-    """A socket that is opened and then never read."""
-    one = socket.create_connection(("127.0.0.1", served.guard.port))
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    one.sendall(
-        f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
-        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-    )
-    return one
-
-
-@pytest.mark.slow
-def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
-    """Each frame is a new map of noise, so that what the system keeps for the deaf is soon full."""
-    rng, frames = np.random.default_rng(0), []
-    session = FakeSession()
-    inner = session.view
-
-    def noisy():
-        from turtlebag.datasets.grid import OccupancyGrid
-        from turtlebag.pipeline.studio.view import MapLayer
-
-        session._map = MapLayer(OccupancyGrid(rng.integers(0, 101, (400, 400)).astype(np.int8), 0.05))
-        return inner()
-
-    session.view = noisy
-    monkeypatch.setattr(frames_module, "GRID_BYTES_A_SECOND", 1e9)
-    encode = server.Frames.frame
-    monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
-
-    async def watch():
-        client = await connect(served.url)
-        await client.read_for(3.0)
-        return client
-
-    with Served(session) as served:
-        silent = [deaf(served) for _ in range(5)]
-        time.sleep(1.0)
-        before = len(frames)
-        client = run(watch())
-        gaps = np.diff(client.arrivals[1:])
-        assert np.median(gaps) < 0.13
-        assert gaps.max() < 0.5
-        # In those three seconds the deaf were not even written for: nothing piles up.
-        assert len(frames) - before < 1.2 * gaps.size + 10
-        assert 0.8 < client.picture.head["factor"] < 1.2
-        begun = time.monotonic()
-        served.stop()
-        assert time.monotonic() - begun < 3.0
-    for one in silent:
-        one.close()
-    assert served.failure is None
-    assert caplog.records == []
-
-
-@pytest.mark.slow
-def test_who_does_not_answer_pings_is_gone(monkeypatch):
-    monkeypatch.setattr(server, "PING_S", 0.3)
-
-    async def come_and_see():
-        client = await connect(served.url)
-        return (await client.until(lambda p: p.head)).head["driver"]
-
-    with Served(FakeSession()) as served:
-        one = deaf(served)
-        time.sleep(0.2)
-        assert not run(come_and_see())
-        # Two pings, and the five seconds that a page is given to close in good order.
-        time.sleep(6.0)
-        assert run(come_and_see())
-        one.close()
-
-
 def test_hosts_that_are_listened_at():
     some = Guard("t", "192.168.1.5", 8000)
     assert some.is_ours("192.168.1.5:8000")
@@ -389,14 +177,6 @@ def test_a_port_or_host_that_cannot_be_had_is_one_line():
         listen("192.0.2.1", 0)
     with pytest.raises(InputError, match=r"^--host no such host"):
         listen("no such host", 0)
-
-
-def test_a_rate_is_of_any_second():
-    now = [0.0]
-    rate = Rate(3, lambda: now[0])
-    assert [rate.exceeded() for _ in range(4)] == [False, False, False, True]
-    now[0] = 1.0
-    assert [rate.exceeded() for _ in range(4)] == [False, False, False, True]
 
 
 def test_a_token_is_long_and_new(served):

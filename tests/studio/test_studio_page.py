@@ -103,6 +103,28 @@ def test_what_is_refused_is_said_where_one_looks_until_the_next_input(page):
     until(lambda: page.evaluate("document.getElementById('error').hidden"))
 
 
+def test_what_takes_long_is_named_while_it_does(page, session):
+    quick = session.tick
+    session.tick = lambda: time.sleep(1.5) or quick()
+    until(lambda: "Computing" in shown_text(page, "pills"))
+    session.tick = quick
+    until(lambda: "Computing" not in shown_text(page, "pills"))
+
+
+def test_the_ghost_s_world_moves(page, session):
+    at, elsewhere = on_screen(page, (0.63, 1.26), (1.37, 1.26))
+    page.evaluate("document.querySelector('[name=layer-ghost]').click()")
+
+    def shade(place):
+        picture = Image.open(io.BytesIO(page.picture())).convert("RGB")
+        return picture.getpixel(tuple(round(value) for value in place))
+
+    before = shade(at)
+    for x, there, gone in ((0.63, at, elsewhere), (1.37, elsewhere, at)):
+        session.told = {"mover_circles": np.array([[x, 1.26, 0.2]])}
+        until(lambda there=there, gone=gone: shade(there) != before and shade(gone) == before)
+
+
 def test_layers_are_turned_off_and_on_and_remembered(page, served):
     (wall,) = on_screen(page, (0.02, 1.5))
 
@@ -183,6 +205,7 @@ def test_the_end_of_the_studio_is_said_with_its_reason(browser, session):
     assert browser.evaluate("document.querySelector('#tools [data-tool=goal]').disabled")
     browser.key("w")
     assert shown_text(browser, "cmd") == "0.00 m/s, 0.0 rad/s"
+    browser.leave()
 
 
 def test_an_empty_session_says_what_to_do_first(browser, session, served):

@@ -106,10 +106,12 @@ def studio(browser, world, out):
         assert process.returncode == 0, complaints
         assert "the session has ended" in shown_text(browser, "broken")
         assert browser.problems() == []
+        browser.leave()
     finally:
         process.kill()
 
 
+@pytest.mark.longest
 def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_path):
     with studio(browser, "turtlebot3_world", tmp_path / "live") as person:
         assert shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D."

@@ -114,7 +114,18 @@ function loop() {
 }
 
 function ghost() {
-  const { world_segments: segments = [], world_circles: circles = [] } = scene.blobs;
+  const { world_segments, world_circles, mover_segments, mover_circles } = scene.blobs;
+  shapes(world_segments, world_circles);
+  stroke(colour.truth, 2);
+  shapes(mover_segments, mover_circles);
+  fill(colour.truth, 0.3);
+  stroke(colour.truth, 2);
+  path("true_path", colour.truth, 4);
+  if (scene.head.true_pose) body(scene.head.true_pose, colour.truth, 0.4);
+}
+
+/** Segments x0, y0, x1, y1 and circles x, y, radius, as one path. */
+function shapes(segments = [], circles = []) {
   pen.beginPath();
   for (let k = 0; k < segments.length; k += 4) {
     pen.moveTo(...toScreen(segments[k], segments[k + 1]));
@@ -125,9 +136,6 @@ function ghost() {
     pen.moveTo(px + radius, py);
     pen.arc(px, py, radius, 0, 2 * Math.PI);
   }
-  stroke(colour.truth, 2);
-  path("true_path", colour.truth, 4);
-  if (scene.head.true_pose) body(scene.head.true_pose, colour.truth, 0.4);
 }
 
 /** The robot's outline at a pose, with a line ahead. */

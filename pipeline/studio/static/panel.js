@@ -49,7 +49,7 @@ export function show(head, deskName) {
   put(byId("pause"), "textContent", head.paused ? "Resume" : "Pause");
   put(byId("pause"), "ariaPressed", String(head.paused));
   if (document.activeElement !== byId("speed")) put(byId("speed"), "value", String(head.asked));
-  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"]]);
+  pills([[head.recording != null, "rec", `Rec ${head.recording}`], [head.mapping, "map", "Mapping"], [head.lost, "bad", "Not sure"], [head.busy, "busy", busyWith(head.busy)]]);
   text("mapping", head.mapping ? "Stop mapping" : "Start mapping");
   put(byId("mapping"), "disabled", bagged() && head.state === "at its end" && !head.mapping);
   put(byId("mapping").dataset, "on", String(head.mapping));
@@ -81,6 +81,9 @@ export function allow(may) {
 }
 
 const following = (name) => name.replace(/(\d*)$/, (digits) => digits ? Number(digits) + 1 : "_2");
+
+/** What takes the session more than a second. */
+const busyWith = (what) => what === "tick" ? "Computing …" : `Busy: ${what?.replaceAll("_", " ")} …`;
 
 function placeOf({ map, localised, sure, lost, mapping }) {
   if (lost) return lost;

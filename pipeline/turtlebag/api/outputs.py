@@ -110,6 +110,11 @@ def optional(path: types.Trajectory | None, frame: str) -> Trajectory | None:
     return None if path is None else Trajectory.of(path, frame)
 
 
+def told(stage: Stage | None, what: str) -> str | None:
+    """World or robot of a recording or run, as the command names it; None where it is not known."""
+    return None if stage is None else stage.option(what) or stage.fact(what)
+
+
 class Bag(Output):
     """A recording: what `record` wrote, or any bag or log that `map` reads (.mcap, .db3, .bag, CARMEN)."""
 
@@ -125,12 +130,12 @@ class Bag(Output):
     @property
     def world(self) -> str | None:
         """The world it was recorded in, where it is known."""
-        return None if self.stage is None else self.stage.fact("world")
+        return told(self.stage, "world")
 
     @property
     def robot(self) -> str | None:
         """The robot that recorded it, where it is known."""
-        return None if self.stage is None else self.stage.fact("robot")
+        return told(self.stage, "robot")
 
     @cached_property
     def recording(self) -> types.Recording:
@@ -235,21 +240,21 @@ class Map(Output):
     @property
     def world(self) -> str | None:
         """The world that was mapped, where it is known."""
-        return None if self._bag is None else self._bag.world
+        return told(self._source, "world")
 
     @property
     def robot(self) -> str | None:
         """The robot that saw it, where it is known."""
-        return None if self._bag is None else self._bag.robot
+        return told(self._source, "robot")
 
     @cached_property
-    def _bag(self) -> Bag | None:
-        """The recording that it was made from, where that still is in its place."""
+    def _source(self) -> Stage | None:
+        """The recording or run that it was made from, where that still is in its place."""
         source = None if self.stage is None else self.stage.input_paths().get("source")
         if source is None:
             return None
         record = next((at for at in (source, source.parent) if (at / "manifest.json").is_file()), None)
-        return None if record is None or load_stage(record).kind != Bag.kind else Bag(record)
+        return None if record is None else load_stage(record)
 
     def _title(self) -> str:
         return "Map" if self.world is None else f"Map of {self.world}"

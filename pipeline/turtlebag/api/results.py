@@ -17,6 +17,7 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.draw_localise import read_path
+from turtlebag.reports.numbers import shown
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest
 
 GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
@@ -90,9 +91,9 @@ class Run(_OnAMap):
         found = self.metrics
         error = found.get("localisation_error_m")
         return {
-            "drove": f"{found['distance_m']:.1f} m in {found['time_s']:.0f} s",
-            **({"localised": f"{100 * error['rmse']:.1f} cm RMSE"} if error else {}),
-            "clearance": f"{100 * found['min_clearance_m']:.0f} cm at least",
+            "drove": f"{shown(found.get('distance_m'), 'm')} in {shown(found.get('time_s'), 's')}",
+            **({"localised": f"{shown(error['rmse'], 'cm')} RMSE"} if error else {}),
+            "clearance": f"{shown(found.get('min_clearance_m'), 'cm')} at least",
         }
 
     def _picture(self) -> str:

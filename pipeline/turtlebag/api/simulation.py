@@ -93,6 +93,10 @@ class Simulator:
         """Distance from the robot to the nearest thing [m]."""
         return self._simulator.clearance()
 
+    def reseed(self, seed: int) -> None:
+        """From the next reset on, all chance is that of another seed."""
+        self._simulator.seed = require_seed(seed)
+
     def reset(self, start: Pose | None = None) -> Observation:
         """Start again, at another true pose if one is given; InputError for one in an obstacle."""
         with in_python():

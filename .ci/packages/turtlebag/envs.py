@@ -1,0 +1,1 @@
+../../../pipeline/turtlebag/envs.py

@@ -1,0 +1,184 @@
+"""How campaigns scale: what a case costs that does nothing, a second core, a question to a million rows.
+
+python -m benchmarks.sweep [PART ...] [--cases N] [--rows N] [--out DIR]
+
+Parts:
+  overhead  empty cases on a scheduler with two workers, each a process: milliseconds a case, and the memory
+            of the scheduler and of the command as they come
+  speedup   maps of one drive, by one worker and by two, each of one thread
+  query     the table of a million rows: how long it takes to write, and to ask
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from benchmarks.rows import Row, write
+from turtlebag.pipeline.campaign.campaign_file import Campaign
+from turtlebag.pipeline.campaign.case import Run, Where
+from turtlebag.pipeline.campaign.cases import cases
+from turtlebag.pipeline.campaign.engine import run_cases
+from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.campaign.table import query, write_table
+from turtlebag.pipeline.cli.main import main as turtlebag
+
+WORKERS = 2
+MAPS = 24
+SQL = "SELECT front_end, median(error_m), count(*) FILTER (failed) FROM runs GROUP BY front_end"
+
+
+def nothing(argv: list[str]) -> int:
+    """A stage that does nothing but leave the least that an output holds."""
+    out = Path(argv[argv.index("--out") + 1])
+    out.mkdir(parents=True)
+    (out / "metrics.json").write_text('{"n": 1}')
+    (out / "manifest.json").write_text("{}")
+    return 0
+
+
+def megabytes(pid: int) -> float:
+    """Memory that a process holds [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@contextmanager
+def cluster(workers: int, folder: Path) -> Iterator[tuple[str, int]]:
+    """A scheduler and its workers as processes of their own: its address and its process."""
+    where = folder / f"scheduler-{workers}.json"
+    options = ["--scheduler-file", str(where), "--no-dashboard"]
+    one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(name: str, *more: str) -> None:
+        words = [sys.executable, "-m", f"distributed.cli.dask_{name}", *options, *more]
+        with (folder / "log").open("ab") as log:
+            started.append(subprocess.Popen(words, stdout=log, stderr=log, env={**os.environ, **one}))
+
+    try:
+        start("scheduler", "--port", "0")
+        while not where.exists():
+            time.sleep(0.1)
+        for number in range(workers):
+            start("worker", "--nthreads", "1", "--no-nanny", "--local-directory", str(folder / str(number)))
+        yield json.loads(where.read_text())["address"], started[0].pid
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
+
+
+def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
+    """Seconds since the first case was done, and the memory of the scheduler and of this process, at each of
+    so many parts of the campaign."""
+    runs = Store(str(folder / "store" / str(workers)))
+    todo = cases(campaign)
+    with cluster(workers, folder) as (address, scheduler):
+        where = Where(runs, runs.below("outputs"), "")
+        found = run_cases(campaign, todo, where, run, folder, scheduler=address)
+        kept = [next(found)]  # the workers have started and loaded what they need
+        start = time.perf_counter()
+        for done, item in enumerate(found, start=1):
+            kept.append(item)
+            assert not item[0]["failed"], item[0]["error"]
+            if done % max((len(todo) - 1) // parts, 1) == 0:
+                yield {
+                    "cases": done,
+                    "wall_s": time.perf_counter() - start,
+                    "scheduler_mb": megabytes(scheduler),
+                    "command_mb": megabytes(os.getpid()),
+                }
+
+
+def overhead(count: int, folder: Path) -> list[Row]:
+    """Empty cases: milliseconds of a worker for each."""
+    campaign = Campaign.model_validate(
+        {
+            "name": "empty",
+            "factors": {"n": {"first": 1, "last": count}},
+            "stages": {"nothing": "nothing {n}"},
+            "results": {"n1": "nothing:n"},
+        }
+    )
+    rows = list(timed(campaign, nothing, WORKERS, folder, 10))
+    return [{**row, "ms_a_case": 1000.0 * WORKERS * row["wall_s"] / row["cases"]} for row in rows]
+
+
+def speedup(folder: Path) -> list[Row]:
+    """Maps of one drive by one worker and by two."""
+    drive = folder / "drive"
+    words = ["record", "--world", "turtlebot3_world", "--teleop", "tour", "--seed", "1", "--quiet"]
+    assert turtlebag([*words, "--out", str(drive)]) == 0
+    campaign = Campaign.model_validate(
+        {
+            "name": "maps",
+            "bags": [str(drive)],
+            "factors": {"n": {"first": 1, "last": MAPS}},
+            "stages": {"map": "map {bag} --set occupancy.resolution_m={n:0.05+0*x}"},
+            "results": {"scans": "map:scans"},
+        }
+    )
+    rows = []
+    for workers in (1, WORKERS):
+        row = list(timed(campaign, turtlebag, workers, folder, 1))[-1]
+        rows.append({"workers": workers, "cases": row["cases"], "wall_s": row["wall_s"]})
+    return [{**row, "speed_up": rows[0]["wall_s"] / row["wall_s"]} for row in rows]
+
+
+def queried(count: int, folder: Path) -> list[Row]:
+    """A table of so many rows, written and asked."""
+    ends = ("lines", "kiss_icp", "wheels")
+    rows = [
+        {
+            "case": f"{k:016x}",
+            "bag": f"s3://lab/2026-{k % 365:03d}/{k}.mcap",
+            "front_end": ends[k % 3],
+            "failed": k % 97 == 0,
+            "error": "map: no /scan" if k % 97 == 0 else "",
+            "error_m": None if k % 97 == 0 else (k * 7919 % 10007) / 1e5,
+        }
+        for k in range(count)
+    ]
+    store = Store(str(folder / "table"))
+    start = time.perf_counter()
+    write_table(rows, "front_end", store)
+    written_s = time.perf_counter() - start
+    start = time.perf_counter()
+    query(store, SQL)
+    asked_s = time.perf_counter() - start
+    size = sum(path.stat().st_size for path in (folder / "table").rglob("*.parquet"))
+    return [{"rows": count, "write_s": written_s, "query_s": asked_s, "mb": size / 1e6}]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Measure what is asked for, print and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help="these parts (default: all)")
+    parser.add_argument("--cases", type=int, default=10_000, metavar="N", help="empty cases")
+    parser.add_argument("--rows", type=int, default=1_000_000, metavar="N", help="rows of the table")
+    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/sweep"))
+    args = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
+        parts = {
+            "overhead": lambda: overhead(args.cases, Path(scratch)),
+            "speedup": lambda: speedup(Path(scratch)),
+            "query": lambda: queried(args.rows, Path(scratch)),
+        }
+        if wrong := [name for name in args.parts if name not in parts]:
+            parser.error(f"no part {wrong[0]!r}: there are {', '.join(parts)}")
+        args.out.mkdir(parents=True, exist_ok=True)
+        for name in args.parts or parts:
+            write(args.out, name, parts[name]())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""Bags and logs behind a URL: what mapping needs of them, brought to a folder of this machine.
+
+An mcap is read by ranges (`mcap_ranges`); every other file, and an mcap without an index, is fetched whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from turtlebag.datasets.bags.mcap_ranges import partial_mcap
+from turtlebag.datasets.bags.mcap_scan import Damage, McapChannel
+from turtlebag.datasets.bags.source import SUFFIXES, TRUTH_PREFIX
+from turtlebag.datasets.bags.storage import full_type
+from turtlebag.datasets.bags.topics import CLOUD, IMU, METADATA_FILE, ODOMETRY, SCAN, TRANSFORMS
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.urls import filesystem, is_local, reason_of
+
+_NEEDED = (SCAN, ODOMETRY, IMU, *TRANSFORMS)
+
+
+def brought(url: str, folder: Path, topics: Collection[str] = ()) -> Path:
+    """The bag or log at `url` on this machine: where it is, if it is here, else brought into `folder`.
+
+    Of an mcap come the topics that mapping reads: point clouds only where there is no LaserScan, or their
+    topic is one of `topics`. A folder comes with its metadata and its storage files. InputError when there
+    is nothing at the URL or it cannot be read.
+    """
+    files, path = filesystem(url)
+    if is_local(files):
+        return Path(path)
+    place = folder / path.rpartition("/")[2]
+    try:
+        if not files.exists(path):
+            raise InputError(f"{url}: no such file or folder")
+        if not files.isdir(path):
+            _bring(files, path, place, topics)
+            return place
+        place.mkdir(parents=True)
+        inner = f"{path}/bag" if files.isdir(f"{path}/bag") else path
+        for name in (str(found).rpartition("/")[2] for found in files.ls(inner, detail=False)):
+            if name == METADATA_FILE or any(suffix in name for suffix in SUFFIXES):
+                _bring(files, f"{inner}/{name}", place / name, topics)
+        return place
+    except InputError:
+        raise
+    except Exception as error:  # a store's client raises whatever its own libraries do
+        raise InputError(f"{url}: cannot be read ({reason_of(error)})") from None
+
+
+def _bring(files: Any, path: str, place: Path, topics: Collection[str]) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if path.endswith(".mcap"):
+        pieces = partial_mcap(
+            lambda start, end: files.cat_file(path, start=start, end=end),
+            files.info(path)["size"],
+            lambda channels: _asked_for(channels, topics),
+        )
+        try:
+            with place.open("wb") as out:
+                out.writelines(pieces)
+            return
+        except Damage:
+            pass  # whoever reads it whole says what is wrong
+    files.get_file(path, str(place))
+
+
+def _asked_for(channels: Mapping[int, McapChannel], topics: Collection[str]) -> list[int]:
+    kinds = {number: full_type(channel.schema.name) for number, channel in channels.items()}
+    planar = SCAN in kinds.values()
+
+    def needed(number: int, kind: str) -> bool:
+        topic = channels[number].topic
+        if kind == CLOUD:
+            return not planar or topic in topics
+        return kind in _NEEDED and not topic.startswith(TRUTH_PREFIX)
+
+    return [number for number, kind in kinds.items() if needed(number, kind)]

@@ -1,0 +1,98 @@
+"""What another system made of a recording: its trajectory, its map or both, under one name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.maps import load_map, map_files
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se3 import inverse, lifted
+from turtlebag.datasets.tracks import Track, read_track
+from turtlebag.datasets.types import Stamps, seconds
+
+OURS = "TurtleBag"
+"""What we are called among systems."""
+OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""From a camera's axes (x right, y down, z forward) to a robot's (x forward, y left, z up)."""
+CLIMB_M = 1.0
+"""No robot on wheels climbs this far, and half as far as it drives."""
+
+
+@dataclass(frozen=True)
+class RivalFiles:
+    """Files of one rival. `T_base_sensor` is where on the robot sits what its trajectory tracks; `shift_s`
+    is added to its stamps; `times` are the stamps of a KITTI file."""
+
+    name: str
+    trajectory: Path | None = None
+    map: Path | None = None
+    times: Path | None = None
+    T_base_sensor: SE2 = field(default_factory=SE2.identity)
+    shift_s: float = 0.0
+
+    def inputs(self) -> dict[str, Path]:
+        """Every file that is read, by what it is."""
+        found = {"trajectory": self.trajectory, "times": self.times}
+        files = {what: path for what, path in found.items() if path is not None}
+        return files | (map_files(self.map) if self.map is not None else {})
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Poses of the base and a map, by one system in its own frame; `notes` say what was done to read them."""
+
+    name: str
+    track: Track | None
+    grid: OccupancyGrid | None
+    notes: tuple[str, ...] = ()
+
+
+def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
+    """Read a rival's files; `scans_ns` are the stamps of the recording's scans. InputError: what is wrong."""
+    grid = None if files.map is None else load_map(files.map)
+    if files.trajectory is None:
+        return System(files.name, None, grid)
+    read = read_track(files.trajectory, files.times, scans_ns)
+    notes = []
+    shift_ns = round(files.shift_s * 1e9)
+    track = replace(read, stamps_ns=read.stamps_ns + shift_ns).in_time()
+    if shift_ns:
+        notes.append(f"Its stamps were shifted by {files.shift_s:g} s, as asked for.")
+    if len(track) < len(read):
+        notes.append(f"{len(read) - len(track)} of its poses repeat a stamp and were left out.")
+    if _looks_through_a_camera(track):
+        track = replace(track, T=OPTICAL @ track.T @ inverse(OPTICAL))
+        notes.append(
+            "Its path climbs as if z pointed forward: taken for a camera's axes and turned to a robot's."
+        )
+    if np.any(files.T_base_sensor.xyt):
+        track = replace(track, T=track.T @ inverse(lifted(files.T_base_sensor)))
+        x, y, yaw = (float(value) for value in files.T_base_sensor.xyt)
+        notes.append(f"It tracks a point at {x:g}, {y:g} m, {yaw:g} rad on the robot; moved to the base.")
+    return System(files.name, track, grid, tuple(notes))
+
+
+def _looks_through_a_camera(track: Track) -> bool:
+    extent = np.ptp(track.T[:, :3, 3], axis=0)
+    return bool(extent[2] > CLIMB_M and extent[2] > 0.5 * extent[:2].max())
+
+
+def gaps(stamps_ns: Stamps) -> list[tuple[int, int]]:
+    """Stretches between successive stamps (increasing) that are much longer than usual: (begin, end) [ns]."""
+    steps = np.diff(stamps_ns)
+    if not len(steps):
+        return []
+    wide = np.flatnonzero(steps > max(2_000_000_000, 5 * int(np.median(steps))))
+    return [(int(stamps_ns[k]), int(stamps_ns[k + 1])) for k in wide]
+
+
+def coverage(stamps_ns: Stamps, begin_ns: int, end_ns: int) -> float:
+    """Share of a time span in which there are poses, without gaps."""
+    first, last = max(int(stamps_ns[0]), begin_ns), min(int(stamps_ns[-1]), end_ns)
+    missing = sum(max(min(b, last) - max(a, first), 0) for a, b in gaps(stamps_ns))
+    covered = seconds(max(last - first - missing, 0))
+    return covered / max(seconds(end_ns - begin_ns), 1e-9) if end_ns > begin_ns else 1.0

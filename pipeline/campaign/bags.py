@@ -1,0 +1,89 @@
+"""The bags of a campaign: what its patterns name, by URL."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from turtlebag.datasets.bags.source import SUFFIXES
+from turtlebag.datasets.bags.topics import METADATA_FILE
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.urls import filesystem, is_local, reason_of
+
+RECORDED = (*SUFFIXES, ".clf", ".log")
+PACKED = ("", ".gz", ".bz2", ".zstd")
+
+
+def find_bags(patterns: Sequence[str]) -> dict[str, str]:
+    """URL of each bag that the patterns name, sorted within a pattern, and what changes when it does.
+
+    A pattern is the URL of a file or of a folder, or has * in it. A folder that holds metadata.yaml is one
+    bag, and so is a record's; of any other each bag and log below it is one. InputError for a pattern that
+    nothing fits; a file that is named and not there is a bag that cannot be read.
+    """
+    found: dict[str, str] = {}
+    for pattern in patterns:
+        try:
+            bags = _of_pattern(pattern)
+        except InputError:
+            raise
+        except Exception as error:  # a store's client raises whatever its own libraries do
+            raise InputError(f"bags: {pattern}: cannot be listed ({reason_of(error)})") from None
+        if not bags:
+            raise InputError(f"bags: {pattern}: no bag or log fits it; check the pattern")
+        found |= dict(sorted(bags.items()))
+    return found
+
+
+def _of_pattern(pattern: str) -> dict[str, str]:
+    files, path = filesystem(pattern)
+    if "*" in path or "?" in path or "[" in path:
+        entries = files.glob(path, detail=True)
+    elif files.exists(path):
+        entries = {path: files.info(path)}
+    else:
+        return {pattern: ""}
+    bags: dict[str, str] = {}
+    for name, info in entries.items():
+        bags |= _below(files, name) if info["type"] == "directory" else {name: _version(info)}
+    return {name if is_local(files) else files.unstrip_protocol(name): made for name, made in bags.items()}
+
+
+def _below(files: Any, folder: str) -> dict[str, str]:
+    """The bags in a folder."""
+    inside: Mapping[str, Any] = files.find(folder, detail=True)
+    wholes = {_parent(path) for path in inside if path.rpartition("/")[2] == METADATA_FILE}
+    wholes = {_parent(path) if path.endswith("/bag") else path for path in wholes}
+    bags: dict[str, str] = {}
+    parts: dict[str, list[str]] = defaultdict(list)
+    for path, info in inside.items():
+        whole = next((parent for parent in _parents(path, folder) if parent in wholes), None)
+        if whole is not None:
+            parts[whole].append(_version(info))
+        elif _is_recorded(path):
+            bags[path] = _version(info)
+    return bags | {whole: fingerprint(versions) for whole, versions in parts.items()}
+
+
+def _is_recorded(path: str) -> bool:
+    return any(path.lower().endswith(kind + packed) for kind in RECORDED for packed in PACKED)
+
+
+def _parent(path: str) -> str:
+    return path.rpartition("/")[0]
+
+
+def _parents(path: str, top: str) -> list[str]:
+    """The folders that hold a path, the innermost first, up to `top`."""
+    found = []
+    while len(path) > len(top):
+        path = _parent(path)
+        found.append(path)
+    return found
+
+
+def _version(info: Mapping[str, Any]) -> str:
+    """What a store says of a file that is another when its content is: its ETag, else its size and time."""
+    return str(info.get("ETag") or (info["size"], info.get("mtime", info.get("created"))))

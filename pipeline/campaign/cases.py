@@ -1,0 +1,142 @@
+"""The cases of a campaign: every combination of levels, with the command lines of its stages."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.campaign.bags import find_bags
+from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign, Levels, Scalar, Uniform, levels_of
+
+LINEAR = re.compile(r"(?:(?P<a>-?[\d.]+)(?P<sign>[+-]))?(?P<b>-?[\d.]+)\*x")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One combination of factor levels and the command line (without --out) of each of its stages.
+
+    `bag_version` is another when the content of its bag is; empty without a bag.
+    """
+
+    name: str
+    factors: dict[str, Scalar]
+    commands: dict[str, list[str]]
+    bag_version: str = ""
+
+
+def cases(campaign: Campaign) -> list[Case]:
+    """Every case: the full grid, or `sample` draws of it; named by a hash of its levels and what it runs.
+
+    InputError for bags that cannot be listed, and for a command that cannot be filled in.
+    """
+    _require_used(campaign)
+    versions = find_bags(campaign.bags)
+    bags: dict[str, Levels] = {BAG: list(versions)} if versions else {}
+    factors = {**bags, **campaign.factors}
+    combinations = _grid(factors) if campaign.sample is None else _drawn(campaign, factors)
+    return [_case(campaign, chosen, versions.get(str(chosen.get(BAG)), "")) for chosen in combinations]
+
+
+def _require_used(campaign: Campaign) -> None:
+    """InputError for a factor that no command names: its cases would all be the same."""
+    levels = [
+        text for factor in campaign.factors.values() if isinstance(factor, dict) for text in factor.values()
+    ]
+    texts = " ".join([*campaign.stages.values(), *levels])
+    for name in campaign.factor_names:
+        if not re.search(rf"{{{re.escape(name)}[}}:]", texts):
+            raise InputError(f"factors.{name}: no stage uses it; write {{{name}}} in a command or remove it")
+
+
+def _grid(factors: Mapping[str, Levels]) -> Iterator[dict[str, Scalar]]:
+    for values in itertools.product(*(levels_of(levels) for levels in factors.values())):
+        yield dict(zip(factors, values, strict=True))
+
+
+def _drawn(campaign: Campaign, factors: Mapping[str, Levels]) -> Iterator[dict[str, Scalar]]:
+    rng = stream(campaign.seed, "campaign cases")
+    for _ in range(campaign.sample or 0):
+        chosen: dict[str, Scalar] = {}
+        for name, levels in factors.items():
+            if isinstance(levels, Uniform):
+                chosen[name] = round(float(rng.uniform(levels.low, levels.high)), 6)
+            else:
+                options = levels_of(levels)
+                chosen[name] = options[int(rng.integers(len(options)))]
+        yield chosen
+
+
+class LevelText(str):
+    """A level as it stands in a command.
+
+    `{level:A+B*x}` puts in a linear function of it instead, `{level:a|b|c}` the text of its place.
+    """
+
+    levels: Levels
+
+    def __format__(self, spec: str) -> str:
+        if not spec:
+            return str(self)
+        if "|" in spec:
+            texts = spec.split("|")
+            known = (
+                [] if isinstance(self.levels, Uniform) else [str(level) for level in levels_of(self.levels)]
+            )
+            place = known.index(self) if known else 0
+            if place >= len(texts):
+                raise ValueError(f"'{spec}' has no text for level {self} (number {place + 1})")
+            return texts[place]
+        found = LINEAR.fullmatch(spec)
+        if found is None:
+            raise ValueError(f"'{spec}' is not of the form A+B*x")
+        sign = -1.0 if found["sign"] == "-" else 1.0
+        value = float(found["a"] or 0.0) + sign * float(found["b"]) * float(self)
+        return f"{value:.6g}"
+
+
+def _text(level: Scalar, levels: Levels) -> LevelText:
+    text = LevelText(level)
+    text.levels = levels
+    return text
+
+
+def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str) -> Case:
+    texts: dict[str, str] = {name: _text(chosen[name], levels) for name, levels in campaign.factors.items()}
+    # Where the bag and the folders of earlier stages lie is known to who runs them: they stay in braces.
+    places = {BAG: f"{{{BAG}}}"} if BAG in chosen else {}
+    for name, levels in campaign.factors.items():
+        if isinstance(levels, dict):
+            others = {other: text for other, text in texts.items() if other != name}
+            text = levels[str(chosen[name])]
+            texts[name] = _filled(text, {**others, **places}, f"{name}.{chosen[name]}")
+    commands: dict[str, list[str]] = {}
+    for stage, line in campaign.stages.items():
+        commands[stage] = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
+        places[stage] = f"{{{stage}}}"
+    known = [chosen, commands, *([bag_version] if bag_version else [])]
+    digest = hashlib.sha256(json.dumps(known).encode()).hexdigest()
+    return Case(digest[:16], chosen, commands, bag_version)
+
+
+def _words(text: str, stage: str) -> list[str]:
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise InputError(f"stages.{stage}: `{text.strip()}`: {str(error).lower()}") from None
+
+
+def _filled(line: str, values: dict[str, Any], where: str) -> str:
+    try:
+        return line.format(**values)
+    except (KeyError, IndexError) as error:
+        raise InputError(f"{where}: {{{error}}} is neither a factor nor an earlier stage") from None
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None

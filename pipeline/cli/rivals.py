@@ -1,0 +1,108 @@
+"""Other systems on the command line: NAME=FILE, and what has to be known of their files."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.rivals import OURS, RivalFiles
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.cli.arguments import pose
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
+IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
+
+
+def add_rival_options(parser: argparse.ArgumentParser) -> None:
+    """--rival-base, --rival-times and --rival-shift."""
+    for name, value, text in (
+        ("base", "X,Y,YAW", "where on the robot sits what the rival tracks (a camera, say)"),
+        ("times", "FILE", "times of its KITTI poses in seconds, one a line (default: those of the scans)"),
+        ("shift", "SECONDS", "add this to its stamps"),
+    ):
+        parser.add_argument(
+            f"--rival-{name}", action="append", default=[], metavar=f"[NAME=]{value}", help=text
+        )
+
+
+def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
+    """The rivals that `words` (NAME=FILE or FILE) and the options name; a name may have a trajectory and a
+    map. InputError for what is neither, twice of one kind, or an option for a name that is not there.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for word in words:
+        name, path = _named(word)
+        kind = "map" if path.suffix in (".yaml", ".yml") else "trajectory"
+        if path.suffix.lower() in IMAGES:
+            raise InputError(f"{path}: is the image of a map; give the yaml beside it")
+        files = found.setdefault(name, {})
+        if kind in files:
+            raise InputError(f"{path}: {name} has a {kind} already ({files[kind]}); name rivals by NAME=FILE")
+        files[kind] = path
+    bases = _by_name(args.rival_base, found, "--rival-base")
+    times = _by_name(args.rival_times, found, "--rival-times")
+    shifts = _by_name(args.rival_shift, found, "--rival-shift")
+    return [
+        RivalFiles(
+            name,
+            files.get("trajectory"),
+            files.get("map"),
+            Path(times[name]) if name in times else None,
+            pose(bases[name], "--rival-base") if name in bases else SE2.identity(),
+            _seconds(shifts[name]) if name in shifts else 0.0,
+        )
+        for name, files in found.items()
+    ]
+
+
+def existing_rivals(words: Sequence[str], args: argparse.Namespace) -> list[Path]:
+    """Every file that they name, and that is there."""
+    paths = [_named(word)[1] for word in words]
+    paths += [Path(word.partition("=")[2] or word) for word in args.rival_times]
+    return [path for path in paths if path.exists()]
+
+
+def _named(word: str) -> tuple[str, Path]:
+    """NAME=FILE, or FILE with the name of the file."""
+    name, equals, file = word.partition("=")
+    if not equals or Path(word).exists():
+        path = Path(word)
+        return re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9_+-]+", "-", path.stem).strip("-") or "rival", path
+    if not NAME.fullmatch(name):
+        raise InputError(f"{word}: a rival's name has letters, digits, - and _ only")
+    if name == OURS:
+        raise InputError(f"{word}: {OURS} is what we are called; give the rival another name")
+    return name, Path(file)
+
+
+def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: str) -> dict[str, str]:
+    """Values of an option by rival; without a name it is of the only one."""
+    found = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals and len(names) == 1:
+            name, value = next(iter(names)), word
+        elif not names:
+            raise InputError(f"{option} {word}: there is no rival")
+        elif not equals:
+            raise InputError(f"{option} {word}: of which rival? write {option} NAME={word}")
+        if name not in names:
+            raise InputError(f"{option} {word}: no rival is called {name}; there are {', '.join(names)}")
+        if "trajectory" not in names[name]:
+            raise InputError(f"{option} {word}: {name} has no trajectory")
+        found[name] = value
+    return found
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 4e9:
+        raise InputError(f"--rival-shift {text}: expected a number of seconds")
+    return value

@@ -1,0 +1,116 @@
+"""Rivals beside a stage of ours: what is known of the recording, and what a report remembers of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.rivals import OURS, RivalFiles, System, load_rival
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.tracks import Track
+from turtlebag.pipeline.stages.map_references import References
+from turtlebag.reports.metrics.systems import Known, Measured, measure
+from turtlebag.reports.stages import MARK, Group, Manifest, RivalEntry, Stage
+
+KINDS = ("map", "localise", "navigate")
+"""What has a trajectory of its own, in the order in which a report takes one for ours."""
+
+
+def ours_of(stages: Sequence[Stage]) -> Stage:
+    """The stage that rivals are compared with; InputError where there is none."""
+    for kind in KINDS:
+        for stage in stages:
+            if stage.kind == kind and (stage.trajectory is not None or stage.map is not None):
+                return stage
+    raise InputError(f"{stages[0].folder}: a rival is compared with an output of {', '.join(KINDS)}")
+
+
+def measured(
+    stage: Stage, files: Sequence[RivalFiles], group: Group | None = None
+) -> tuple[Known, list[Measured]]:
+    """Ours and its rivals, measured; InputError for what cannot be read or compared."""
+    track = None if stage.trajectory is None else Track.of(stage.trajectory)
+    scans = np.zeros(0, dtype=np.int64) if track is None else track.stamps_ns
+    ours = System(OURS, track, stage.map)
+    rivals = [load_rival(entry, scans) for entry in files]
+    for rival in rivals:
+        if (rival.track is None or track is None) and (rival.grid is None or stage.map is None):
+            has = "no map" if rival.track is None else "no trajectory"
+            raise InputError(f"{rival.name}: {stage.folder} has {has} to compare its own with")
+    known = known_of(stage, group)
+    return known, measure(ours, rivals, known)
+
+
+def measured_in(groups: Sequence[Group], files: Sequence[RivalFiles]) -> tuple[Known, list[Measured]]:
+    """The rivals of a report, measured; InputError when it is about more than one world or log."""
+    if len(groups) > 1:
+        names = ", ".join(group.name for group in groups)
+        raise InputError(f"--rival: a rival belongs to one recording, but these are of {names}")
+    return measured(ours_of(groups[0].stages), files, groups[0])
+
+
+def known_of(stage: Stage, group: Group | None = None) -> Known:
+    """The truth and the relations of a stage's recording, where they are still to be found."""
+    record = group.record_of(stage) if group is not None else None
+    places = [record.folder / "truth"] if record is not None else []
+    places += [stage.folder / "truth"] if stage.kind == "navigate" else []
+    for name in ("truth", "bag", "source"):
+        path = stage.input_paths().get(name)
+        if path is not None:
+            places += [path] if name == "truth" else [path / "truth"]
+            places += [path.parent / "truth"] if path.name == "bag" else []
+    truth = next((place for place in places if (place / "trajectory.tum").is_file()), None)
+    relations = stage.input_paths().get("relations")
+    found = References.load(truth, relations if relations is not None and relations.is_file() else None)
+    return Known(found.truth, found.true_grid, found.relations)
+
+
+def inputs_of(files: Sequence[RivalFiles]) -> dict[str, Path]:
+    """Every file of the rivals by the name a manifest gives it."""
+    return {f"{MARK}{one.name}/{what}": path for one in files for what, path in one.inputs().items()}
+
+
+def remembered(files: Sequence[RivalFiles], out: Path) -> list[dict[str, Any]]:
+    """What a manifest says of the rivals, their files as seen from `out`."""
+
+    def seen(path: Path | None) -> str | None:
+        return None if path is None else os.path.relpath(path, out)
+
+    return [
+        RivalEntry(
+            name=one.name,
+            trajectory=seen(one.trajectory),
+            map=seen(one.map),
+            times=seen(one.times),
+            base=one.T_base_sensor.xyt.tolist(),
+            shift_s=one.shift_s,
+        ).model_dump()
+        for one in files
+    ]
+
+
+def recalled(manifest: Manifest, out: Path) -> list[RivalFiles]:
+    """The rivals of a report in `out`, wherever report and files were moved together."""
+
+    def found(one: RivalEntry, what: str) -> Path | None:
+        text = getattr(one, what)
+        if text is None or (out / text).is_file():
+            return None if text is None else out / text
+        return manifest.inputs[f"{MARK}{one.name}/{what}"].path
+
+    return [
+        RivalFiles(
+            one.name,
+            found(one, "trajectory"),
+            found(one, "map"),
+            found(one, "times"),
+            SE2.from_xyt(*one.base),
+            one.shift_s,
+        )
+        for one in manifest.rivals
+    ]

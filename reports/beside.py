@@ -1,0 +1,165 @@
+"""Several systems on one recording, side by side: a table, notes and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from turtlebag.datasets.rivals import OURS
+from turtlebag.datasets.trajectories import save_tum_3d
+from turtlebag.reports.figures import systems as figures
+from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.metrics.systems import Known, Measured
+from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.spec import Spec
+from turtlebag.reports.spec_systems import EVO, MORE_IS_BETTER, NOT_JUDGED, SYSTEMS
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number of one system; `best` among those in its row."""
+
+    key: str
+    value: float | None
+    text: str
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of all systems."""
+
+    spec: Spec
+    evo: str
+    cells: list[Cell]
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What a page says of several systems: `metrics` are its numbers, keyed `systems.NAME.PATH`."""
+
+    metrics: dict[str, Any]
+    notes: list[tuple[str, str]]
+    pictures: list[Picture] = field(default_factory=list)
+
+    @property
+    def names(self) -> list[str]:
+        """The systems, ours first."""
+        return list(self.metrics["systems"])
+
+    @property
+    def judged_by_truth(self) -> bool:
+        """Whether a true path is known; if not, the others are measured against ours."""
+        return bool(self.metrics["reference"] == "truth")
+
+    @property
+    def sections(self) -> list[tuple[str, str, list[Row]]]:
+        """(title, hint, rows) of what at least one system has a number for."""
+        words = {
+            "reference": "the truth" if self.judged_by_truth else OURS,
+            "map_reference": "the true surfaces"
+            if self.metrics["map_reference"] == "truth"
+            else f"the map of {OURS}",
+        }
+        apart = f" The truth is not known: these are distances to {OURS}, not errors."
+        words["apart"] = "" if self.judged_by_truth else apart
+        found = []
+        for section in SYSTEMS:
+            rows = [self._row(spec) for spec in section.specs]
+            rows = [row for row in rows if any(cell.value is not None for cell in row.cells)]
+            if rows:
+                found.append((section.title, section.hint.format(**words), rows))
+        return found
+
+    def _row(self, spec: Spec) -> Row:
+        values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
+        texts = [shown(value, spec.unit) for value in values]
+        known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]
+        judged = spec.path not in NOT_JUDGED and len({text for _, text in known}) > 1
+        more = spec.path.rpartition(".")[2] in MORE_IS_BETTER
+        best = (max if more else min)(known)[1] if judged else None
+        cells = [
+            Cell(f"rivals:systems.{name}.{spec.path}", value, text, text == best)
+            for name, value, text in zip(self.names, values, texts, strict=True)
+        ]
+        return Row(spec, EVO.get(spec.path, ""), cells)
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in a sentence."""
+        for path, unit, what in (
+            ("ate_aligned_m.rmse", "cm", "Distance to the truth after a fit, RMSE"),
+            ("relations.trans_m.mean", "m4", "Mean relations error"),
+            ("map.occupied_error_m.within_one_cell", "percent", "Wall cells within one cell of a surface"),
+        ):
+            told = self._told(path, unit)
+            if len(told) > 1:
+                return f"{what}: {', '.join(told)}."
+        apart = self._told("ate_aligned_m.rmse", "cm")
+        if apart:
+            return f"Distance to {OURS} after a fit, RMSE: {', '.join(apart)}; the truth is not known."
+        near = self._told("map.occupied_error_m.within_one_cell", "percent")
+        return f"Wall cells within one cell of those of {OURS}: {', '.join(near)}; the truth is not known."
+
+    def _told(self, path: str, unit: str) -> list[str]:
+        systems: Mapping[str, Any] = self.metrics["systems"]
+        values = {name: lookup(numbers, path) for name, numbers in systems.items()}
+        return [f"{name} {shown(value, unit)}" for name, value in values.items() if value is not None]
+
+
+def beside(measured: Sequence[Measured], known: Known, album: Album, prefix: str) -> Beside:
+    """The numbers, notes and pictures of measured systems, ours first."""
+    metrics = {
+        "reference": OURS if known.truth is None else "truth",
+        "map_reference": OURS if known.true_map is None else "truth",
+        "systems": {one.system.name: one.numbers for one in measured},
+    }
+    notes = [(one.system.name, note) for one in measured for note in one.notes]
+    return Beside(metrics, notes, _draw(measured, known, album, prefix))
+
+
+def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str) -> list[Picture]:
+    pictures = []
+    paths = {one.system.name: one.path for one in measured if one.path is not None}
+    reference = "the truth" if known.truth is not None else OURS
+    ground = known.true_map if known.true_map is not None else measured[0].grid
+    if len(paths) > 1:
+        caption = f"All paths, each moved as a whole to lie on {reference} best."
+        draw = partial(figures.paths, ground, known.truth, paths)
+        pictures.append(album.add(f"{prefix}-paths", "Paths", caption, draw))
+    errors = {
+        one.system.name: figures.over_time(one.paired)
+        for one in measured
+        if one.paired is not None and (known.truth is not None or one is not measured[0])
+    }
+    if len(paths) > 1 and errors:
+        caption = (
+            f"Distance to {reference} after the fit in the plane; a gap is where a system has no poses. "
+            "An axis that goes beyond 3 is logarithmic above 1."
+        )
+        draw = partial(figures.errors, errors, list(paths), f"to {reference} [cm]")
+        pictures.append(album.add(f"{prefix}-time", "Error over time", caption, draw))
+    ours = measured[0].grid
+    for one in measured[1:]:
+        if ours is not None and one.grid is not None:
+            name = one.system.name
+            caption = (
+                f"Walls of both maps: grey where they agree to a cell, coloured where only {OURS} or only "
+                f"{name} has one."
+            )
+            draw = partial(figures.walls, ours, one.grid, name)
+            pictures.append(album.add(f"{prefix}-walls-{name.lower()}", f"Walls: {name}", caption, draw))
+    return pictures
+
+
+def write_pairs(measured: Sequence[Measured], folder: Path) -> None:
+    """The paired poses of each system and of its reference as TUM files, for evo."""
+    folder.mkdir()
+    for one in measured:
+        if one.paired is not None and "paired" in one.numbers:
+            name, pairs = one.system.name, one.paired
+            save_tum_3d(pairs.estimate.stamps_ns, pairs.estimate.T, folder / f"{name}.tum")
+            save_tum_3d(pairs.reference.stamps_ns, pairs.reference.T, folder / f"{name}.reference.tum")

@@ -1,0 +1,109 @@
+"""Several systems in one picture: ours blue, each other in a colour of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import scipy
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.rivals import gaps
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.types import Stamps, Trajectory
+from turtlebag.reports.figures.maps import (
+    draw_grid,
+    draw_path,
+    legend_above,
+    map_figure,
+    show_image,
+    view_box,
+)
+from turtlebag.reports.figures.series import error_axis
+from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM, new_figure
+from turtlebag.reports.metrics.evo import Paired
+from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.trajectory import fit_rigid
+
+COLOURS = (SLAM, ODOMETRY, "#009e73", "#8a7f1f", "#56b4e9", INK)
+
+
+def paths(
+    ground: OccupancyGrid | None, truth: Trajectory | None, systems: Mapping[str, Trajectory]
+) -> Figure:
+    """Paths over a faint map, the truth as a wide band beneath."""
+    figure, axes = map_figure(view_box(ground, [*systems.values(), truth]))
+    if ground is not None:
+        draw_grid(axes, ground, faint=True)
+    draw_path(axes, truth, "truth")
+    for number, (name, path) in enumerate(systems.items()):
+        xy = _broken(path.stamps_ns, path.poses.xy)
+        width = 2.0 if number == 0 and truth is None else 1.2
+        axes.plot(xy[:, 0], xy[:, 1], color=_colour(number), linewidth=width, label=name, zorder=2)
+    legend_above(axes)
+    return figure
+
+
+def over_time(paired: Paired) -> tuple[Stamps, Array]:
+    """Stamps and distances to the reference after the fit in the plane [m]."""
+    xy, reference = paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3]
+    distance = np.linalg.norm((fit_rigid(xy, reference) @ xy) - reference, axis=1)
+    return paired.estimate.stamps_ns, distance
+
+
+def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], label: str) -> Figure:
+    """Distances over the time since the first of all stamps; `names` give each system its colour."""
+    figure = new_figure(2.8)
+    axes = figure.add_subplot()
+    start = min(int(stamps[0]) for stamps, _ in systems.values())
+    for name, (stamps, distance) in systems.items():
+        line = _broken(stamps, np.stack([(stamps - start) * 1e-9, 100.0 * distance], axis=1))
+        axes.plot(line[:, 0], line[:, 1], color=_colour(names.index(name)), linewidth=1.2, label=name)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(label)
+    error_axis(axes)
+    legend_above(axes)
+    return figure
+
+
+def walls(ours: OccupancyGrid, rival: OccupancyGrid, name: str) -> Figure:
+    """Occupied cells of both: grey where the other has one within a cell, else in the system's colour."""
+    figure, axes = map_figure(view_box(ours))
+    colours = (_colour(0), _colour(1))
+    reach = 1.5 * max(ours.resolution, rival.resolution)
+    for grid, other, colour in ((rival, ours, colours[1]), (ours, rival, colours[0])):
+        cells = np.argwhere(occupied(grid))
+        agreed = _near(grid.center_of(cells), other, reach)
+        image = np.zeros((*grid.shape, 4))
+        for chosen, shade in ((cells[agreed], MUTED), (cells[~agreed], colour)):
+            image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
+        show_image(axes, image, grid)
+    words = ("both", "only TurtleBag", f"only {name}")
+    legend_above(
+        axes, [Patch(color=colour, label=word) for colour, word in zip((MUTED, *colours), words, strict=True)]
+    )
+    return figure
+
+
+def _near(points: Array, grid: OccupancyGrid, reach_m: float) -> NDArray[np.bool_]:
+    targets = grid.center_of(np.argwhere(occupied(grid)))
+    if not len(targets) or not len(points):
+        return np.zeros(len(points), dtype=bool)
+    distance, _ = scipy.spatial.cKDTree(targets).query(points, distance_upper_bound=reach_m)
+    return np.asarray(np.isfinite(distance))
+
+
+def _broken(stamps_ns: Stamps, values: Array) -> Array:
+    """Points of a line, (n, 2), with a break in every gap of its stamps."""
+    order = np.argsort(stamps_ns, kind="stable")
+    stamps, values = stamps_ns[order], values[order].astype(np.float64)
+    ends = [int(np.searchsorted(stamps, end)) for _, end in gaps(stamps)]
+    return np.insert(values, ends, np.nan, axis=0)
+
+
+def _colour(number: int) -> str:
+    return COLOURS[number % len(COLOURS)]

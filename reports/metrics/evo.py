@@ -1,0 +1,158 @@
+"""Errors of poses in space as evo computes them (Grupp 2017): the same pairs, the same statistics.
+
+Checked against evo itself in tests/reports/test_evo.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlebag.datasets.rivals import gaps
+from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import interpolate, inverse, quaternions
+from turtlebag.datasets.tracks import Track
+from turtlebag.datasets.types import Stamps
+
+MATCH_NS = 10_000_000
+"""Stamps this near are one instant: evo's --t_max_diff."""
+ENOUGH = 0.9
+"""Where fewer of the sparser track's poses find a partner, the reference is interpolated."""
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+class Statistics(TypedDict):
+    """Of errors, as evo names them."""
+
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+
+
+class Relative(TypedDict):
+    """Relative pose error: evo's trans_part [m] and angle_deg; None where no pair is that far apart."""
+
+    trans_m: Statistics | None
+    rot_deg: Statistics | None
+
+
+@dataclass(frozen=True, eq=False)
+class Paired:
+    """Poses of an estimate and of a reference at the same instants; `interpolated`: the reference's."""
+
+    estimate: Track
+    reference: Track
+    interpolated: bool = False
+
+    def __len__(self) -> int:
+        return len(self.estimate)
+
+    def errors(self) -> Array:
+        """Distances between the positions, (n,) [m]: evo_ape."""
+        return np.asarray(np.linalg.norm(self.estimate.T[:, :3, 3] - self.reference.T[:, :3, 3], axis=1))
+
+    def aligned(self) -> Paired:
+        """After the rigid motion in space that brings the estimate nearest: evo's --align."""
+        T = umeyama(self.estimate.T[:, :3, 3], self.reference.T[:, :3, 3])
+        return replace(self, estimate=replace(self.estimate, T=T @ self.estimate.T))
+
+
+def pair(estimate: Track, reference: Track) -> Paired:
+    """Pairs at the same instants, of tracks in time; empty when there are none.
+
+    As evo does it, each pose of the sparser track with the other's nearest, at most 10 ms away. Where the
+    stamps do not meet like this, the reference is interpolated at the estimate's, but never over a gap.
+    """
+    sparse, dense = (estimate, reference) if len(estimate) <= len(reference) else (reference, estimate)
+    near, met = nearest_stamps(dense.stamps_ns, sparse.stamps_ns)
+    shared = _within(sparse.stamps_ns, dense.stamps_ns)
+    if met.sum() > 0 and met.sum() >= ENOUGH * shared.sum():
+        chosen = sparse[met], dense[near[met]]
+        return Paired(*(chosen if sparse is estimate else chosen[::-1]))
+    inside = _within(estimate.stamps_ns, reference.stamps_ns)
+    for begin, end in gaps(reference.stamps_ns):
+        inside &= (estimate.stamps_ns <= begin) | (estimate.stamps_ns >= end)
+    return Paired(estimate[inside], at(reference, estimate.stamps_ns[inside]), interpolated=True)
+
+
+def _within(stamps: Stamps, others: Stamps) -> NDArray[np.bool_]:
+    return np.asarray((stamps >= others[0]) & (stamps <= others[-1]))
+
+
+def nearest_stamps(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """For each wanted stamp the index of the nearest of increasing ones, and whether it is near enough."""
+    right = np.clip(np.searchsorted(stamps, wanted, side="right"), 0, len(stamps) - 1)
+    left = np.maximum(right - 1, 0)
+    best = np.where(np.abs(wanted - stamps[left]) <= np.abs(stamps[right] - wanted), left, right)
+    return best, np.abs(stamps[best] - wanted) <= MATCH_NS
+
+
+def at(track: Track, stamps: Stamps) -> Track:
+    """Interpolated poses at stamps within the track's span."""
+    high = np.clip(np.searchsorted(track.stamps_ns, stamps, side="right"), 1, max(len(track) - 1, 1))
+    high = np.minimum(high, len(track) - 1)
+    low = np.maximum(high - 1, 0)
+    span = np.maximum(track.stamps_ns[high] - track.stamps_ns[low], 1)
+    fraction = np.clip((stamps - track.stamps_ns[low]) / span, 0.0, 1.0)
+    return Track(stamps, interpolate(track.T[low], track.T[high], fraction))
+
+
+def umeyama(xyz_a: Array, xyz_b: Array) -> Array:
+    """`T_b_a` (4, 4) minimising sum |b - T_b_a a|^2 over paired points, (n, 3) each (Umeyama 1991)."""
+    mean_a, mean_b = xyz_a.mean(axis=0), xyz_b.mean(axis=0)
+    u, _, v = np.linalg.svd((xyz_b - mean_b).T @ (xyz_a - mean_a))
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(v))])
+    T = np.eye(4)
+    T[:3, :3] = u @ turn @ v
+    T[:3, 3] = mean_b - T[:3, :3] @ mean_a
+    return T
+
+
+def statistics(errors: Array) -> Statistics:
+    """Of errors, (n,) with n > 0."""
+    return {
+        "rmse": float(np.sqrt(np.mean(errors**2))),
+        "mean": float(errors.mean()),
+        "median": float(np.median(errors)),
+        "std": float(errors.std()),
+        "min": float(errors.min()),
+        "max": float(errors.max()),
+    }
+
+
+def rpe(paired: Paired, pairs: Pairs) -> Relative:
+    """evo_rpe over pairs of poses (i, j)."""
+    i, j = pairs
+    if not len(i):
+        return {"trans_m": None, "rot_deg": None}
+    P, Q = paired.estimate.T, paired.reference.T
+    E = inverse(inverse(Q[i]) @ Q[j]) @ (inverse(P[i]) @ P[j])
+    q = quaternions(E)
+    angle = 2.0 * np.arctan2(np.linalg.norm(q[:, :3], axis=1), np.abs(q[:, 3]))
+    moved_m = np.linalg.norm(E[:, :3, 3], axis=1)
+    return {"trans_m": statistics(moved_m), "rot_deg": statistics(np.rad2deg(angle))}
+
+
+def by_frame(count: int) -> Pairs:
+    """Each pose and the next: `--delta 1 --delta_unit f`."""
+    index = np.arange(max(count - 1, 0), dtype=np.int64)
+    return index, index + 1
+
+
+def by_metre(estimate: Track, delta_m: float = 1.0) -> Pairs:
+    """Poses a metre of the estimate's path apart, one pair after the other: `--delta 1 --delta_unit m`."""
+    steps = np.linalg.norm(np.diff(estimate.T[:, :3, 3], axis=0), axis=1)
+    chosen, driven = [0], 0.0
+    for index, step in enumerate(steps.tolist(), start=1):
+        driven += step
+        if driven >= delta_m:
+            chosen.append(index)
+            driven = 0.0
+    ids = np.array(chosen, dtype=np.int64)
+    return ids[:-1], ids[1:]

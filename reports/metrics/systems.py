@@ -1,0 +1,238 @@
+"""The numbers of several systems on one recording, all by the same functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.rivals import System, coverage, gaps
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se3 import lifted
+from turtlebag.datasets.tracks import Track
+from turtlebag.datasets.trajectories import stamp_text
+from turtlebag.datasets.types import Stamps, Trajectory, seconds
+from turtlebag.reports.metrics import evo
+from turtlebag.reports.metrics.map import map_metrics, visible_surface
+from turtlebag.reports.metrics.placing import Placed, place, walls
+from turtlebag.reports.metrics.relations import MATCH_NS, nearest, relations_metrics
+from turtlebag.reports.metrics.trajectory import fit_rigid, rpe
+
+WHOLE = 0.95
+"""A system that covers less of the recording is compared over its own part too."""
+LAID = 0.5
+"""Maps of which less than this share of the walls can be laid on each other are said to differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of a recording: its truth (a path, a map), hand-made relations; any may be missing."""
+
+    truth: Trajectory | None = None
+    true_map: OccupancyGrid | None = None
+    relations: Relations | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One system with its numbers, and moved to where it fits the reference best.
+
+    `path` is its trajectory and `grid` its map in the reference's frame; `paired` are its poses beside the
+    reference's, not moved.
+    """
+
+    system: System
+    numbers: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    paired: evo.Paired | None = None
+    path: Trajectory | None = None
+    grid: OccupancyGrid | None = None
+
+
+def measure(ours: System, rivals: Sequence[System], known: Known) -> list[Measured]:
+    """Ours first, then its rivals, each against the truth, or where there is none against ours.
+
+    InputError for a trajectory that cannot be paired with the reference.
+    """
+    reference = Track.of(known.truth).in_time() if known.truth is not None else ours.track
+    span = _span(ours)
+    found: list[Measured] = []
+    for system in (ours, *rivals):
+        measured = Measured(system, {}, list(system.notes))
+        if system.track is not None and reference is not None and span is not None:
+            measured = _measure_track(system, ours, reference, span, known.relations, known.truth is not None)
+        found.append(_measure_map(measured, found, known))
+    return found
+
+
+def _span(ours: System) -> tuple[int, int] | None:
+    if ours.track is None:
+        return None
+    return int(ours.track.stamps_ns.min()), int(ours.track.stamps_ns.max())
+
+
+def _measure_track(
+    system: System,
+    ours: System,
+    reference: Track,
+    span: tuple[int, int],
+    relations: Relations | None,
+    truth_known: bool,
+) -> Measured:
+    assert system.track is not None
+    track = system.track.in_time()
+    paired = evo.pair(track, reference)
+    _check_paired(system.name, track, reference, paired)
+    numbers: dict[str, Any] = {"poses": len(track), "coverage": coverage(track.stamps_ns, *span)}
+    if truth_known or system is not ours:
+        numbers |= path_errors(paired)
+    if relations is not None:
+        numbers |= relations_metrics(with_poses_at(system.track, relations), relations)
+    if system is not ours and truth_known and ours.track is not None and numbers["coverage"] < WHOLE:
+        inside = _covered(ours.track.in_time(), track.stamps_ns)
+        numbers["ours_there"] = path_errors(evo.pair(inside, reference)) if len(inside) > 2 else None
+    T = fit_rigid(paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3])
+    path = Track(track.stamps_ns, lifted(T) @ track.T).planar()
+    notes = [*system.notes, *_notes(track, paired, span)] if system is not ours else []
+    return Measured(system, numbers, notes, paired, path)
+
+
+def path_errors(paired: evo.Paired) -> dict[str, Any]:
+    """Errors of paired poses: ATE as it is, in the plane after a rigid fit, in space after one; RPE."""
+    estimate, reference = paired.estimate.planar(), paired.reference.planar()
+    T = fit_rigid(estimate.poses.xy, reference.poses.xy)
+    in_plane = np.linalg.norm((T @ estimate.poses.xy) - reference.poses.xy, axis=1)
+    return {
+        "paired": len(paired),
+        "ate_m": evo.statistics(paired.errors()),
+        "ate_aligned_m": evo.statistics(in_plane),
+        "ate_aligned_3d_m": evo.statistics(paired.aligned().errors()),
+        "rpe": rpe(estimate, reference),
+        "rpe_frame": evo.rpe(paired, evo.by_frame(len(paired))),
+        "rpe_metre": evo.rpe(paired, evo.by_metre(paired.estimate)),
+    }
+
+
+def _check_paired(name: str, track: Track, reference: Track, paired: evo.Paired) -> None:
+    if len(paired) > 2:
+        return
+    theirs, ours = (
+        f"{stamp_text(int(stamps[0]))} to {stamp_text(int(stamps[-1]))} s"
+        for stamps in (track.stamps_ns, reference.stamps_ns)
+    )
+    begin = seconds(int(reference.stamps_ns[0] - track.stamps_ns[0]))
+    raise InputError(
+        f"{name}: its poses ({theirs}) and the recording ({ours}) share {len(paired)} instants; if its clock "
+        f"began elsewhere, shift it: --rival-shift {name}={begin:.6f} makes both begin together"
+    )
+
+
+def _notes(track: Track, paired: evo.Paired, span: tuple[int, int]) -> list[str]:
+    """What a reader must know of the stamps of a rival."""
+    notes = []
+    begin, end = span
+    outside = int(np.sum((track.stamps_ns < begin - MATCH_NS) | (track.stamps_ns > end + MATCH_NS)))
+    if outside:
+        notes.append(f"{outside} of its {len(track)} poses lie outside of the recording's time.")
+    late, early = seconds(int(track.stamps_ns[0]) - begin), seconds(end - int(track.stamps_ns[-1]))
+    missing = [f"{late:.1f} s at the start"] * (late > 1.0) + [f"{early:.1f} s at the end"] * (early > 1.0)
+    holes = gaps(track.stamps_ns)
+    if holes:
+        longest = max(seconds(b - a) for a, b in holes)
+        missing.append(f"{len(holes)} stretch{'es' * (len(holes) > 1)} in between (up to {longest:.1f} s)")
+    if missing:
+        notes.append(f"It has no poses for {', '.join(missing)}, and is judged only where it has some.")
+    if paired.interpolated:
+        notes.append("Its stamps are not those of the scans: the reference was interpolated at them.")
+    return notes
+
+
+def _covered(track: Track, stamps_ns: Stamps) -> Track:
+    """The part of a track that lies in the time another covers."""
+    inside = (track.stamps_ns >= stamps_ns[0]) & (track.stamps_ns <= stamps_ns[-1])
+    for begin, end in gaps(stamps_ns):
+        inside &= (track.stamps_ns <= begin) | (track.stamps_ns >= end)
+    return track[inside]
+
+
+def with_poses_at(track: Track, relations: Relations) -> Trajectory:
+    """A track with interpolated poses at those stamps of relations at which it has none, but for gaps."""
+    wanted = np.unique(np.concatenate([relations.stamps_a_ns, relations.stamps_b_ns]))
+    _, met = nearest(track.stamps_ns, wanted)
+    ordered = track.in_time()
+    stamps = ordered.stamps_ns
+    inside = ~met & (wanted >= stamps[0]) & (wanted <= stamps[-1])
+    for begin, end in gaps(stamps):
+        inside &= (wanted <= begin) | (wanted >= end)
+    added = evo.at(ordered, wanted[inside])
+    both = Track(np.concatenate([track.stamps_ns, added.stamps_ns]), np.concatenate([track.T, added.T]))
+    return both.planar()
+
+
+def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -> Measured:
+    """Lay the map on the true surfaces, or on our walls, and measure it there."""
+    grid, ours = measured.system.grid, before[0] if before else measured
+    reference = known.true_map if known.true_map is not None else ours.system.grid
+    if grid is None or reference is None:
+        return measured
+    if known.true_map is None and measured is ours:
+        return _replaced(measured, {}, [], grid)
+    surface = _surface(reference, known.true_map, ours.system.grid)
+    placed = place(grid, surface, _guesses(measured, ours, known))
+    moved = placed.moved(grid)
+    numbers = {"map": map_metrics(moved, reference), "map_moved": placed.T_ref_map.xyt.tolist()}
+    return _replaced(measured, numbers, _map_notes(placed, grid) if measured is not ours else [], moved)
+
+
+def _surface(reference: OccupancyGrid, true_map: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
+    if true_map is None or ours is None:
+        return walls(reference)
+    return reference.center_of(np.argwhere(visible_surface(reference, ours)))
+
+
+def _guesses(measured: Measured, ours: Measured, known: Known) -> list[SE2]:
+    """Where a map may lie: as its own trajectory, in the same frame, with its origin where we began."""
+    guesses = []
+    if measured.paired is not None and measured is not ours:
+        estimate, reference = measured.paired.estimate.planar(), measured.paired.reference.planar()
+        guesses.append(fit_rigid(estimate.poses.xy, reference.poses.xy))
+    guesses.append(SE2.identity())
+    track = ours.system.track
+    if track is not None and measured is not ours:
+        guesses.append(track.planar().poses[0])
+    return guesses
+
+
+def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
+    """Where the middle of a map was moved to, and how badly it fits there."""
+    middle = grid.center_of(np.array(grid.shape) // 2)
+    x, y = (float(value) for value in placed.T_ref_map @ middle - middle)
+    yaw = float(placed.T_ref_map.yaw)
+    notes = []
+    if np.hypot(x, y) > grid.resolution or abs(yaw) > 0.01:
+        told = f"by {x:.2f}, {y:.2f} m and turned by {np.rad2deg(yaw):.1f}°".replace("-", "\u2212")
+        notes.append(f"Its map was moved {told}, to lie on the other walls.")
+    if placed.share < LAID:
+        notes.append(
+            f"Only {100.0 * placed.share:.0f} % of its walls could be laid within two cells of the others: "
+            "it is a map of another place, or badly bent."
+        )
+    return notes
+
+
+def _replaced(
+    measured: Measured, numbers: Mapping[str, Any], notes: Sequence[str], grid: OccupancyGrid
+) -> Measured:
+    return Measured(
+        measured.system,
+        {**measured.numbers, **numbers},
+        [*measured.notes, *notes],
+        measured.paired,
+        measured.path,
+        grid,
+    )

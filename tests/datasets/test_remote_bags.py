@@ -1,0 +1,127 @@
+"""Bags behind a URL: an mcap by the ranges that are needed, everything else whole."""
+
+import shutil
+
+import fsspec
+import numpy as np
+import pytest
+from bag_samples import write_drive
+from fsspec.implementations.memory import MemoryFileSystem
+
+from turtlebag.datasets.bags import mcap_ranges
+from turtlebag.datasets.bags.mcap import McapWriter
+from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.remote import brought
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.recordings import load_recording
+
+PICTURE = 300_000
+
+
+@pytest.fixture
+def memory():
+    """An empty file system in memory; `read` counts the bytes that are asked of it."""
+    files = fsspec.filesystem("memory")
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]
+    yield files
+    files.store.clear()
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """Every range that is read of a file in memory."""
+    ranges = []
+    cat_file = MemoryFileSystem.cat_file
+
+    def counted(files, path, start=None, end=None, **kwargs):
+        content = cat_file(files, path, start=start, end=end, **kwargs)
+        ranges.append(len(content))
+        return content
+
+    monkeypatch.setattr(MemoryFileSystem, "cat_file", counted)
+    return ranges
+
+
+def with_pictures(folder, *, pictures=20):
+    """A drive's mcap with a camera's chunks among those of the lidar; its path."""
+    write_drive(folder / "drive", seconds=4.0)
+    path = folder / "seen.mcap"
+    writer = McapWriter(path)
+    rng = np.random.default_rng(1)
+    channels = {}
+    for count, (channel, time, data) in enumerate(McapScan(folder / "drive/bag_0.mcap").messages()):
+        if channel.topic not in channels:
+            schema = writer.add_schema(channel.schema.name, channel.schema.text)
+            channels[channel.topic] = writer.add_channel(channel.topic, schema, channel.metadata)
+        writer.write(channels[channel.topic], time, data)
+        if count == 0:
+            camera = writer.add_channel("/camera", writer.add_schema("sensor_msgs/msg/Image", ""), {})
+        if count % 40 == 0 and count // 40 < pictures:
+            writer.flush()
+            writer.write(camera, time, rng.bytes(PICTURE))
+            writer.flush()
+    writer.close()
+    return path
+
+
+def test_an_mcap_comes_by_ranges_and_maps_as_the_whole_one(tmp_path, memory, read, monkeypatch):
+    monkeypatch.setattr(mcap_ranges, "_TAIL", 4096)
+    path = with_pictures(tmp_path)
+    memory.put_file(str(path), "/bags/seen.mcap")
+    here = brought("memory://bags/seen.mcap", tmp_path / "here")
+    assert sum(read) < path.stat().st_size / 4
+    assert here.stat().st_size < path.stat().st_size / 4
+    part, whole = load_recording(here), load_recording(path)
+    assert part.notes == whole.notes
+    for name in ("stamps_ns", "ranges"):
+        assert np.array_equal(getattr(part, name), getattr(whole, name), equal_nan=True)
+    assert np.array_equal(part.T_odom_base.xyt, whole.T_odom_base.xyt)
+
+
+@pytest.mark.parametrize("at", [-1, -40, -2000])
+def test_an_mcap_with_a_damaged_index_comes_whole(tmp_path, memory, at):
+    content = bytearray(with_pictures(tmp_path, pictures=2).read_bytes())
+    content[at] ^= 1
+    memory.pipe_file("/bags/bad.mcap", bytes(content))
+    assert brought("memory://bags/bad.mcap", tmp_path / "here").read_bytes() == bytes(content)
+
+
+def test_a_folder_comes_with_its_metadata_and_storage_files(tmp_path, memory):
+    write_drive(tmp_path / "drive/bag", seconds=1.0)
+    (tmp_path / "drive/bag/notes.txt").write_text("not of the bag")
+    memory.put(str(tmp_path / "drive"), "/runs/drive", recursive=True)
+    here = brought("memory://runs/drive", tmp_path / "here")
+    assert {path.name for path in here.iterdir()} == {"bag_0.mcap", "metadata.yaml"}
+    assert len(load_recording(here)) == len(load_recording(tmp_path / "drive"))
+
+
+def test_other_files_come_whole_and_what_is_here_stays_where_it_is(tmp_path, memory):
+    memory.pipe_file("/logs/a.clf", b"a log")
+    assert brought("memory://logs/a.clf", tmp_path / "here").read_bytes() == b"a log"
+    (tmp_path / "b.clf").write_text("a log")
+    assert brought(str(tmp_path / "b.clf"), tmp_path / "here") == tmp_path / "b.clf"
+    with pytest.raises(InputError, match=r"memory://logs/c\.clf: no such file"):
+        brought("memory://logs/c.clf", tmp_path / "here")
+    shutil.rmtree(tmp_path / "here")
+
+
+def test_point_clouds_come_only_where_nothing_else_is_mapped(tmp_path, memory):
+    for kinds in (["LaserScan", "PointCloud2"], ["PointCloud2"]):
+        writer = McapWriter(tmp_path / f"{len(kinds)}.mcap")
+        for number, kind in enumerate(kinds, start=1):
+            writer.add_channel(f"/{kind}", writer.add_schema(f"sensor_msgs/msg/{kind}", ""), {})
+            writer.flush()
+            writer.write(number, number, b"0" * 50)
+            writer.flush()
+        writer.close()
+        memory.put_file(str(tmp_path / f"{len(kinds)}.mcap"), f"/{len(kinds)}.mcap")
+
+    def topics(name, *asked):
+        return [
+            c.topic for c, _, _ in McapScan(brought(f"memory://{name}", tmp_path / "here", asked)).messages()
+        ]
+
+    assert topics("2.mcap") == ["/LaserScan"]
+    assert topics("2.mcap", "/PointCloud2") == ["/LaserScan", "/PointCloud2"]
+    assert topics("1.mcap") == ["/PointCloud2"]

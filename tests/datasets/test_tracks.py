@@ -1,0 +1,122 @@
+"""Trajectories of other systems: three formats, one content; what is none is refused in one line."""
+
+import numpy as np
+import pytest
+
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.rivals import RivalFiles, coverage, gaps, load_rival
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se3 import exp, inverse, lifted, quaternions
+from turtlebag.datasets.tracks import Track, read_track
+from turtlebag.datasets.trajectories import save_tum_3d
+
+NO_SCANS = np.zeros(0, dtype=np.int64)
+STAMPS = 1_403_636_579_758_555_392 + np.arange(8, dtype=np.int64) * 50_000_000
+POSES = exp(np.linspace([0.1, -0.4, 0.0, 0, 0, 0], [0.7, 0.2, 3.0, 5, -2, 1], 8))
+
+
+def write_kitti(path, T):
+    path.write_text("".join(" ".join(f"{x:.9f}" for x in pose[:3].ravel()) + "\n" for pose in T))
+
+
+def write_euroc(path, stamps, T):
+    rows = ["#timestamp [ns],p_x,p_y,p_z,q_w,q_x,q_y,q_z,v_x"]
+    for stamp, xyz, (x, y, z, w) in zip(stamps, T[:, :3, 3], quaternions(T), strict=True):
+        rows.append(",".join([str(stamp), *(f"{v:.9f}" for v in (*xyz, w, x, y, z)), "0.5"]))
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_tum_kitti_and_euroc_hold_the_same_poses(tmp_path):
+    save_tum_3d(STAMPS, POSES, tmp_path / "a.tum")
+    write_kitti(tmp_path / "a.txt", POSES)
+    write_euroc(tmp_path / "a.csv", STAMPS, POSES)
+    (tmp_path / "times").write_text("".join(f"{s // 10**9}.{s % 10**9:09d}\n" for s in STAMPS.tolist()))
+    found = [
+        read_track(tmp_path / "a.tum", None, NO_SCANS),
+        read_track(tmp_path / "a.csv", None, NO_SCANS),
+        read_track(tmp_path / "a.txt", tmp_path / "times", NO_SCANS),
+        read_track(tmp_path / "a.txt", None, STAMPS),
+    ]
+    for track in found:
+        np.testing.assert_array_equal(track.stamps_ns, STAMPS)
+        np.testing.assert_allclose(track.T, POSES, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no poses"),
+        ("# only a comment\n", "no poses"),
+        ("hello world\n", "line 1: 2 words; a trajectory has 8 numbers"),
+        ("0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 1\n", "line 2: expected 't x y z qx qy qz qw'"),
+        ("0 0 0 nan 0 0 0 1\n", "line 1: expected 't x y z qx qy qz qw', all finite"),
+        ("0 0 0 0 0 0 0 0\n", "line 1: its quaternion has length 0, not 1"),
+        ("x 0 0 0 0 0 0 1\n", "line 1: not numbers"),
+        ("9e99 0 0 0 0 0 0 1\n", "line 1: 9e99 is no time in seconds"),
+        ("0.5,1,2,3,1,0,0,0\n", "line 1: 0.5 is no whole number of nanoseconds"),
+        ("0,1,2\n", "line 1: expected 't [ns], x, y, z, qw"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "1 poses cannot be those of 0 scans"),
+        ("2 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: not a pose"),
+        ("1 0 0 0 0 1 0 0 0 0 1\n", "line 1: 11 words"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused_in_one_line(tmp_path, text, said):
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+    scans = np.zeros(1, dtype=np.int64) if text.startswith("2 0") else NO_SCANS
+    with pytest.raises(InputError) as error:
+        read_track(path, None, scans)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_times_have_to_fit_their_poses(tmp_path):
+    write_kitti(tmp_path / "a.txt", POSES)
+    (tmp_path / "times").write_text("1\n2\n")
+    with pytest.raises(InputError, match="2 times for the 8 poses"):
+        read_track(tmp_path / "a.txt", tmp_path / "times", STAMPS)
+    (tmp_path / "times").write_text("1 2\n" * 8)
+    with pytest.raises(InputError, match="line 1: expected one time"):
+        read_track(tmp_path / "a.txt", tmp_path / "times", STAMPS)
+    save_tum_3d(STAMPS, POSES, tmp_path / "a.tum")
+    with pytest.raises(InputError, match="leave --rival-times out"):
+        read_track(tmp_path / "a.tum", tmp_path / "times", STAMPS)
+
+
+def driven(n=40):
+    angle = np.linspace(0.0, 3.0, n)
+    return lifted(SE2.from_xyt(5.0 * np.sin(angle), 3.0 - 3.0 * np.cos(angle), angle))
+
+
+def test_a_camera_s_axes_a_place_on_the_robot_and_a_clock_are_undone(tmp_path):
+    stamps = np.arange(40, dtype=np.int64) * 10**8
+    T_base = driven()
+    base = SE2.from_xyt(0.2, -0.1, 0.3)
+    T_sensor = inverse(lifted(base)) @ T_base @ lifted(base)  # its own start is its origin
+    forward, left, up = np.eye(3)
+    T_camera_robot = np.eye(4)
+    T_camera_robot[:3, :3] = np.stack([-left, -up, forward])  # rows: x right, y down, z forward
+    T_camera = T_camera_robot @ T_sensor @ T_camera_robot.T
+    save_tum_3d(stamps - 7 * 10**9, T_camera, tmp_path / "camera.tum")
+    rival = load_rival(RivalFiles("c", tmp_path / "camera.tum", T_base_sensor=base, shift_s=7.0), stamps)
+    np.testing.assert_array_equal(rival.track.stamps_ns, stamps)
+    np.testing.assert_allclose(rival.track.T, inverse(lifted(base)) @ T_base, atol=1e-8)
+    assert [word in " ".join(rival.notes) for word in ("7 s", "camera's axes", "0.2, -0.1 m")] == [True] * 3
+    save_tum_3d(stamps, T_base, tmp_path / "plain.tum")
+    assert load_rival(RivalFiles("p", tmp_path / "plain.tum"), stamps).notes == ()
+
+
+def test_gaps_are_stretches_longer_than_usual_and_do_not_count_as_covered():
+    stamps = np.array([*range(0, 50), *range(100, 150)], dtype=np.int64) * 200_000_000
+    assert gaps(stamps) == [(49 * 200_000_000, 100 * 200_000_000)]
+    assert coverage(stamps, 0, 149 * 200_000_000) == pytest.approx(98 / 149)
+    assert coverage(stamps, 0, 298 * 200_000_000) == pytest.approx(49 / 149)
+    sparse = np.arange(10, dtype=np.int64) * 3_000_000_000
+    assert gaps(sparse) == []
+    assert coverage(sparse, 0, 27_000_000_000) == 1.0
+
+
+def test_repeated_stamps_are_left_out_and_the_rest_is_put_in_order():
+    track = Track(np.array([30, 10, 30, 20], dtype=np.int64), POSES[:4]).in_time()
+    assert track.stamps_ns.tolist() == [10, 20, 30]
+    np.testing.assert_array_equal(track.T, POSES[[1, 3, 0]])

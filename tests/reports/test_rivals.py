@@ -1,0 +1,222 @@
+"""Other systems beside ours: whatever their frame, clock and rate, and what is wrong with them is said."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from report_fakes import ellipse, fake_localise, fake_map, fake_record, mapped_room, noisy
+
+from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
+from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.relations import Relations
+from turtlebag.datasets.rivals import RivalFiles, System
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.tracks import Track
+from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.types import Trajectory
+from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.stages.compare import compare_rivals
+from turtlebag.pipeline.stages.verify import verify
+from turtlebag.reports.metrics.placing import place, walls
+from turtlebag.reports.metrics.relations import relations_metrics
+from turtlebag.reports.metrics.systems import Known, measure
+
+ELSEWHERE = SE2.from_xyt(5.0, 3.0, 2.0)
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    """A record, a map of ours, and a rival's trajectory and map in another frame."""
+    base = tmp_path_factory.mktemp("rivals")
+    record = fake_record(base / "record")
+    fake_map(base / "map", record)
+    poses = noisy(load_tum(record / "truth/trajectory.tum"), 0.03)
+    save_tum(Trajectory(poses.stamps_ns, ELSEWHERE @ poses.poses), base / "carto.tum")
+    grid = mapped_room()
+    save_map(replace(grid, T_map_grid=ELSEWHERE @ grid.T_map_grid), base, "carto")
+    return base
+
+
+def carto(tree, **changes):
+    return RivalFiles(**{"name": "carto", "trajectory": tree / "carto.tum", **changes})
+
+
+def test_a_rival_in_another_frame_is_measured_by_the_same_numbers_as_ours(tree):
+    found = compare_rivals(tree / "map", [carto(tree, map=tree / "carto.yaml")])
+    told = json.loads((tree / "map/metrics.json").read_text())
+    ours, rival = (found.metrics["systems"][name] for name in ("TurtleBag", "carto"))
+    assert ours["ate_m"]["rmse"] == pytest.approx(told["ate_m"]["rmse"], rel=1e-6)
+    assert ours["ate_aligned_m"]["rmse"] == pytest.approx(told["ate_aligned_m"]["rmse"], rel=1e-6)
+    assert ours["rpe"] == pytest.approx(told["rpe"], rel=1e-6)
+    assert rival["ate_m"]["rmse"] > 3.0
+    assert rival["ate_aligned_m"]["rmse"] == pytest.approx(0.03 * np.sqrt(2.0), rel=0.1)
+    assert rival["ate_aligned_3d_m"]["rmse"] == pytest.approx(rival["ate_aligned_m"]["rmse"], rel=1e-6)
+    assert rival["map"]["occupied_error_m"]["within_one_cell"] > 0.96
+    assert rival["map_moved"] == pytest.approx(ELSEWHERE.inverse().xyt.tolist(), abs=0.02)
+    assert "TurtleBag 0.7" in found.sentence
+    best = {row.spec.path: [cell.best for cell in row.cells] for _, _, rows in found.sections for row in rows}
+    assert best["ate_aligned_m.rmse"] == [True, False]
+    assert best["poses"] == [False, False]
+
+
+def test_missing_stretches_other_stamps_and_poses_past_the_end_are_said(tree, tmp_path):
+    whole = load_tum(tree / "carto.tum")
+    kept = np.ones(len(whole), dtype=bool)
+    kept[60:85] = kept[:10] = False
+    late = Trajectory(whole.stamps_ns[kept] + 60_000_000, whole.poses[kept])
+    save_tum(late, tmp_path / "late.tum")
+    found = compare_rivals(tree / "map", [RivalFiles("late", tmp_path / "late.tum")])
+    notes = " ".join(note for _, note in found.notes)
+    assert "no poses for 2.1 s at the start, 1 stretch in between (up to 5.2 s)" in notes
+    assert "the reference was interpolated" in notes
+    assert "1 of its 115 poses lie outside" in notes
+    numbers = found.metrics["systems"]["late"]
+    assert numbers["coverage"] == pytest.approx((29.8 - 2.06 - 5.2) / 29.8, abs=0.01)
+    assert numbers["ours_there"]["paired"] < found.metrics["systems"]["TurtleBag"]["paired"]
+
+
+def test_a_rate_of_its_own_changes_little(tree, tmp_path):
+    fine = noisy(Trajectory(np.arange(0, 29 * 10**9, 10**7), SE2.identity(2900)), 0.0)
+    truth = load_tum(tree / "record/truth/trajectory.tum")
+    save_tum(Trajectory(fine.stamps_ns, truth.at(fine.stamps_ns)), tmp_path / "fast.tum")
+    save_tum(Trajectory(truth.stamps_ns[::13], truth.poses[::13]), tmp_path / "slow.tum")
+    rivals = [RivalFiles(name, tmp_path / f"{name}.tum") for name in ("fast", "slow")]
+    systems = compare_rivals(tree / "map", rivals).metrics["systems"]
+    assert systems["fast"]["ate_aligned_m"]["rmse"] < 0.002
+    assert systems["slow"]["ate_aligned_m"]["rmse"] < 1e-6
+    assert systems["slow"]["paired"] == 12
+
+
+def test_without_a_truth_the_others_are_measured_against_ours():
+    path = Track.of(Trajectory(np.arange(150, dtype=np.int64) * 200_000_000, ellipse()[::6]))
+    moved = Track(path.stamps_ns, path.T.copy())
+    moved.T[:, 0, 3] += 2.0
+    a, b = np.array([0, 51]), np.array([30, 141])
+    poses = path.planar().poses
+    pairs = Relations(path.stamps_ns[a] + 1000, path.stamps_ns[b], poses[a].inverse() @ poses[b])
+    thin = moved[np.arange(150) % 3 != 0]
+    ours, rival = measure(System("TurtleBag", path, None), [System("r", thin, None)], Known(relations=pairs))
+    assert "ate_m" not in ours.numbers
+    assert rival.numbers["ate_m"]["rmse"] == pytest.approx(2.0, abs=1e-6)
+    assert rival.numbers["ate_aligned_m"]["rmse"] < 1e-6
+    # It has no poses at these stamps: they are interpolated between its own.
+    assert relations_metrics(thin.planar(), pairs)["relations"]["n"] == 0
+    assert rival.numbers["relations"]["n"] == 1
+    assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
+
+
+@pytest.mark.parametrize("kind", ["png", "negate", "scale", "raw", "coarse"])
+def test_maps_as_other_systems_write_them_are_laid_on_ours(tree, tmp_path, kind):
+    grid = mapped_room()
+    cells = grid.cells[::2, ::2] if kind == "coarse" else grid.cells
+    resolution = 0.1 if kind == "coarse" else 0.05
+    grey = {"raw": (0, 100, 255), "negate": (1, 255, 100), "scale": (254, 0, 180)}.get(kind, (254, 0, 205))
+    pixels = np.select([cells == FREE, cells == OCCUPIED], grey[:2], grey[2]).astype(np.uint8)
+    Image.fromarray(pixels[::-1]).save(tmp_path / "m.png")
+    x, y, yaw = (SE2.from_xyt(-20.0, 4.0, -2.6) @ grid.T_map_grid).xyt
+    mode = kind if kind in ("scale", "raw") else "trinary"
+    (tmp_path / "m.yaml").write_text(
+        f"image: m.png\nmode: {mode}\nresolution: {resolution}\norigin: [{x}, {y}, {yaw}]\n"
+        f"negate: {int(kind == 'negate')}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "m.yaml")])
+    numbers = found.metrics["systems"]["r"]["map"]
+    assert numbers["occupied_error_m"]["within_one_cell"] > (0.9 if kind == "coarse" else 0.96)
+    assert "turned by" in found.notes[0][1]
+
+
+def test_a_map_of_another_place_is_said_to_be_one(tree, tmp_path):
+    cells = (100 * (stream(5, "clutter").random((90, 140)) > 0.9)).astype(np.int8)
+    save_map(OccupancyGrid(cells, 0.05), tmp_path)
+    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    assert any("another place" in note for _, note in found.notes)
+
+
+def test_maps_that_lie_well_are_not_turned_to_lie_a_little_better():
+    square = OccupancyGrid(np.pad(np.zeros((60, 60), np.int8), 2, constant_values=100), 0.05)
+    placed = place(square, walls(square), [SE2.identity()])
+    assert placed.share == 1.0
+    assert placed.T_ref_map.xyt == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_the_command_prints_a_table_and_leaves_files_for_evo(tree, tmp_path, capsys):
+    files = [f"carto={tree / 'carto.tum'}", f"carto={tree / 'carto.yaml'}"]
+    assert main(["compare", str(tree / "map"), *files, "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert "evo_ape -a" in out
+    assert out.splitlines()[-1].endswith("index.html")
+    names = sorted(path.name for path in (tmp_path / "out/rivals").iterdir())
+    assert names == ["TurtleBag.reference.tum", "TurtleBag.tum", "carto.reference.tum", "carto.tum"]
+    page = (tmp_path / "out/index.html").read_text()
+    assert page.count("<figure") == 3
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text())
+    assert metrics["reference"] == "truth"
+
+
+def test_a_localisation_has_rivals_too(tree):
+    fake_localise(tree / "localise", tree / "record", tree / "map")
+    systems = compare_rivals(tree / "localise", [carto(tree)]).metrics["systems"]
+    assert systems["TurtleBag"]["ate_m"]["rmse"] == pytest.approx(0.01 * np.sqrt(2.0), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["{base}/nothing.tum"], "no such trajectory file"),
+        (["{base}/carto.pgm"], "give the yaml beside it"),
+        (["a/b={base}/carto.tum"], "a rival's name has letters"),
+        (["TurtleBag={base}/carto.tum"], "give the rival another name"),
+        (["x={base}/carto.tum", "x={base}/carto.tum"], "x has a trajectory already"),
+        (["{base}/carto.tum", "--rival-shift", "9000"], "share 0 instants; if its clock began elsewhere"),
+        (["{base}/carto.tum", "--rival-shift", "soon"], "expected a number of seconds"),
+        (["{base}/carto.tum", "--rival-base", "1,2"], "expected three numbers"),
+        (["a={base}/carto.tum", "--rival-shift", "b=1"], "no rival is called b; there are a"),
+        (["a={base}/carto.tum", "b={base}/carto.yaml", "--rival-shift", "1"], "of which rival?"),
+        (["a={base}/carto.yaml", "--rival-base", "1,2,3"], "a has no trajectory"),
+        (["{base}/map", "{base}/map"], "takes two outputs"),
+        (["{base}/map", "--rival-shift", "1"], "options are for others' files"),
+    ],
+)
+def test_bad_rivals_are_refused_in_one_line(tree, tmp_path, capsys, words, said):
+    words = [word.format(base=tree) for word in words]
+    assert main(["compare", str(tree / "map"), *words, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rival_of_two_worlds_and_a_rival_of_a_recording_alone_are_refused(tree, tmp_path, capsys):
+    other = fake_record(tmp_path / "other", world="hall")
+    rival = ["--rival", str(tree / "carto.tum"), "--out", str(tmp_path / "out")]
+    assert main(["report", str(tree / "map"), str(tree / "record"), str(other), *rival]) == 2
+    assert "belongs to one recording" in capsys.readouterr().err
+    assert main(["report", str(tree / "record"), *rival]) == 2
+    assert "a rival is compared with an output of map" in capsys.readouterr().err
+    assert main(["report", str(tree / "map"), "--out", str(tmp_path / "out"), "--rival-shift", "1"]) == 2
+    assert "there is no rival" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_report_shows_rivals_and_verify_measures_them_again(tree, tmp_path):
+    rival = [f"--rival=carto={tree / 'carto.tum'}", f"--rival=carto={tree / 'carto.yaml'}"]
+    copy = tmp_path / "carto.tum"
+    copy.write_bytes((tree / "carto.tum").read_bytes())
+    words = [str(tree / "map"), *rival, f"--rival=again={copy}", "--no-animation"]
+    out = tmp_path / "report"
+    assert main(["report", *words, "--out", str(out)]) == 0
+    page = (out / "index.html").read_text()
+    assert "Other systems" in page
+    assert 'data-key="record/rivals:systems.carto.ate_aligned_m.rmse"' in page
+    found = verify(out)
+    assert found.problems == []
+    assert any(check.key.startswith("record/rivals:systems.again") for check in found.checks)
+    (out / "index.html").write_text(page.replace("carto 4.", "carto 1."))
+    copy.write_text("".join(f"{line}\n" for line in copy.read_text().splitlines()[:-20]))
+    problems = verify(out).problems
+    assert any("says" in problem and "carto 4." in problem for problem in problems)
+    assert any("rival:again/trajectory" in problem and "changed" in problem for problem in problems)
+    assert any("systems.again.poses: reported 150, computed 130" in problem for problem in problems)

@@ -1,0 +1,121 @@
+"""Too many clients, and clients that never read or answer."""
+
+import asyncio
+import socket
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from studio_fakes import FakeSession, Served, answers, connect, run
+from tornado.iostream import IOStream
+
+from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.pipeline.studio import frames as frames_module
+from turtlebag.pipeline.studio import server
+from turtlebag.pipeline.studio.view import MapLayer
+
+
+@pytest.fixture(scope="module")
+def served():
+    with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
+        yield running
+    assert running.failure is None
+
+
+@pytest.mark.slow
+def test_two_hundred_connections_and_sixteen_of_them_watch(served):
+    async def crowd():
+        idle = []
+        for _ in range(200):
+            stream = IOStream(socket.socket())
+            await stream.connect(("127.0.0.1", served.guard.port))
+            idle.append(stream)
+        clients = await asyncio.gather(*(connect(served.url) for _ in range(200)))
+
+        async def watch(client):
+            while client.picture.bye is None and not client.picture.head:
+                await client.next()
+            return client.picture.bye
+
+        said = await asyncio.gather(*map(watch, clients))
+        assert Counter(said) == {None: 16, "16 pages are open already: close one": 184}
+        for client in clients:
+            client.close()
+        for stream in idle:
+            stream.close()
+
+    run(crowd())
+    time.sleep(0.5)
+    assert answers(served)
+
+
+def deaf(served):
+    """A socket that is opened and then never read."""
+    one = socket.create_connection(("127.0.0.1", served.guard.port))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    one.sendall(
+        f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+    )
+    return one
+
+
+@pytest.mark.slow
+def test_clients_that_never_read_cost_nobody_else_a_frame(monkeypatch, caplog):
+    """Each frame is a new map of noise, so that what the system keeps for the deaf is soon full."""
+    rng, frames = np.random.default_rng(0), []
+    session = FakeSession()
+    inner = session.view
+
+    def noisy():
+        session._map = MapLayer(OccupancyGrid(rng.integers(0, 101, (400, 400)).astype(np.int8), 0.05))
+        return inner()
+
+    session.view = noisy
+    monkeypatch.setattr(frames_module, "GRID_BYTES_A_SECOND", 1e9)
+    encode = server.Frames.frame
+    monkeypatch.setattr(server.Frames, "frame", lambda self, *a: frames.append(id(self)) or encode(self, *a))
+
+    async def watch():
+        client = await connect(served.url)
+        await client.read_for(3.0)
+        return client
+
+    with Served(session) as served:
+        silent = [deaf(served) for _ in range(5)]
+        time.sleep(1.0)
+        before = len(frames)
+        client = run(watch())
+        gaps = np.diff(client.arrivals[1:])
+        assert np.median(gaps) < 0.13
+        assert gaps.max() < 0.5
+        # In those three seconds the deaf were not even written for: nothing piles up.
+        assert len(frames) - before < 1.2 * gaps.size + 10
+        assert 0.8 < client.picture.head["factor"] < 1.2
+        begun = time.monotonic()
+        served.stop()
+        assert time.monotonic() - begun < 3.0
+    for one in silent:
+        one.close()
+    assert served.failure is None
+    assert caplog.records == []
+
+
+@pytest.mark.slow
+def test_who_does_not_answer_pings_is_gone(monkeypatch):
+    monkeypatch.setattr(server, "PING_S", 0.3)
+
+    async def come_and_see():
+        client = await connect(served.url)
+        return (await client.until(lambda p: p.head)).head["driver"]
+
+    with Served(FakeSession()) as served:
+        one = deaf(served)
+        time.sleep(0.2)
+        assert not run(come_and_see())
+        # Two pings, and the five seconds that a page is given to close in good order.
+        time.sleep(6.0)
+        assert run(come_and_see())
+        one.close()

@@ -1,0 +1,122 @@
+"""Messages that no page sends: malformed, without sense, giant, too many, and noise."""
+
+import asyncio
+import socket
+
+import numpy as np
+import pytest
+from studio_fakes import FakeSession, Served, answers, connect, run
+from tornado.iostream import IOStream
+
+from turtlebag.pipeline.studio.guard import Rate
+
+
+@pytest.fixture(scope="module")
+def served():
+    with Served(FakeSession(cells=np.zeros((64, 64), dtype=np.int8))) as running:
+        yield running
+    assert running.failure is None
+
+
+MALFORMED = (
+    "", "x", "[]", "null", '"drive"', "{}", '{"do": 1}', '{"do": "shutdown"}', '{"do": ["drive"]}',
+    "[" * 60_000, '{"do": "drive", "v": ' + "9" * 5000 + "}", "\0", b"\x00\x01", b"{}",
+    '{"do": "stop"}' + " " * 65_536,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("message", MALFORMED, ids=range(len(MALFORMED)))
+def test_a_message_that_no_page_sends_ends_the_socket_with_a_reason(served, message):
+    async def attempt():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        client.send(message)
+        with pytest.raises(EOFError, match=r"a message|messages are"):
+            await client.until(lambda p: False)
+        assert client.code == 1008
+
+    run(attempt())
+    assert answers(served)
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ('{"do": "drive", "v": NaN, "w": 0}', "drive: v"),
+        ('{"do": "drive", "v": 1e999, "w": 0}', "drive: v"),
+        ('{"do": "drive", "x": 1}', "unknown key"),
+        ('{"do": "map_save", "name": "../../etc/passwd"}', "name"),
+        ('{"do": "record", "name": "a/b"}', "name"),
+        ('{"do": "goal", "pose": [1]}', "pose"),
+        ('{"do": "speed", "factor": -1}', "speed"),
+        ('{"do": "layers", "layers": ' + str(["x"] * 100).replace("'", '"') + "}", "layers"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused_in_one_line(served, message, said):
+    async def attempt():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        client.send(message)
+        await client.read_for(0.4)
+        client.close()
+        return client.picture.errors
+
+    errors = run(attempt())
+    assert all("\n" not in error and len(error) < 300 for error in errors)
+    assert said in errors[0]
+
+
+@pytest.mark.slow
+def test_a_giant_message_is_not_even_read(served):
+    async def attempt():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        client.send("x" * 50_000_000)
+        while await client.next():
+            pass
+
+    run(attempt())
+    assert answers(served)
+
+
+def test_more_messages_than_a_person_sends_end_the_socket(served):
+    async def attempt():
+        client = await connect(served.url)
+        await client.until(lambda p: p.head)
+        for _ in range(200):
+            client.ask("stop")
+        with pytest.raises(EOFError, match="at most 60 messages a second"):
+            await client.until(lambda p: False)
+
+    before = len(served.session.applied)
+    run(attempt())
+    assert len(served.session.applied) - before <= 60
+
+
+def test_a_rate_is_of_any_second():
+    now = [0.0]
+    rate = Rate(3, lambda: now[0])
+    assert [rate.exceeded() for _ in range(4)] == [False, False, False, True]
+    now[0] = 1.0
+    assert [rate.exceeded() for _ in range(4)] == [False, False, False, True]
+
+
+@pytest.mark.slow
+def test_random_bytes_end_the_connection_they_come_by(served):
+    async def attempt(seed, opened):
+        noise = np.random.default_rng(seed).bytes(20_000)
+        stream = IOStream(socket.socket())
+        await stream.connect(("127.0.0.1", served.guard.port))
+        if opened:
+            await stream.write(
+                f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
+                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+            )
+            await stream.read_until(b"\r\n\r\n")
+        await stream.write(noise + b"\r\n\r\n")
+        await asyncio.wait_for(stream.read_until_close(), 10.0)
+
+    for seed in range(10):
+        run(attempt(seed, opened=seed % 2 == 0))
+    assert answers(served)
