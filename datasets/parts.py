@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
+from pydantic_core import PydanticCustomError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import Signature, signatures
@@ -50,7 +51,8 @@ def part_of(*ours: str) -> AfterValidator:
     def known(name: str) -> str:
         if name in ours or is_own(name):
             return name
-        raise ValueError(f"'{name}' is none of {', '.join(ours)}, nor a class of yours (module:Class)")
+        said = "'{name}' is none of {ours}, nor a class of yours (module:Class)"
+        raise PydanticCustomError("part", said, {"name": name, "ours": ", ".join(ours)})
 
     return AfterValidator(known)
 
@@ -111,10 +113,10 @@ def source_files(names: Mapping[str, str | None]) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for kind, name in names.items():
         if name is not None and name in _found:
-            (_, file, before), here = _found[name], Path.cwd()
+            _, file, before = _found[name]
             if signatures(file) != before:
                 raise InputError(f"{name}: {file} has changed since it was imported; run it again")
-            files[kind] = file.relative_to(here) if file.is_relative_to(here) else file
+            files[kind] = _from_here(file)
     return files
 
 
@@ -123,7 +125,7 @@ def told_of(error: BaseException) -> str | None:
     files = {source.file for source in _found.values()}
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if Path(frame.filename) in files:
-            return f"{frame.filename}, line {frame.lineno}, in {frame.name}: {_said(error)}"
+            return f"{_from_here(Path(frame.filename))}, line {frame.lineno}, in {frame.name}: {_said(error)}"
     return None
 
 
@@ -150,6 +152,11 @@ class Answer(NamedTuple):
     def wrong(self, text: str) -> InputError:
         """The error that says what is wrong with it."""
         return InputError(f"{_label(type(self.part))}: {self.method}: {text}")
+
+
+def _from_here(file: Path) -> Path:
+    """A file as seen from the current folder, if it lies below."""
+    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
 
 def _label(part: type) -> str:
@@ -191,7 +198,7 @@ def _attribute(module: Any, qualname: str) -> Any:
 
 def _place(module: Any) -> str:
     file = getattr(module, "__file__", None)
-    return module.__name__ if file is None else f"{module.__name__} ({file})"
+    return module.__name__ if file is None else f"{module.__name__} ({_from_here(Path(file))})"
 
 
 def _classes_of(module: Any) -> str:

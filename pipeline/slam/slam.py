@@ -304,7 +304,9 @@ def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
     """The exchangeable parts a map is made with, by the setting that chooses each; None: not used."""
     config = _by_odometry(config) if config.sensors == "odometry" else config
     matcher = config.loops.match if config.loops.enabled else None
-    return {"front_end": config.front_end, "loops.match": matcher, "back_end": config.back_end}
+    solved = config.loops.enabled or config.refine.rounds > 0
+    back_end = config.back_end if solved else None
+    return {"front_end": config.front_end, "loops.match": matcher, "back_end": back_end}
 
 
 def _optimised(

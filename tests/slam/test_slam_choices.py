@@ -95,10 +95,11 @@ def test_the_manifest_names_the_parts(log, tmp_path):
         assert main(["map", str(path), "--out", str(tmp_path / out), "-q", *words]) == 0
         return json.loads((tmp_path / out / "manifest.json").read_text())["parts"]
 
-    assert parts("usual") == {"front_end": "lines", "loops.match": "lines"}
+    assert parts("usual") == {"front_end": "lines", "loops.match": "lines", "back_end": "gtsam"}
     chosen = ["--set", "front_end=kiss_icp", "--set", "loops.match=open3d"]
-    assert parts("chosen", *chosen) == {"front_end": "kiss_icp", "loops.match": "open3d"}
-    assert parts("alone", "--set", "sensors=odometry") == {"front_end": "wheels", "loops.match": None}
+    assert parts("chosen", *chosen) == {"front_end": "kiss_icp", "loops.match": "open3d", "back_end": "gtsam"}
+    unused = {"front_end": "wheels", "loops.match": None, "back_end": None}
+    assert parts("alone", "--set", "sensors=odometry") == unused
 
 
 def tracked(log, make, **changed):
