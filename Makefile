@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-sweep mutants study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-sweep bench-front-ends mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -128,6 +128,8 @@ bench-studio: $(READY) ## the studio: how late its frames are, bytes, speed with
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.kills
+bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign that resumes (TURTLEBAG_DATA=folder of the public logs)
+	cd $${TURTLEBAG_DATA:?names no folder of public logs} && $(CURDIR)/$(TURTLEBAG) sweep $(CURDIR)/benchmarks/front_ends.yaml --out $(CURDIR)/data/benchmarks/front_ends
 bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question to a million rows
 	$(PY) -m benchmarks.sweep
 

@@ -137,7 +137,7 @@ def speedup(folder: Path) -> list[Row]:
             "name": "maps",
             "bags": [str(drive)],
             "factors": {"n": {"first": 1, "last": MAPS}},
-            "stages": {"map": "map {bag} --set occupancy.resolution_m={n:0.05+0*x}"},
+            "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
             "results": {"scans": "map:scans"},
         }
     )

@@ -210,7 +210,7 @@ def _spread(left: Sequence[Case], campaign: Campaign) -> list[Case]:
     rank: Counter[str] = Counter()
     ranked = []
     for case in left:
-        first = recipes(case, "")[campaign.shared[0]]
+        first = recipes(case, "").get(campaign.shared[0], case.name)
         ranked.append((rank[first], case))
         rank[first] += 1
     return [case for _, case in sorted(ranked, key=itemgetter(0))]
