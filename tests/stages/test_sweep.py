@@ -299,7 +299,8 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
     for _ in range(2):
         with claimed(arguments[1]) as claim:
-            sweep._begin(Store(str(claim.partial)), load_campaign(arguments[0]), force=False)
+            campaign = load_campaign(arguments[0])
+            sweep._begin(sweep._where(campaign, None, claim.partial, {}, None), campaign, force=False)
             (claim.partial / "rows").mkdir(exist_ok=True)
             (claim.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
