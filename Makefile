@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install mutants study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -108,7 +108,7 @@ pictures: demo ## the animations of the README, out of the demo's report
 	cp data/reports/demo/figures/turtlebot3-world-map-animation.gif docs/images/mapping.gif
 	cp data/reports/demo/figures/turtlebot3-world-patrol-animation.gif docs/images/patrol.gif
 
-bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-studio bench-bags ## all benchmarks: tables printed, and written below data/benchmarks
+bench: bench-sim bench-slam bench-localise bench-plan bench-navigate bench-studio bench-bags bench-sweep ## all benchmarks: tables printed, and written below data/benchmarks
 bench-sim: $(READY) ## simulated seconds per second, by world and robot
 	$(PY) -m benchmarks.sim
 bench-slam: $(READY) ## maps, in less than 20 minutes: a sample of bench-slam-all
@@ -130,6 +130,10 @@ bench-install: $(READY) ## the wheel and all it needs from the index, beside `da
 bench-bags: $(READY) ## bags cut, flipped and killed
 	$(PY) -m benchmarks.bags_damage
 	$(PY) -m benchmarks.kills
+bench-front-ends: $(READY) ## all logs x all front ends x all seeds, a campaign that resumes (TURTLEBAG_DATA=folder of the public logs)
+	cd $${TURTLEBAG_DATA:?names no folder of public logs} && $(CURDIR)/$(TURTLEBAG) sweep $(CURDIR)/benchmarks/front_ends.yaml --out $(CURDIR)/data/benchmarks/front_ends
+bench-sweep: $(READY) ## campaigns: overhead of a case, second core, a question to a million rows
+	$(PY) -m benchmarks.sweep
 
 mutants: $(READY) ## mutation tests: make small mistakes in the code, see whether a test notices   (SEED, N mutants)
 	$(PY) -m benchmarks.mutants --seed $(SEED) $(if $(N),--count $(N))

@@ -3,8 +3,8 @@
 python -m benchmarks.sweep [PART ...] [--cases N] [--rows N] [--out DIR]
 
 Parts:
-  overhead  empty cases on a scheduler with two workers, each a process: milliseconds a case, and the memory
-            of the scheduler and of the command as they come
+  overhead  empty cases on a scheduler with two workers, each a process: milliseconds of a worker and of
+            processors (workers, scheduler and command) for each, and the memory of scheduler and command
   speedup   maps of one drive, by one worker and by two, each of one thread
   query     the table of a million rows: how long it takes to write, and to ask
 """
@@ -51,9 +51,15 @@ def megabytes(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def spent(pids: Sequence[int]) -> float:
+    """Processor time of processes so far [s]."""
+    fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
+    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
+
+
 @contextmanager
-def cluster(workers: int, folder: Path) -> Iterator[tuple[str, int]]:
-    """A scheduler and its workers as processes of their own: its address and its process."""
+def cluster(workers: int, folder: Path) -> Iterator[tuple[str, list[int]]]:
+    """A scheduler and its workers as processes of their own: its address, and all of them, itself first."""
     where = folder / f"scheduler-{workers}.json"
     options = ["--scheduler-file", str(where), "--no-dashboard"]
     one = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -70,7 +76,7 @@ def cluster(workers: int, folder: Path) -> Iterator[tuple[str, int]]:
             time.sleep(0.1)
         for number in range(workers):
             start("worker", "--nthreads", "1", "--no-nanny", "--local-directory", str(folder / str(number)))
-        yield json.loads(where.read_text())["address"], started[0].pid
+        yield json.loads(where.read_text())["address"], [process.pid for process in started]
     finally:
         for process in reversed(started):
             process.terminate()
@@ -78,15 +84,15 @@ def cluster(workers: int, folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) -> Iterator[Row]:
-    """Seconds since the first case was done, and the memory of the scheduler and of this process, at each of
-    so many parts of the campaign."""
+    """At each of so many parts of the campaign: seconds and processor time since the first case was done, and
+    the memory of the scheduler and of this process."""
     runs = Store(str(folder / "store" / str(workers)))
     todo = cases(campaign)
-    with cluster(workers, folder) as (address, scheduler):
+    with cluster(workers, folder) as (address, pids):
         where = Where(runs, runs.below("outputs"), "")
         found = run_cases(campaign, todo, where, run, folder, scheduler=address)
         kept = [next(found)]  # the workers have started and loaded what they need
-        start = time.perf_counter()
+        start, cpu_s = time.perf_counter(), spent([os.getpid(), *pids])
         for done, item in enumerate(found, start=1):
             kept.append(item)
             assert not item[0]["failed"], item[0]["error"]
@@ -94,7 +100,8 @@ def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) 
                 yield {
                     "cases": done,
                     "wall_s": time.perf_counter() - start,
-                    "scheduler_mb": megabytes(scheduler),
+                    "cpu_s": spent([os.getpid(), *pids]) - cpu_s,
+                    "scheduler_mb": megabytes(pids[0]),
                     "command_mb": megabytes(os.getpid()),
                 }
 
@@ -110,7 +117,14 @@ def overhead(count: int, folder: Path) -> list[Row]:
         }
     )
     rows = list(timed(campaign, nothing, WORKERS, folder, 10))
-    return [{**row, "ms_a_case": 1000.0 * WORKERS * row["wall_s"] / row["cases"]} for row in rows]
+    return [
+        {
+            **row,
+            "worker_ms_a_case": 1000.0 * WORKERS * row["wall_s"] / row["cases"],
+            "cpu_ms_a_case": 1000.0 * row["cpu_s"] / row["cases"],
+        }
+        for row in rows
+    ]
 
 
 def speedup(folder: Path) -> list[Row]:
@@ -123,7 +137,7 @@ def speedup(folder: Path) -> list[Row]:
             "name": "maps",
             "bags": [str(drive)],
             "factors": {"n": {"first": 1, "last": MAPS}},
-            "stages": {"map": "map {bag} --set occupancy.resolution_m={n:0.05+0*x}"},
+            "stages": {"map": "map {bag} --set grid.resolution_m={n:0.05+0*x}"},
             "results": {"scans": "map:scans"},
         }
     )

@@ -185,6 +185,6 @@ def _unpack(packed: bytes, folder: Path) -> None:
 
 def _value(places: Mapping[str, Path], where: str) -> Any:
     stage, _, path = where.partition(":")
-    file = places[stage] / "metrics.json"
-    value = lookup(read_json(file), path) if file.is_file() else None
+    file = places[stage] / "metrics.json" if stage in places else None
+    value = lookup(read_json(file), path) if file is not None and file.is_file() else None
     return value if isinstance(value, (bool, int, float, str)) else None

@@ -119,8 +119,10 @@ def _case(campaign: Campaign, chosen: dict[str, Scalar], bag_version: str) -> Ca
             texts[name] = _filled(text, {**others, **places}, f"{name}.{chosen[name]}")
     commands: dict[str, list[str]] = {}
     for stage, line in campaign.stages.items():
-        commands[stage] = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
+        words = _words(_filled(line, {**texts, **places}, f"stages.{stage}"), stage)
         places[stage] = f"{{{stage}}}"
+        if words:  # a stage may have nothing to do for some levels
+            commands[stage] = words
     known = [chosen, commands, *([bag_version] if bag_version else [])]
     digest = hashlib.sha256(json.dumps(known).encode()).hexdigest()
     return Case(digest[:16], chosen, commands, bag_version)

@@ -89,6 +89,15 @@ def run_cases(
                 yield future.result()
             else:
                 # Not written: a resumed campaign tries the case again.
-                yield row_of(case, campaign, f"worker died ({type(future.exception()).__name__})"), None
+                yield row_of(case, campaign, _why(future.exception())), None
             future.release()
             start(1)
+
+
+def _why(error: BaseException) -> str:
+    """Why there is no row of a case: its workers died, or could not reach the store."""
+    from distributed.scheduler import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return "worker died (KilledWorker)"
+    return f"worker failed ({type(error).__name__}: {' '.join(str(error).split())[:200]})"

@@ -6,10 +6,12 @@ import math
 from collections.abc import Sequence
 
 from turtlebag.datasets.outputs import Stopwatch
+from turtlebag.datasets.urls import reason_of
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Row, Where, kept_at
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.results import PAGE, names_of
+from turtlebag.pipeline.terminal.messages import log
 from turtlebag.reports.campaign_page import Running, Worst, render_running
 
 EVERY_S = 5.0
@@ -68,4 +70,7 @@ class Progress:
             self._failures[::-1],
             self.worst,
         )
-        self._where.runs.put(PAGE, render_running(running, EVERY_S).encode())
+        try:
+            self._where.runs.put(PAGE, render_running(running, EVERY_S).encode())
+        except Exception as error:  # a page that is not there ends no campaign; the next one may be
+            log.warning(f"{self._where.runs.url}/{PAGE}: cannot be written ({reason_of(error)})")

@@ -31,7 +31,7 @@ from turtlebag.pipeline.terminal.messages import log, track
 
 TELL_S = 60.0
 MARK = "made_by.txt"
-"""In a campaign's store: fingerprint of the code, the packages and the machine that made its rows."""
+"""In a campaign's store: the maker of its rows, as `Where` has it."""
 OUTPUTS = "outputs"
 """Part of a store that keeps what `shared` stages made, for all campaigns of it."""
 SCRATCH = "scratch"
@@ -65,7 +65,7 @@ def sweep(
         inputs = _inputs(campaign_name, todo)
         claim.watch(inputs.values())
         where = _where(campaign, store, claim.partial, inputs, scheduler)
-        _begin(where.runs, campaign, force=force)
+        _begin(where, campaign, force=force)
         progress = Progress(campaign, where, todo)
         rows, timing = _run(campaign, todo, where, run, progress, claim.partial / SCRATCH, scheduler, workers)
         (claim.partial / "config.yaml").write_text(config_text(campaign))
@@ -107,9 +107,9 @@ def _where(
     return Where(whole.below(campaign.name), whole.below(OUTPUTS), maker)
 
 
-def _begin(runs: Store, campaign: Campaign, *, force: bool) -> None:
-    """Mark a store with the campaign and the code that make its rows; InputError when it holds others."""
-    marks = {"config.yaml": config_text(campaign), MARK: surroundings() + "\n"}
+def _begin(where: Where, campaign: Campaign, *, force: bool) -> None:
+    """Mark a store with the campaign and the maker of its rows; InputError when it holds others."""
+    runs, marks = where.runs, {"config.yaml": config_text(campaign), MARK: where.maker + "\n"}
     try:
         if maker := _other_maker(runs, marks):
             if not force:
@@ -128,7 +128,7 @@ def _other_maker(runs: Store, marks: Mapping[str, str]) -> str:
     """What made a store's rows when it is not what the marks say; empty when it is, or there are none."""
     kinds = (
         "another campaign",
-        "made with other code or packages, or on another machine: it cannot be resumed",
+        "made with other code, packages or input files, or on another machine: it cannot be resumed",
     )
     found = [runs.read(name) for name in marks]
     for content, text, kind in zip(found, marks.values(), kinds, strict=True):
@@ -210,7 +210,7 @@ def _spread(left: Sequence[Case], campaign: Campaign) -> list[Case]:
     rank: Counter[str] = Counter()
     ranked = []
     for case in left:
-        first = recipes(case, "")[campaign.shared[0]]
+        first = recipes(case, "").get(campaign.shared[0], case.name)
         ranked.append((rank[first], case))
         rank[first] += 1
     return [case for _, case in sorted(ranked, key=itemgetter(0))]

@@ -14,7 +14,7 @@ from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
 from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
-from turtlebag.pipeline.campaign.case import Where, run_case
+from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
@@ -22,6 +22,7 @@ from turtlebag.reports.campaign import compare_pairs, summarise
 from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
 
+ROOT = Path(__file__).parents[2]
 CAMPAIGN = """
 name: small
 question: Does it?
@@ -152,10 +153,11 @@ def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
         query(store, sql)
 
 
-def row_of(tmp_path, run=fake_main, **factors):
+def row_of(tmp_path, run=fake_main, at=None, **factors):
     commands = {"make": ["fake", "--size", str(factors["size"]), "--seed", "2"]}
     wanted = {"results": {"error_m": "make:error.rmse"}, "keep": ["metrics.json"]}
-    campaign = Campaign(name="small", factors={"size": [1]}, stages={"make": "fake"}, **wanted)
+    wanted = {"stages": {"make": "fake"}, **wanted, **(at or {})}
+    campaign = Campaign(name="small", factors={"size": [1]}, **wanted)
     where = Where(Store(str(tmp_path)), Store(str(tmp_path / "outputs")), "")
     return run_case(Case("c", factors, commands), campaign, where, run)[0]
 
@@ -297,7 +299,8 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
     for _ in range(2):
         with claimed(arguments[1]) as claim:
-            sweep._begin(Store(str(claim.partial)), load_campaign(arguments[0]), force=False)
+            campaign = load_campaign(arguments[0])
+            sweep._begin(sweep._where(campaign, None, claim.partial, {}, None), campaign, force=False)
             (claim.partial / "rows").mkdir(exist_ok=True)
             (claim.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
@@ -327,6 +330,21 @@ def test_every_shipped_study_can_be_expanded():
         campaign = load_campaign(path.stem)
         assert campaign.name == path.stem
         assert len(cases(campaign)) > 1
+
+
+def test_a_stage_may_have_nothing_to_do_and_an_output_not_depend_on_the_seed(tmp_path):
+    campaign = load_campaign(str(ROOT / "benchmarks/front_ends.yaml"))
+    found = cases(campaign)
+    assert len(found) == 10 * 5 * 3
+    public = [case for case in found if case.factors["log"] == "intel"]
+    assert all(list(case.commands) == ["map"] for case in public)
+    assert len({recipes(case, "")["map"] for case in public}) == 3
+    driven = [case for case in found if case.factors["log"] == "maze tour"]
+    assert driven[3].commands["drive"][:3] == ["record", "--world", "maze:2"]
+    assert len({recipes(case, "")["map"] for case in driven}) == 15
+    assert len({recipes(case, "")["drive"] for case in driven}) == 5
+    row = row_of(tmp_path, size=2, at={"stages": {"make": "fake", "more": ""}, "results": {"r": "more:r"}})
+    assert (row["failed"], row["r"]) == (False, None)
 
 
 def test_the_median_interval_covers_the_true_median_about_as_often_as_it_says():
