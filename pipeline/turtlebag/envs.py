@@ -44,7 +44,7 @@ class GoalEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     for reaching it, -10 for touching something; both end the episode. The same seed gives the same episode.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own way)
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own way)
 
     def __init__(self, world: str = "turtlebot3_world", robot: str | None = None) -> None:
         self._sim = Simulator(world, robot)
