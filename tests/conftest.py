@@ -34,9 +34,9 @@ def no_workers(monkeypatch):
     """Campaigns whose cases all end at once with the same numbers."""
     import turtlebag.pipeline.campaign.sweep
 
-    def rows(campaign, todo, folder, run, **options):
+    def rows(campaign, todo, where, run, scratch, **options):
         for case in todo:
             values = dict.fromkeys(campaign.results, 0.5)
-            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}
+            yield {"case": case.name, **case.factors, "failed": False, "error": "", **values}, 0.1
 
     monkeypatch.setattr(turtlebag.pipeline.campaign.sweep, "run_cases", rows)

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -113,16 +113,9 @@ class _Work:
         self._folder = folder
         self._recipes = recipes(case, where.maker)
         self._places = {stage: folder / stage for stage in case.commands}
-        self._bag = folder
 
     def run_stages(self) -> None:
         """Run what is not made already; StageFailed at the first stage that leaves nothing."""
-        if BAG in self._case.factors:
-            said = {word.rpartition("=")[2] for words in self._case.commands.values() for word in words}
-            try:
-                self._bag = brought(str(self._case.factors[BAG]), self._folder / BAG, said)
-            except InputError as error:
-                raise StageFailed(f"{BAG}: {error}") from None
         for stage in self._case.commands:
             if stage in self._campaign.shared:
                 name, make = f"{self._recipes[stage]}.tar", partial(self._packed, stage)
@@ -146,6 +139,15 @@ class _Work:
                 if path.is_file() and ("*" in self._campaign.keep or path.name in self._campaign.keep):
                     self._where.runs.put(f"{target}/{path.relative_to(place).as_posix()}", path.read_bytes())
 
+    @cached_property
+    def _bag(self) -> Path:
+        """Where the bag lies on this machine: it comes when the first stage that reads it is run."""
+        said = {word.rpartition("=")[2] for words in self._case.commands.values() for word in words}
+        try:
+            return brought(str(self._case.factors[BAG]), self._folder / BAG, said)
+        except InputError as error:
+            raise StageFailed(f"{BAG}: {error}") from None
+
     def _packed(self, stage: str) -> bytes:
         """The output of a shared stage, made here, as one file."""
         self._make(stage)
@@ -157,7 +159,9 @@ class _Work:
     def _make(self, stage: str) -> None:
         """Run the command of a stage into its folder."""
         out = self._places[stage]
-        words = [word.format(**self._places, **{BAG: self._bag}) for word in self._case.commands[stage]]
+        words = self._case.commands[stage]
+        bag = {BAG: self._bag} if any(f"{{{BAG}}}" in word for word in words) else {}
+        words = [word.format(**self._places, **bag) for word in words]
         told, said = io.StringIO(), io.StringIO()
         code = None
         try:
@@ -173,8 +177,8 @@ class _Work:
 
     def _failure(self, stage: str, reason: str) -> StageFailed:
         named = " ".join(reason.split())
-        if BAG in self._case.factors:
-            named = named.replace(str(self._bag), str(self._case.factors[BAG]))
+        if url := str(self._case.factors.get(BAG, "")):
+            named = named.replace(str(self._folder / BAG / url.rpartition("/")[2]), url)
         return StageFailed(f"{stage}: {named.replace(str(self._folder), 'CASE')}")
 
 

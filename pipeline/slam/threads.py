@@ -6,6 +6,7 @@ number of cores nor on which thread was faster.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -24,5 +25,7 @@ def in_parts(work: Callable[[slice], Part], n: int) -> list[Part]:
     # more parts than threads: one with the harder items does not keep the other waiting long
     borders = [round(k * n / (4 * THREADS)) for k in range(4 * THREADS + 1)]
     parts = [slice(a, b) for a, b in pairwise(borders)]
+    if os.environ.get("OMP_NUM_THREADS") == "1":  # others need the cores: the workers of a campaign
+        return [work(part) for part in parts]
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(work, parts))

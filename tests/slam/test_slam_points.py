@@ -1,5 +1,6 @@
 """Worlds without surfaces, logs in which only the scans say how the robot moved, and work in parts."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -108,6 +109,17 @@ def test_parts_come_back_in_order_whatever_finishes_first():
     assert [k for part in in_parts(slow_at_first, n) for k in part] == list(range(n))
     assert in_parts(slow_at_first, 3) == [[0, 1, 2]]
     assert in_parts(slow_at_first, 0) == [[]]
+
+
+def test_one_thread_takes_the_same_parts_where_others_need_the_cores(monkeypatch):
+    def with_thread(part):
+        return part, threading.get_ident()
+
+    two = in_parts(with_thread, 1000)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    one = in_parts(with_thread, 1000)
+    assert [part for part, _ in one] == [part for part, _ in two]
+    assert {thread for _, thread in one} == {threading.get_ident()}
 
 
 def test_without_odometry_no_direction_of_a_step_is_left_free():

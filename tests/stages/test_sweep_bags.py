@@ -92,21 +92,16 @@ def test_an_object_is_put_once_and_whole(place):
     assert store.names("a") == []
 
 
-def test_what_many_want_is_made_by_one_and_a_lost_ones_work_is_taken_over(place, monkeypatch):
-    monkeypatch.setattr(leases, "LEASE_S", 0.6)
-    monkeypatch.setattr(leases, "BEAT_S", 0.1)
+def test_what_many_want_is_made_by_one(place, monkeypatch):
     monkeypatch.setattr(leases, "POLL_S", 0.05)
-    store, made = Store(place), []
+    store, made, found = Store(place), [], []
 
     def make():
         made.append(1)
-        time.sleep(1.0)  # longer than a lease: it is renewed
+        time.sleep(0.3)
         return b"made"
 
-    # A lease of a worker that is no more.
-    assert store.put_new("leases/lost/0", b"its mark")
-    found = []
-    want = partial(leases.made_once, store, "lost", make)
+    want = partial(leases.made_once, store, "it", make)
     wanting = [threading.Thread(target=lambda: found.append(want())) for _ in range(4)]
     for thread in wanting:
         thread.start()
@@ -114,6 +109,23 @@ def test_what_many_want_is_made_by_one_and_a_lost_ones_work_is_taken_over(place,
         thread.join()
     assert found == [b"made"] * 4
     assert len(made) == 1
+    assert store.names("leases") == []
+
+
+def test_a_lease_is_renewed_and_that_of_a_lost_worker_taken_over(place, monkeypatch):
+    monkeypatch.setattr(leases, "LEASE_S", 0.3)
+    monkeypatch.setattr(leases, "BEAT_S", 0.05)
+    store = Store(place)
+    store.put("leases/it/0", b"of a worker that is no more")
+
+    def make():
+        mark, until = store.read("leases/it/1"), time.monotonic() + 20.0
+        while store.read("leases/it/1") == mark:
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        return b"made"
+
+    assert leases.made_once(store, "it", make) == b"made"
     assert store.names("leases") == []
 
 
