@@ -9,7 +9,7 @@ from typing import Any
 
 from turtlebag.pipeline.cli.arguments import map_file
 
-EXAMPLE = "source <(turtlebag completion bash)"
+EXAMPLE = "turtlebag completion bash > turtlebag.bash && source turtlebag.bash"
 SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 

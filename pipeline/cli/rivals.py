@@ -7,11 +7,14 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.rivals import OURS, RivalFiles
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.arguments import pose
+
+if TYPE_CHECKING:
+    from turtlebag.datasets.rivals import RivalFiles
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
 IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
@@ -33,6 +36,8 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
     """The rivals that `words` (NAME=FILE or FILE) and the options name; a name may have a trajectory and a
     map. InputError for what is neither, twice of one kind, or an option for a name that is not there.
     """
+    from turtlebag.datasets.rivals import RivalFiles
+
     found: dict[str, dict[str, Path]] = {}
     for word in words:
         name, path = _named(word)
@@ -68,6 +73,8 @@ def existing_rivals(words: Sequence[str], args: argparse.Namespace) -> list[Path
 
 def _named(word: str) -> tuple[str, Path]:
     """NAME=FILE, or FILE with the name of the file."""
+    from turtlebag.datasets.rivals import OURS
+
     name, equals, file = word.partition("=")
     if not equals or Path(word).exists():
         path = Path(word)

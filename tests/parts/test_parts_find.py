@@ -9,7 +9,8 @@ import pytest
 
 from turtlebag.datasets import parts
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.campaign.campaign_file import Campaign, cases
+from turtlebag.pipeline.campaign.campaign_file import Campaign
+from turtlebag.pipeline.campaign.cases import cases
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.pose_graph import Gtsam

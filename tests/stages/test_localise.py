@@ -144,7 +144,7 @@ def test_without_an_initial_pose_it_is_rejected_with_complete_outputs(room_log, 
         (["--initial-pose=2,2,nan"], "not a finite number"),
         (["--initial-pose=2,2,0", "--set", "amcl.min_particles=0"], "min_particles"),
         (["--initial-pose=2,2,0", "--set", "amcl.no_such=1"], "unknown key"),
-        (["--initial-pose=2,2,0", "--truth", "nowhere"], "no such"),
+        (["--initial-pose=2,2,0", "--truth", "nowhere"], "nowhere: no truth found"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(room_log, tmp_path, capsys, more, words):
