@@ -154,7 +154,7 @@ lint: $(READY) ## ruff and mypy
 	$(PY) -m mypy
 
 test: lint ## lint, then pytest
-	$(PY) -m pytest -n 2 --dist worksteal
+	$(PY) -m pytest -n 3 --dist worksteal  # some of them wait more than they compute
 
 browser: ## find Chromium for the browser test, or install it (Debian)
 	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }
