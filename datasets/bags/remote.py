@@ -6,6 +6,7 @@ An mcap is read by ranges (`mcap_ranges`); every other file, and an mcap without
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +58,9 @@ def _bring(files: Any, path: str, place: Path, topics: Collection[str]) -> None:
             files.info(path)["size"],
             lambda channels: _asked_for(channels, topics),
         )
-        try:
-            with place.open("wb") as out:
-                out.writelines(pieces)
+        with suppress(Damage), place.open("wb") as out:  # whoever reads it whole says what is wrong
+            out.writelines(pieces)
             return
-        except Damage:
-            pass  # whoever reads it whole says what is wrong
     files.get_file(path, str(place))
 
 
