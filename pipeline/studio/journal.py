@@ -116,12 +116,13 @@ class Journal:
     """Writes a session file while the session goes on."""
 
     def __init__(self, path: Path, header: Header | BagHeader) -> None:
-        self._file = path.open("x")
         told = header.model_dump(mode="json", exclude={"sim"})
         if isinstance(header, Header) and (sim := header.sim.model_dump(mode="json", exclude_unset=True)):
             told["sim"] = sim
-        self._file.write(yaml.safe_dump(told, sort_keys=False))
-        self._write("inputs:\n")
+        begun = path.with_name(f".{path.name}")
+        self._file = begun.open("x")
+        self._write(yaml.safe_dump(told, sort_keys=False) + "inputs:\n")
+        begun.rename(path)  # a kill between the two leaves no half a header
         self._asked: Twist | None = None
         self._begin_ns = self._silent_ns = 0
 

@@ -1,5 +1,7 @@
 """`session.yaml`: what is written, what is read, and what is refused."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -31,6 +33,21 @@ def written(tmp_path, calls):
 
 def ticks(first, last, asked):
     return [lambda journal, k=k: journal.tick(stamp_of(k), asked) for k in range(first, last)]
+
+
+def test_a_session_file_appears_with_its_whole_header(tmp_path, monkeypatch):
+    begun = []
+    rename = Path.rename
+
+    def spy(self, target):
+        assert not target.exists()
+        begun.append(load_session(self).header.robot)
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", spy)
+    assert written(tmp_path, []) == []
+    assert begun == ["burger"]
+    assert [path.name for path in tmp_path.iterdir()] == ["session.yaml"]
 
 
 def test_driving_is_written_as_intervals_of_a_second_at_most(tmp_path):
