@@ -8,7 +8,7 @@ are read where the key scan is. A turn that is off by little then moves a far pl
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,15 +51,17 @@ class Drift:
         gathered[part[i] != part[j]] = ANYWHERE
         return gathered
 
-    def from_key(self, i: int, loops: Sequence[Constraint]) -> Array:
-        """The same from key i to every key, by the surest way through steps and loops, (n, 3, 3)."""
+    def ways(self, loops: Sequence[Constraint]) -> Callable[[int], Array]:
+        """The same from a key, which is asked for, to every key, by the surest way through steps and loops,
+        (n, 3, 3)."""
         n = len(self.T_map_keys)
         ends = np.array([(c.i, c.j) for c in loops], dtype=np.int64).reshape(-1, 2)
         whole = np.flatnonzero(~self.broken)
         edges = np.vstack([np.column_stack([whole, whole + 1]), ends])
         told = covariances(self.T_map_keys, ends[:, 1], [c.information for c in loops])
         covariance = np.concatenate([self.steps[whole], told])
-        return _surest(ANYWHERE, *_rows(n, edges), covariance, edges, self.T_map_keys, i)
+        graph = (*_rows(n, edges), covariance, edges, self.T_map_keys)
+        return lambda i: _surest(ANYWHERE, *graph, i)
 
 
 def drift_of(
@@ -69,9 +71,9 @@ def drift_of(
     n = len(T_map_keys)
     size = len(steps[0].information) if steps else 3
     information = np.zeros((max(n - 1, 0), size, size))
-    for c in steps:
-        if c.j == c.i + 1 < n:
-            information[c.i] += c.information
+    along = [c for c in steps if c.j == c.i + 1 < n]
+    if along:
+        np.add.at(information, [c.i for c in along], np.array([c.information for c in along]))
     told = covariances(T_map_keys, np.arange(1, n), information)
     return Drift(T_map_keys, told, np.zeros(len(told), dtype=bool) if broken is None else broken)
 
@@ -128,8 +130,8 @@ def _surest(
     out = np.empty((n, 3, 3))
     out[:] = anywhere
     best = np.full(n, np.inf)
+    by = np.full(n, -1)  # the edge that each key is reached by
     done = np.zeros(n, dtype=np.bool_)
-    out[start] = 0.0
     best[start] = 0.0
     heap = [(0.0, start)]
     while len(heap) > 0:
@@ -137,6 +139,13 @@ def _surest(
         if done[k]:
             continue
         done[k] = True
+        if k == start:
+            out[k] = 0.0
+        else:
+            before = edges[by[k], 0] + edges[by[k], 1] - k
+            for a in range(3):
+                for b in range(3):
+                    out[k, a, b] = out[before, a, b] + covariance[by[k], a, b]
         for r in range(first[k], first[k + 1]):
             e = of_key[r]
             other = edges[e, 0] + edges[e, 1] - k
@@ -147,6 +156,6 @@ def _surest(
             total = cost + xx + yy + c[2, 2]
             if total < best[other]:
                 best[other] = total
-                out[other] = out[k] + c
+                by[other] = e
                 heapq.heappush(heap, (total, other))
     return out

@@ -63,7 +63,8 @@ class GrowingLoops(LoopFinder):
         i = self._waiting[0]
         if self._candidates is None:
             told = covariances(self.poses, np.arange(1, len(self.poses)), self._told)
-            self.drift = Drift(self.poses, told, np.zeros(len(told), dtype=bool))
+            drift = Drift(self.poses, told, np.zeros(len(told), dtype=bool))
+            self.ways = drift.ways(self.loops)
             self.sigma_m = self._sigma(i)
             self._candidates = deque(self.candidates(i))
         elif self._candidates:
@@ -85,7 +86,7 @@ class GrowingLoops(LoopFinder):
         return needed
 
     def _sigma(self, i: int) -> float:
-        covariance = self.drift.from_key(0, self.loops)[i]
+        covariance = self.ways(0)[i]
         return float(reach(read_at(covariance, self.poses[i]))[0]) / SIGMAS
 
     def _close(self, loop: Loop) -> None:

@@ -158,7 +158,7 @@ class LoopSearch(ABC):
     def process(self, batch: range) -> None:
         """Search loops for the keys of a batch, then re-optimise when any was found."""
         found = []
-        self.drift = drift_of(self.poses, self.steps)
+        self.ways = drift_of(self.poses, self.steps).ways(self.loops)
         for i in batch:
             if i % self.config.every == 0 or i == len(self.poses) - 1:
                 loop = self._query(i)
@@ -189,16 +189,15 @@ class LoopSearch(ABC):
         old = old[~self.edits.rejects(i, old)]
         if len(old) == 0:
             return []
-        covariance = read_at(self.drift.from_key(i, self.loops)[old], self.poses[i])
+        covariance = read_at(self.ways(i)[old], self.poses[i])
         gates, turns = reach(covariance)
         gates, turns = np.minimum(gates + CELL_M, config.reach_m), np.minimum(turns + TURN_RAD, MOST_TURN_RAD)
         distance = np.linalg.norm(self.poses[old, :2] - self.poses[i, :2], axis=1)
         found: list[tuple[int, float, float]] = []
-        for pick in np.argsort(distance + gates, kind="stable").tolist():
+        near = np.flatnonzero(distance < gates + 1.0)
+        for pick in near[np.argsort((distance + gates)[near], kind="stable")].tolist():
             j = int(old[pick])
-            if distance[pick] >= gates[pick] + 1.0 or any(
-                abs(j - k) <= 2 * config.group for k, _, _ in found
-            ):
+            if any(abs(j - k) <= 2 * config.group for k, _, _ in found):
                 continue
             found.append((j, float(gates[pick]), float(turns[pick])))
             if len(found) == PLACES:

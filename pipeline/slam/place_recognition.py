@@ -144,10 +144,10 @@ def _candidates(
     def submap(middle: int) -> Submap | None:
         return make_submap(clouds, keys, poses, middle, places[middle])
 
-    first_visits: list[int] = []
+    ways, first_visits = drift.ways(known), list[int]()
     for i in places:
         older = np.array(first_visits, dtype=np.int64)
-        off, _ = reach(read_at(drift.from_key(i, known)[older], poses[i]))
+        off, _ = reach(read_at(ways(i)[older], poses[i]))
         apart = np.linalg.norm(poses[older, :2] - poses[i, :2], axis=1)
         same_way = np.cos(poses[older, 2] - poses[i, 2]) > SAME_WAY
         if ((apart + off < NEAR_M) & same_way).any():

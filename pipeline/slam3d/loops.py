@@ -106,10 +106,10 @@ class CloudLoops(LoopSearch):
 
     def _alike(self, drift: Drift) -> list[Loop]:
         """Each key aligned with the places that look like its own, out of the reach of distance."""
-        n, found = len(self.keys), list[Loop]()
+        n, found, ways = len(self.keys), list[Loop](), drift.ways(self.loops)
         contexts: Contexts | None = None
         for i in range(0, n, self.config.every):
-            off = reach(read_at(drift.from_key(i, self.loops)[:i], self.poses[i]))[0]
+            off = reach(read_at(ways(i)[:i], self.poses[i]))[0]
             apart = np.linalg.norm(self.poses[:i, :2] - self.poses[i, :2], axis=1)
             old = self.path[i] - self.path[:i] > self.config.min_path_m
             far = np.flatnonzero(old & (off > self.config.reach_m) & (apart < off))

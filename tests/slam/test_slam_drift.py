@@ -56,20 +56,20 @@ def test_a_loop_ends_the_drift_and_a_break_makes_it_anything():
     T = there_and_back()
     steps = steps_of(T)
     drift = drift_of(T.xyt, steps)
-    alone, _ = reach(read_at(drift.from_key(40, []), T.xyt[40]))
+    alone, _ = reach(read_at(drift.ways([])(40), T.xyt[40]))
     assert alone[:-1].min() > 0.0
     assert (np.diff(alone[20:]) < 0.0).all()
-    assert drift.from_key(40, []) == pytest.approx(drift.along(np.full(41, 40), np.arange(41)))
+    assert drift.ways([])(40) == pytest.approx(drift.along(np.full(41, 40), np.arange(41)))
     loop = Constraint(0, 40, (T[0].inverse() @ T[40]).xyt, np.diag([1e6, 1e6, 1e6]), "loop")
-    closed, _ = reach(read_at(drift.from_key(40, [loop]), T.xyt[40]))
+    closed, _ = reach(read_at(drift.ways([loop])(40), T.xyt[40]))
     assert closed[0] < 0.01
     assert (closed <= alone + 1e-9).all()
     broken = np.zeros(40, dtype=bool)
     broken[10] = True
     parted = drift_of(T.xyt, steps, broken)
-    assert (parted.from_key(40, [])[:11] == ANYWHERE).all()
+    assert (parted.ways([])(40)[:11] == ANYWHERE).all()
     assert (parted.along(np.array([40]), np.array([3])) == ANYWHERE).all()
-    assert parted.from_key(40, [])[11:] == pytest.approx(drift.from_key(40, [])[11:])
+    assert parted.ways([])(40)[11:] == pytest.approx(drift.ways([])(40)[11:])
 
 
 def place(i: int, j: int, T_j_i: np.ndarray) -> Recognised:
