@@ -224,13 +224,14 @@ def _fit_lines(
             ray_x, ray_y = ray_x / max(distance, 1e-9), ray_y / max(distance, 1e-9)
             spacing = distance * increment
             reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
-            farthest = max(MAX_REACH_M, reach)
-            gap = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M)
+            reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
+            gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
             sums[:] = 0.0
             count = 1
             ends = [i, i]
             alive = [True, True]
-            nx, ny, mx, my, var, turn_var = 0.0, 0.0, 0.0, 0.0, range_var[i], 1e9
+            ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
+            cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], 1e9
             while alive[0] or alive[1]:
                 for side in range(2):
                     if not alive[side]:
@@ -242,9 +243,10 @@ def _fit_lines(
                         continue
                     x, y = points[j, 0], points[j, 1]
                     dx, dy = x - px, y - py
-                    off = math.hypot(dx, dy)
-                    too_far = off > reach and (off > farthest or turn_var < SURE_RAD * SURE_RAD)
-                    if too_far or math.hypot(x - points[last, 0], y - points[last, 1]) > gap:
+                    off2 = dx * dx + dy * dy
+                    too_far = off2 > reach2 and (off2 > farthest2 or turn_var < SURE_RAD * SURE_RAD)
+                    lx, ly = x - points[last, 0], y - points[last, 1]
+                    if too_far or lx * lx + ly * ly > gap2:
                         alive[side] = False
                         continue
                     n = count + 1
@@ -255,11 +257,11 @@ def _fit_lines(
                     half = 0.5 * (cxx - cyy)
                     root = math.sqrt(half * half + cxy * cxy)
                     large, small = 0.5 * (cxx + cyy) + root, max(0.5 * (cxx + cyy) - root, 0.0)
-                    angle = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
-                    ux, uy = -math.sin(angle), math.cos(angle)
-                    across = ux * ray_x + uy * ray_y
+                    # cosine and sine of twice the line's direction, and its normal's square along the ray
+                    c2, s2 = (half / root, cxy / root) if root > 0.0 else (1.0, 0.0)
+                    across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
                     # few returns close together do not tell how the line stands to the ray
-                    steep = min(1.0, across * across + range_var[i] / max(n * large, 1e-12))
+                    steep = min(1.0, across2 + range_var[i] / max(n * large, 1e-12))
                     noise = range_var[i] * steep + LEAST_M * LEAST_M
                     if n >= 3 and n * small > noise * _limit(n - 2):
                         alive[side] = False
@@ -267,10 +269,17 @@ def _fit_lines(
                     sums[0], sums[1], sums[2], sums[3], sums[4] = sx, sy, sxx, sxy, syy
                     count = n
                     ends[side] = j
-                    nx, ny, mx, my, var = ux, uy, ax, ay, noise
+                    cos2, sin2, mx, my, var = c2, s2, ax, ay, noise
                     turn_var = noise / max(n * large, 1e-12)
             if count < 3 or turn_var > UNSURE_RAD * UNSURE_RAD:
                 continue
+            # of the half angle, by the larger of its two parts
+            if cos2 > 0.0:
+                ny = math.sqrt(0.5 * (1.0 + cos2))
+                nx = -0.5 * sin2 / ny
+            else:
+                nx = -math.sqrt(0.5 * (1.0 - cos2))
+                ny = -0.5 * sin2 / nx
             if nx * ray_x + ny * ray_y > 0.0:
                 nx, ny = -nx, -ny
             normals[i, 0], normals[i, 1] = nx, ny

@@ -64,15 +64,14 @@ def consistency(
             continue
         at = np.full(len(others), a)
         ways = drift.along(j[at], j[others]) + turned[a] @ drift.along(i[at], i[others]) @ turned[a].T
-        total = ways + own[a] + own[others]
-        for k, b in enumerate(others.tolist()):
-            covariance = read_at(total[k], at_place[b])
-            if not reach(covariance)[0] < reach_m:
-                continue
-            comparable[a, b] = comparable[b, a] = True
-            by_a = moves[a] @ SE2(T[i[b]])
-            apart = np.append(by_a.xy - at_place[b, :2], (moves[b].inverse() @ moves[a]).yaw)
-            agree[a, b] = agree[b, a] = apart @ np.linalg.solve(covariance, apart) < SIGMAS**2
+        covariance = read_at(ways + own[a] + own[others], at_place[others])
+        near = reach(covariance)[0] < reach_m
+        covariance, b = covariance[near], others[near]
+        comparable[a, b] = comparable[b, a] = True
+        by_a = moves[a] @ SE2(T[i[b]])
+        apart = np.column_stack([by_a.xy - at_place[b, :2], (moves[b].inverse() @ moves[a]).yaw])
+        squares = np.einsum("na,na->n", apart, np.linalg.solve(covariance, apart[..., None])[..., 0])
+        agree[a, b] = agree[b, a] = squares < SIGMAS**2
     return comparable, agree
 
 

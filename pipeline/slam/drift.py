@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +45,16 @@ class Drift:
     def along(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
         """Covariance gathered along the log between keys (k,) and others (k,), about the origin, (k, 3, 3);
         over a break anything."""
-        total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(self.steps, axis=0)])
-        part = np.concatenate([[0], np.cumsum(self.broken)])
-        lo, hi = np.minimum(i, j), np.maximum(i, j)
-        gathered = total[hi] - total[lo]
+        total, part = self._since_first
+        gathered = total[np.maximum(i, j)] - total[np.minimum(i, j)]
         gathered[part[i] != part[j]] = ANYWHERE
         return gathered
+
+    @cached_property
+    def _since_first(self) -> tuple[Array, NDArray[np.int64]]:
+        """The steps summed up to each key (n, 3, 3), and the unbroken part of the log that it is in (n,)."""
+        total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(self.steps, axis=0)])
+        return total, np.concatenate([[0], np.cumsum(self.broken)])
 
     def ways(self, loops: Sequence[Constraint]) -> Callable[[int], Array]:
         """The same from a key, which is asked for, to every key, by the surest way through steps and loops,

@@ -54,7 +54,7 @@ def close_graph(
     """Close all loops of a track.
 
     Distance means something within unbroken parts of the log only. Places recognised beyond its reach
-    join parts and tell the drift; loops by distance are then looked for again, from there. What a person
+    join parts and tell the drift; keys without a loop are then looked for by distance again, from there. What a person
     added comes before all that; what was rejected is not tried.
     """
     by_distance, by_looks = configs
@@ -71,10 +71,12 @@ def close_graph(
     found = recall(
         clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance, edits, back_end
     )
+    record = [*added, *finder.record]
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
-        finder = close(found.T_map_keys, found.part, [*known, *found.loops])
-    record = [*added, *finder.record]
+        record = [*added, *(loop for loop in finder.record if loop.accepted)]
+        finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
+        record += finder.record
     unbridged = chain.broken & ~found.released & ~_spanned(record, len(keys))
     return Closed(SE2(finder.poses), steps, finder.loops, record, found.record, unbridged)
 

@@ -174,8 +174,12 @@ class LoopSearch(ABC):
 
     def _query(self, i: int) -> Loop | None:
         """The best older place for key i, or None when none is near enough."""
+        return self._best_of(i, self.candidates(i))
+
+    def _best_of(self, i: int, places: Sequence[tuple[int, float, float]]) -> Loop | None:
+        """Key i at the first of some places that is accepted, else where it fits best."""
         tried: list[Loop] = []
-        for j, gate, turn_gate in self.candidates(i):
+        for j, gate, turn_gate in places:
             tried.append(self._match(i, j, gate, turn_gate))
             if tried[-1].accepted:
                 break
@@ -221,8 +225,14 @@ class LoopFinder(LoopSearch):
         back_end: BackEnd = GTSAM,
     ) -> None:
         super().__init__(T_map_keys, steps, config, part, known, edits)
-        self.clouds, self.keys = clouds, keys
+        self.clouds, self.keys, self._closed = clouds, keys, {c.j for c in known}
         self.matcher, self.back_end = config.matcher(), back_end
+
+    def _query(self, i: int) -> Loop | None:
+        """None, too, for a key that has its loop, or whose nearest place is held to within a cell of the
+        search: the joint refinement reaches farther than that."""
+        places = [] if i in self._closed else self.candidates(i)
+        return self._best_of(i, places) if places and places[0][1] > 2.0 * CELL_M else None
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()

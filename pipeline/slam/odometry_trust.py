@@ -20,6 +20,8 @@ LIE_SIGMAS, RECENT = 2.5, 5
 GROSS = 0.3
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
+# What is left of an information (3, 3) along the way driven.
+ALONG = np.diag([1.0, 0.0, 0.0])
 
 
 def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
@@ -98,7 +100,7 @@ class OdometryTrust:
 
     def _along(self, told: Array) -> Array:
         """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
-        return np.diag([1.0, 0.0, 0.0]) * self._noise.information(told)
+        return ALONG * self._noise.information(told)
 
     def _apart(self, since: int) -> tuple[Array, Array]:
         """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""
@@ -136,4 +138,5 @@ def unwitnessed(
 
 def moves(odometry_step: Array, noise: OdometryNoise) -> bool:
     """Whether an odometry step (3,) stands out of its noise."""
-    return bool((way_and_turn(odometry_step[None]) > 2.0 * noise.floor).any())
+    way, turn = np.hypot(odometry_step[0], odometry_step[1]), abs(odometry_step[2])
+    return bool(max(way, turn) > 2.0 * noise.floor)

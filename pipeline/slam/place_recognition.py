@@ -110,7 +110,7 @@ def recall(
     for members in believed:
         poses, segment = _laid_together(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
-    free = relaxed(steps, released)
+    free = [*relaxed(steps, released), *known]
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
     closed = solved(back_end, SE2(poses), [*free, *firm])
@@ -190,14 +190,12 @@ def _settled(
         if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
             return _low_overlap(query, other, score, result)
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
-    overlap = np.mean(
-        [
-            matcher.match(clouds, _alone(int(keys[k])), there, T, Limits(0.12, 0.06, 0)).overlap
-            for k, T in zip(few, at, strict=True)
-        ]
-    )
-    if overlap < config.min_overlap:
-        return _low_overlap(query, other, score, replace(result, overlap=float(overlap)))
+    overlap = 1.0
+    for k, T in zip(few, at, strict=True):
+        missed = 1.0 - matcher.match(clouds, _alone(int(keys[k])), there, T, Limits(0.12, 0.06, 0)).overlap
+        overlap -= missed / len(few)
+        if overlap < config.min_overlap:  # whatever the other scans say
+            return _low_overlap(query, other, score, replace(result, overlap=overlap))
     both = np.vstack([at, at_place[::2]])
     pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
     denied = free_space_violations(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)

@@ -7,6 +7,7 @@ noise models or its failure modes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +21,7 @@ Poses = TypeVar("Poses", SE2, Array)
 
 # Keeps information matrices positive definite without saying anything: a hundred metres, a hundred radians.
 WEAK = 1e-4
+FLOOR = {size: WEAK * np.eye(size) for size in (3, 6)}
 # g2o writes translation before rotation.
 G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 
@@ -108,9 +110,15 @@ def noise_model(constraint: Constraint) -> Any:
     """GTSAM's noise model of a constraint, with a floor that keeps its information positive definite."""
     import gtsam
 
-    floor = WEAK * np.eye(len(constraint.information))
+    floor = FLOOR[len(constraint.information)]
     gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
     if constraint.soft == 0.0:
         return gaussian
-    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(constraint.soft)
-    return gtsam.noiseModel.Robust.Create(cauchy, gaussian)
+    return gtsam.noiseModel.Robust.Create(_cauchy(constraint.soft), gaussian)
+
+
+@cache
+def _cauchy(soft: float) -> Any:
+    import gtsam
+
+    return gtsam.noiseModel.mEstimator.Cauchy.Create(soft)

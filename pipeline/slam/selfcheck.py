@@ -190,18 +190,19 @@ def denied_shares(
             distance = math.sqrt(ex * ex + ey * ey)
             bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
             half = min(6, int(wall / max(distance, wall) * scale) + 1)
-            nearest, shortest, seen = 1e9, 1e9, 0
+            nearest2, shortest2, seen = 1e9, 1e9, 0
             for q in range(bin_ - half, bin_ + half + 1):
                 row = table[keys[b], q % n_bins]
                 if row < 0:
                     continue
-                px, py = points[row, 0], points[row, 1]
-                nearest = min(nearest, math.hypot(px - x, py - y))
-                shortest = min(shortest, math.hypot(px - origin[0], py - origin[1]))
+                dx, dy = points[row, 0] - x, points[row, 1] - y
+                nearest2 = min(nearest2, dx * dx + dy * dy)
+                dx, dy = points[row, 0] - origin[0], points[row, 1] - origin[1]
+                shortest2 = min(shortest2, dx * dx + dy * dy)
                 seen += 1
-            if nearest < wall:
+            if nearest2 < wall * wall:
                 confirmed += 1
-            elif seen >= 3 and shortest > distance + through:
+            elif seen >= 3 and shortest2 > (distance + through) ** 2:
                 denied += 1
         if confirmed + denied >= 20:
             out[k] = denied / (confirmed + denied)

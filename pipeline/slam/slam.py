@@ -324,6 +324,6 @@ def _optimised(
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:
         T_map_keys, constraints = refine(
-            clouds(), keys, closed.T_map_keys, closed.steps, config.refine, edits, back_end
+            clouds(), keys, T_map_keys, constraints, config.refine, edits, back_end
         )
     return Graph(T_map_keys, constraints, closed.record, closed.recognised, closed.unbridged)
