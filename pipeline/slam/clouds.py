@@ -54,15 +54,15 @@ class Clouds(NamedTuple):
     `normals` are unit vectors towards the sensor, `centers` a point of the fitted line (its centroid);
     `point_var` is the variance of each point along its normal [m^2], `normal_var` that of the normal's
     direction [rad^2]; `table` is (n_scans, n_bins): for a bearing about the lidar, the row of the point
-    seen there, or -1.
+    seen there, or -1. What is fitted is in single precision: 2 micrometres at 30 m.
     """
 
     points: Array
-    normals: Array
-    centers: Array
+    normals: NDArray[np.float32]
+    centers: NDArray[np.float32]
     line_ok: NDArray[np.bool_]
-    point_var: Array
-    normal_var: Array
+    point_var: NDArray[np.float32]
+    normal_var: NDArray[np.float32]
     starts: NDArray[np.int64]
     table: NDArray[np.int32]
     origin: Array
@@ -115,7 +115,7 @@ def make_clouds(
     else:
         motion = motion if motion is not None else sweep_motion(recording)
         motion = motion if motion is None or scans is None else motion[scans]
-    points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1])
+    points, point_var = np.empty((starts[-1], 2)), np.empty(starts[-1], dtype=np.float32)
     for first in range(0, len(readings), SCANS_AT_ONCE):
         some = slice(first, min(first + SCANS_AT_ONCE, len(readings)))
         rows = slice(starts[some.start], starts[some.stop])
@@ -129,8 +129,8 @@ def make_clouds(
     origin = np.array(recording.T_base_lidar.xy, dtype=np.float64)
     increment = abs(lidar.angle_increment) * recording.stride
     n_bins = max(8, round(2.0 * math.pi / increment))
-    normals, centers, line_ok = np.zeros_like(points), points.copy(), np.zeros(len(points), dtype=np.bool_)
-    normal_var = np.zeros(len(points))
+    normals, centers = np.zeros(points.shape, dtype=np.float32), points.astype(np.float32)
+    line_ok, normal_var = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.float32)
     table = np.full((len(readings), n_bins), -1, dtype=np.int32)
 
     def prepare(rows: slice) -> None:
@@ -201,11 +201,11 @@ def _fit_lines(
     starts: NDArray,
     origin: Array,
     increment: float,
-    normals: Array,
-    centers: Array,
+    normals: NDArray,
+    centers: NDArray,
     ok: NDArray,
-    point_var: Array,
-    normal_var: Array,
+    point_var: NDArray,
+    normal_var: NDArray,
 ) -> None:
     """Total least squares line through each point's neighbours in beam order, into the last five.
 

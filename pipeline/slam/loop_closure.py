@@ -54,8 +54,8 @@ def close_graph(
     """Close all loops of a track.
 
     Distance means something within unbroken parts of the log only. Places recognised beyond its reach
-    join parts and tell the drift; keys without a loop are then looked for by distance again, from there. What a person
-    added comes before all that; what was rejected is not tried.
+    join parts and tell the drift; keys without a loop are then looked for by distance again, from there.
+    What a person added comes before all that; what was rejected is not tried.
     """
     by_distance, by_looks = configs
     added, T_map_keys = _added(clouds, keys, T_map_keys, chain, steps, by_distance, edits, back_end)
