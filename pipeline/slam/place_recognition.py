@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
@@ -187,7 +187,7 @@ def _settled(
         result = matcher.match(clouds, middle, there, pose, limits)
         require_alignment(matcher, result)
         pose = result.T_map_base.xyt
-        if result.overlap < LEAST_OVERLAP:  # no need to ask the other scans
+        if result.overlap < config.min_overlap:  # no need to ask the other scans
             return _low_overlap(query, other, score, result)
     few, at = query.keys[::4], (SE2(pose) @ SE2(query.T_middle_keys[::4])).xyt
     overlap = 1.0
