@@ -51,6 +51,9 @@ class LoopConfig(BaseModel):
     group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
     min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
     reach_m: float = Field(default=4.0, gt=0.0, description="searched no further than this")
+    held_m: float = Field(
+        default=0.2, ge=0.0, description="a place held to within this is left to the refinement, if any"
+    )
     min_overlap: float = Field(default=0.7, gt=0.0, le=1.0)
     min_score: float = Field(default=0.55, gt=0.0, le=1.0, description="of the search")
     inflation: float = Field(
@@ -229,10 +232,10 @@ class LoopFinder(LoopSearch):
         self.matcher, self.back_end = config.matcher(), back_end
 
     def _query(self, i: int) -> Loop | None:
-        """None, too, for a key that has its loop, or whose nearest place is held to within a cell of the
-        search: the joint refinement reaches farther than that."""
+        """None, too, for a key that has its loop, or whose nearest place is held well enough already."""
         places = [] if i in self._closed else self.candidates(i)
-        return self._best_of(i, places) if places and places[0][1] > 2.0 * CELL_M else None
+        held = bool(places) and places[0][1] <= self.config.held_m + CELL_M
+        return None if held else self._best_of(i, places)
 
     def _optimise(self, n: int, graph: list[Constraint]) -> None:
         before = self.poses[n - 1].copy()

@@ -20,8 +20,6 @@ LIE_SIGMAS, RECENT = 2.5, 5
 GROSS = 0.3
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
-# What is left of an information (3, 3) along the way driven.
-ALONG = np.diag([1.0, 0.0, 0.0])
 
 
 def agree(recording: Recording, track: Track, before: int, after: int, T_map_base: SE2) -> bool:
@@ -100,7 +98,9 @@ class OdometryTrust:
 
     def _along(self, told: Array) -> Array:
         """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
-        return ALONG * self._noise.information(told)
+        along = np.zeros((3, 3))
+        along[0, 0] = self._noise.information(told)[0, 0]
+        return along
 
     def _apart(self, since: int) -> tuple[Array, Array]:
         """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""

@@ -317,7 +317,8 @@ def _optimised(
     edits = KeyEdits.of(run.edits, keys)
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
-        start, configs = closed.T_map_keys, (config.loops, config.recall)
+        loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
+        start, configs = closed.T_map_keys, (loops, config.recall)
         closed = run.steps.close_graph(
             clouds(), keys, start, chain, steps, configs, run.progress, edits, back_end
         )
