@@ -1,5 +1,7 @@
 """Worlds without surfaces, logs in which only the scans say how the robot moved, and work in parts."""
 
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -136,3 +138,14 @@ def test_without_odometry_no_direction_of_a_step_is_left_free():
         known = sum(c.information for c in steps if c.i == k)
         assert np.linalg.eigvalsh(known)[0] > 1.0
     assert {c.kind for c in steps} == {"step", "steady"}
+
+
+def test_open3d_comes_without_the_packages_of_its_plots_until_one_is_drawn():
+    code = """
+import sys
+from turtlebag.pipeline.slam.open3d_loader import open3d
+cloud = open3d().geometry.PointCloud(open3d().utility.Vector3dVector([[0.0, 0.0, 0.0]]))
+print("dash" in sys.modules, type(open3d().visualization.get_plotly_fig([cloud])).__name__)
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["False", "Figure"]
