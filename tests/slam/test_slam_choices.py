@@ -38,7 +38,8 @@ def log():
 
 
 def settings(front_end="lines", match="lines", **others):
-    return SlamConfig.model_validate({"front_end": front_end, "loops": {"match": match}, **others})
+    loops = {"match": match, "held_m": 0.0}  # in a room the refinement would do without loops
+    return SlamConfig.model_validate({"front_end": front_end, "loops": loops, **others})
 
 
 def off(poses, log):

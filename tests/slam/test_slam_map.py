@@ -57,8 +57,15 @@ def test_every_scan_is_within_a_centimetre(log, result):
     found = error(result, log)
     assert found["rmse"] < 0.008
     assert found["max"] < 0.03
-    assert sum(loop.accepted for loop in result.loops) >= 3
     assert result.check.good
+
+
+@pytest.mark.slow
+def test_places_held_well_enough_are_left_to_the_refinement_if_there_is_one(log, result):
+    loops = sum(loop.accepted for loop in result.loops)
+    for setting in ({"loops": {"held_m": 0.0}}, {"refine": {"rounds": 0}}):
+        every = run_slam(log, SlamConfig.model_validate(setting))
+        assert sum(loop.accepted for loop in every.loops) >= loops + 3
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def test_the_true_front_end_is_exact_until_others_move_it(room):
 @pytest.mark.slow
 def test_true_loops_are_all_closed_where_they_truly_are(room):
     truth = room[1]
-    _, usual = left_over(room, [])
+    _, usual = left_over(room, [], refine={"rounds": 0})
     _, result = left_over(room, ["loops"], refine={"rounds": 0})
     closed = [edge for edge in result.constraints if edge.kind == "loop"]
     assert len(closed) == len(result.loops) == len(usual.loops) > 0

@@ -73,7 +73,6 @@ def test_the_pages_on_files_name_every_file_of_every_stage(stages):
 def test_the_map_trajectory_is_within_three_centimetres_of_the_truth(stages):
     found = metrics(stages / "map")
     assert found["ate_m"]["rmse"] < 0.03
-    assert found["loops"]["accepted"] > 0
     scans = load_tum(stages / "record" / "truth" / "trajectory.tum")
     estimate = load_tum(stages / "map" / "trajectory.tum")
     np.testing.assert_array_equal(estimate.stamps_ns, scans.stamps_ns)
