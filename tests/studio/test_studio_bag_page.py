@@ -9,6 +9,7 @@ from studio_page import click, drag, on_screen, open_page, shown_text, until
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.edits import load_edits
+from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.studio.bag_setup import BagSetup
 from turtlebag.pipeline.studio.playback import Playback
 
@@ -22,7 +23,10 @@ pytestmark = [
 
 
 @pytest.fixture
-def playback(tmp_path):
+def playback(tmp_path, monkeypatch):
+    # in a room this small the refinement would do without loops
+    config = SlamConfig.model_validate({"loops": {"held_m": 0.0}})
+    monkeypatch.setattr("turtlebag.pipeline.studio.playback.SlamConfig", lambda: config)
     bag = write_bag(tmp_path / "bag")
     with Playback(BagSetup(bag), tmp_path, lambda line: None) as playback:
         yield playback
