@@ -33,7 +33,7 @@ class SE2:
         x, y, yaw = np.broadcast_arrays(
             np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), wrap(yaw)
         )
-        return SE2(np.stack([x, y, yaw], axis=-1))
+        return SE2(_joined(x, y, yaw))
 
     @staticmethod
     def from_array(xyt: ArrayLike) -> SE2:
@@ -97,14 +97,14 @@ class SE2:
         x = self.xyt[..., 0] + c * p[..., 0] - s * p[..., 1]
         y = self.xyt[..., 1] + s * p[..., 0] + c * p[..., 1]
         if isinstance(other, SE2):
-            return SE2(np.stack([x, y, wrap(self.xyt[..., 2] + p[..., 2])], axis=-1))
-        return np.stack([x, y], axis=-1)
+            return SE2(_joined(x, y, wrap(self.xyt[..., 2] + p[..., 2])))
+        return _joined(x, y)
 
     def inverse(self) -> SE2:
         """`T_b_a` from `T_a_b`."""
         c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
         x, y = self.xyt[..., 0], self.xyt[..., 1]
-        return SE2(np.stack([-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])], axis=-1))
+        return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
 
     def matrix(self) -> Array:
         """Homogeneous matrices, (..., 3, 3)."""
@@ -127,6 +127,11 @@ class SE2:
         xy = self.xy + f[..., None] * (other.xy - self.xy)
         yaw = self.yaw + f * wrap(other.yaw - self.yaw)
         return SE2.from_xyt(xy[..., 0], xy[..., 1], yaw)
+
+
+def _joined(*parts: Array) -> Array:
+    """Parts of equal shape along a new last axis; a control loop asks for single poses, stacked slowly."""
+    return np.stack(parts, axis=-1) if np.ndim(parts[0]) else np.array(parts)
 
 
 def compose(a: Array, b: Array) -> Array:

@@ -168,7 +168,7 @@ def stage_metrics(stage: Stage) -> dict[str, Any]:
     """A stage's metrics.json, or for a recording what is computed from its bag."""
     metrics = dict(stage.metrics)
     if stage.kind == "record" and stage.truth is not None:
-        return {**metrics, **recording_metrics(stage.folder / "bag", stage.truth)}
+        return {**metrics, **recording_metrics(stage.driven, stage.odometry, stage.truth)}
     goals = metrics.get("goals")
     if isinstance(goals, list) and goals:
         metrics |= goal_counts(goals)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from turtlebag.datasets.bags.reader import read_particles, read_poses
+from turtlebag.datasets.bags.reader import read_particles
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.ply import read_ply
@@ -35,7 +35,7 @@ def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[P
     """The drive on the true map."""
     if stage.truth is None:
         return []
-    paths = {"truth": stage.truth, "odometry": read_poses(stage.folder / "bag", "/odom")}
+    paths = {"truth": stage.truth, "odometry": stage.odometry}
     caption = (
         "The robot's true path, and its path by wheel odometry. The farther apart they are, the more "
         "mapping has to correct."

@@ -8,9 +8,9 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-import yaml
 
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.yaml_files import plain_values
 from turtlebag.reports.stages import Stage
 
 PANEL = "3D!turtlebag"
@@ -54,7 +54,7 @@ def topics_of(stage: Stage) -> set[str]:
     path = stage.folder / "bag/metadata.yaml"
     if not path.is_file():
         return set()
-    told = yaml.safe_load(path.read_text())["rosbag2_bagfile_information"]
+    told = plain_values(path.read_text())["rosbag2_bagfile_information"]
     return {entry["topic_metadata"]["name"] for entry in told["topics_with_message_count"]}
 
 

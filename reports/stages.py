@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel
 
+from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -19,7 +19,7 @@ from turtlebag.datasets.outputs import sha256_file
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.trajectories import load_tum, stamp_text
 from turtlebag.datasets.types import Trajectory
-from turtlebag.datasets.yaml_files import checked
+from turtlebag.datasets.yaml_files import checked, plain_values
 
 KINDS = ("record", "map", "localise", "plan", "navigate")
 ALIASES = {"run": "navigate"}
@@ -110,7 +110,7 @@ class Stage:
     def config(self) -> dict[str, Any]:
         """Its resolved configuration, empty when it left none."""
         path = self.folder / "config.yaml"
-        data = yaml.safe_load(path.read_text()) if path.is_file() else {}
+        data = plain_values(path.read_text()) if path.is_file() else {}
         return data if isinstance(data, dict) else {}
 
     @property
@@ -148,6 +148,16 @@ class Stage:
     def truth(self) -> Trajectory | None:
         """True poses at the scans: truth/trajectory.tum; None also when there was no scan."""
         return self._poses("truth/trajectory.tum")
+
+    @cached_property
+    def driven(self) -> Trajectory:
+        """True poses at every step: its bag's /ground_truth/odom; InputError where there is none."""
+        return read_poses(self.folder / "bag", "/ground_truth/odom")
+
+    @cached_property
+    def odometry(self) -> Trajectory:
+        """Where the wheels take it to be: its bag's /odom; InputError where there is none."""
+        return read_poses(self.folder / "bag", "/odom")
 
     def _poses(self, name: str) -> Trajectory | None:
         path = self.folder / name

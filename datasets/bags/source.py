@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import yaml
 
@@ -26,11 +25,11 @@ from turtlebag.datasets.files import (
     unpack_zstd,
     unpack_zstd_file,
 )
+from turtlebag.datasets.yaml_files import plain_values
 
 MAGICS = {MAGIC: "mcap", b"SQLite format 3\0": "sqlite3", ROS1_MAGIC: "ros1"}
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 TRUTH_PREFIX = "/ground_truth"
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same in a tenth of the time
 
 
 class Bag:
@@ -146,7 +145,7 @@ def _open_folder(path: Path) -> Bag:
         except OSError as error:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
-        except (KeyError, TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, RecursionError, yaml.YAMLError) as error:
             notes.append(f"{METADATA_FILE} cannot be used ({_one_line(error)}); reading the files beside it")
     for suffix, kind in SUFFIXES.items():
         files = sorted(folder.glob("*" + suffix), key=lambda file: (len(file.name), file.name))
@@ -158,7 +157,7 @@ def _open_folder(path: Path) -> Bag:
 
 
 def _from_metadata(path: Path, folder: Path) -> Bag:
-    content = yaml.load((folder / METADATA_FILE).read_text(), Loader=_LOADER)
+    content = plain_values((folder / METADATA_FILE).read_text())
     information = content["rosbag2_bagfile_information"]
     kind = str(information["storage_identifier"])
     if kind not in ("mcap", "sqlite3"):

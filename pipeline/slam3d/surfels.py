@@ -168,7 +168,9 @@ def fit(
     away = np.zeros(len(anchor))
     for iteration in range(iterations):
         still = points if xi is None else deskewed(points, when, np.stack([np.zeros(6), xi]))
-        H, b, overlap, rmse = normal_equations(still, when, origin, T, surfels, gate, width)
+        H, b, overlap, rmse = normal_equations(
+            still, when, origin, np.ascontiguousarray(T), surfels, gate, width
+        )
         n = len(anchor)
         step: Array = np.asarray(np.linalg.solve(H[:n, :n] + np.diag(anchor), -(b[:n] + anchor * away)))
         # Small steps add up to nearly the tangent vector of their product, and a prior is no ruler.

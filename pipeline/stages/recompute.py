@@ -85,7 +85,7 @@ def _record(stage: Stage) -> dict[str, Any]:
         return {}
     topics = bag_info(stage.folder / "bag").topics
     scans = sum(topic.count for topic in topics if topic.name == "/scan")
-    return {**recording_metrics(stage.folder / "bag", stage.truth), "scans": scans}
+    return {**recording_metrics(stage.driven, stage.odometry, stage.truth), "scans": scans}
 
 
 def _map(stage: Stage, group: Group) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def _run(stage: Stage, places: Mapping[str, str]) -> dict[str, Any]:
         return {}
     truth = stage.truth or Trajectory(np.zeros(0, dtype=np.int64), SE2.identity(0))  # it ended before a scan
     # The bag holds every digit of the truth, the run log six decimals.
-    log = replace(log, T_world_base=read_poses(stage.folder / "bag", "/ground_truth/odom").at(log.t_ns))
+    log = replace(log, T_world_base=stage.driven.at(log.t_ns))
     goals = _Goals(stage, log, places)
     estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
     ends = [goals.end(number) for number in range(len(goals.reported))]
@@ -221,5 +221,4 @@ def truth_disagreement(stage: Stage) -> float | None:
     """Largest distance between truth/trajectory.tum and the bag's /ground_truth/odom [m]."""
     if stage.truth is None or not stage.has("bag"):
         return None
-    bag_truth = read_poses(stage.folder / "bag", "/ground_truth/odom")
-    return float(associate(stage.truth, bag_truth).position_errors().max())
+    return float(associate(stage.truth, stage.driven).position_errors().max())

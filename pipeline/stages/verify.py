@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.stages.recompute import (
@@ -196,7 +195,7 @@ def clearance_on_map(stage: Stage) -> float | None:
     corners = np.concatenate([footprint, footprint[:1]])
     share = np.linspace(0.0, 1.0, 8, endpoint=False)[:, None, None]
     outline = (corners[:-1] + share * (corners[1:] - corners[:-1])).reshape(-1, 2)
-    poses = read_poses(stage.folder / "bag", "/ground_truth/odom").poses[::3]
+    poses = stage.driven.poses[::3]
     cells = grid.cell_of(poses[:, None] @ outline)
     cells = np.clip(cells, 0, np.array(grid.shape) - 1)
     room = ndimage.distance_transform_edt(~occupied(grid)) * grid.resolution

@@ -54,9 +54,9 @@ class Album:
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
             figure = draw()
-            # Laid out once; each saving would do it again, and draw twice.
+            # Laid out once; each saving would do it again.
             figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)  # "none" would stay an engine, and each saving draw twice
             save_png(figure, folder / f"{name}.png")
             svg = svg_text(figure, name)
             if self.paper:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TypedDict
 
-from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.trajectory import Drift, Extremes, ate, rpe
 
@@ -20,10 +18,10 @@ class RecordingMetrics(TypedDict):
     odometry_rpe: Drift
 
 
-def recording_metrics(bag: Path, truth_at_scans: Trajectory) -> RecordingMetrics:
-    """What a recording holds, by its bag and the true poses at its scans."""
-    truth = read_poses(bag, "/ground_truth/odom")
-    odometry = read_poses(bag, "/odom")
+def recording_metrics(
+    truth: Trajectory, odometry: Trajectory, truth_at_scans: Trajectory
+) -> RecordingMetrics:
+    """What a recording holds, by the true poses and those of /odom in its bag, and the truth at its scans."""
     at_scans = Trajectory(truth_at_scans.stamps_ns, odometry.at(truth_at_scans.stamps_ns))
     return {
         "scans": len(truth_at_scans),

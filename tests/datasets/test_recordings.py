@@ -73,6 +73,14 @@ def test_odometry_between_its_stamps_is_interpolated(tmp_path):
     np.testing.assert_allclose(recording.T_odom_base.xyt[0], between.xyt, atol=1e-8)
 
 
+def test_metadata_nested_without_end_is_left_aside(drive, tmp_path):
+    shutil.copytree(drive, tmp_path / "bag")
+    (tmp_path / "bag/metadata.yaml").write_text("[" * 500_000)
+    recording = load_recording(tmp_path / "bag")
+    same(recording, load_recording(drive))
+    assert recording.notes[0].startswith("metadata.yaml cannot be used (nested too deeply")
+
+
 def test_every_way_to_name_the_same_bag(drive, tmp_path):
     expected = load_recording(drive)
     shutil.copytree(drive, tmp_path / "run" / "bag")
