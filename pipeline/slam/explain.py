@@ -88,6 +88,7 @@ def write_explanation(folder: Path, result: SlamResult, config: SlamConfig) -> N
                 "winners": hypothesis_shares(result.track),
                 "mean_overlap": float(result.track.overlap.mean()),
                 "odometry_calibration": vars(result.track.calibration),
+                "range_calibration": vars(result.session.ranges),
             },
             "moved_by_graph_m": moved(result.T_map_keys.xy - result.track.T_track_base.xy[result.keys]),
         },

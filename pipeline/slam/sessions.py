@@ -16,6 +16,7 @@ from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
+from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.submaps import windows
 from turtlebag.pipeline.slam.track import Track
@@ -43,7 +44,7 @@ class Session:
 
     The clouds are made when they are needed: `clouds` are those of the key scans, all that stays in memory;
     `clouds_of` makes those of any scans. `motion` is the base's during each sweep, None where a sweep is one
-    instant.
+    instant. The recording's ranges are put right already; `ranges` is what those of the first were off by.
     """
 
     recording: Recording
@@ -53,6 +54,7 @@ class Session:
     track: Track
     chain: Chain
     graph: Graph
+    ranges: RangeCalibration
 
     def carried(self) -> Track:
         """The track with its poses where the graph has them."""

@@ -29,6 +29,13 @@ from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, 
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
+from turtlebag.pipeline.slam.range_calibration import (
+    FIRST_KEYS,
+    TRIANGULATES_M,
+    RangeCalibration,
+    calibrate_ranges,
+    first_scans,
+)
 from turtlebag.pipeline.slam.refine import RefineConfig, refine
 from turtlebag.pipeline.slam.repeated_scans import without_repeats
 from turtlebag.pipeline.slam.scan_poses import PosingConfig, pose_all_scans
@@ -72,6 +79,9 @@ class SlamConfig(BaseModel):
         default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
     )
     gyro: bool = Field(default=True, description="use the gyro where the wheels slip in turns")
+    calibrate_ranges: bool = Field(
+        default=True, description="put right what the ranges of a short-range lidar are off by"
+    )
     tracking: TrackingConfig = TrackingConfig()
     back_end: BackEndName = "gtsam"
     loops: LoopConfig = LoopConfig()
@@ -224,6 +234,8 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording = without_repeats(without_own_body(recording), usable)
     recording = in_step(recording, *compared_turns(recording))
     recording = with_gyro(recording) if config.gyro else recording
+    ranges = _range_errors(recording, run, config)
+    recording = ranges.applied(recording)
     motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
 
     def front_end(clouds: Clouds) -> Track:
@@ -240,7 +252,18 @@ def _session(recording: Recording, run: _Run) -> Session:
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
     chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
     graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph)
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph, ranges)
+
+
+def _range_errors(recording: Recording, run: _Run, config: SlamConfig) -> RangeCalibration:
+    """What a lidar's ranges are off by, as the beginning of its log shows."""
+    usable = config.usable(recording.lidar)
+    if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
+        return RangeCalibration()
+    log, make = first_scans(recording), run.steps.front_end or front_end_maker(config.front_end)
+    clouds = make_clouds(log, usable)
+    track = track_log(log, clouds, config.tracking, usable, range(1, len(log)), make, FIRST_KEYS)
+    return calibrate_ranges(clouds, track.keys, track.T_track_base[track.keys], usable)
 
 
 def _joined(a: Session, b: Session, run: _Run) -> Session:
@@ -266,7 +289,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))
     graph = _optimised(clouds, track, chain, [*steps, border], replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph)
+    return Session(recording, clouds, clouds_of, motion, track, chain, graph, a.ranges)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
@@ -291,6 +314,7 @@ def _by_odometry(config: SlamConfig) -> SlamConfig:
     """The settings with the odometry as it is for front end, and nothing that would move a scan after."""
     off = {
         "front_end": "wheels",
+        "calibrate_ranges": False,
         "tracking": config.tracking.model_copy(update={"calibration": False}),
         "loops": config.loops.model_copy(update={"enabled": False}),
         "recall": config.recall.model_copy(update={"enabled": False}),

@@ -29,13 +29,14 @@ from turtlebag.pipeline.slam.clouds import KNOTS
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.slam import LATER, SlamConfig
 from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 FILE = "graph.npz"
-FORMAT = 5
+FORMAT = 6
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.
@@ -100,6 +101,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "lidar": asdict(recording.lidar),
         "settings": config.model_dump(mode="json"),
         "calibration": {k: v for k, v in vars(track.calibration).items() if k != "noise"},
+        "range_calibration": vars(session.ranges),
     }
     arrays: dict[str, Any] = {
         "about": _text(about),
@@ -170,7 +172,8 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         raise ValueError(f"format {about['format']}, expected {FORMAT}")
     lidar = {name: float(value) for name, value in about["lidar"].items()}
     calibration_of = {name: float(value) for name, value in about["calibration"].items()}
-    if not np.isfinite([*lidar.values(), *calibration_of.values()]).all():
+    ranges = {name: float(value) for name, value in about["range_calibration"].items()}
+    if not np.isfinite([*lidar.values(), *calibration_of.values(), *ranges.values()]).all():
         raise ValueError("its lidar or its calibration is none")
     config = checked(SlamConfig, about["settings"], where="its settings")
     beams, pairs = int(lidar.pop("n_beams")), int(calibration_of.pop("pairs"))
@@ -197,7 +200,8 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
     keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
     clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
-    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph), config
+    learnt = RangeCalibration(**ranges)
+    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph, learnt), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:

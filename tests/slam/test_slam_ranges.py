@@ -1,0 +1,81 @@
+"""What ranges are off by, learnt from scans that saw the same walls from near and far."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.slam_logs import rooms
+from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.range_calibration import RangeCalibration, calibrate_ranges
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+
+ERRORS = RangeCalibration(0.006, -0.003)
+log_of = cache(lambda make: make(1))
+
+
+def misread(recording, errors):
+    """The recording by a lidar whose ranges are off."""
+    ranges, back = recording.ranges.astype(np.float64), recording.lidar.returns(recording.ranges)
+    wrong = ranges + errors.error(np.where(back, ranges, 0.0))
+    return replace(recording, ranges=np.where(back, wrong, ranges).astype(np.float32))
+
+
+def learnt(log, errors):
+    recording = misread(log.recording, errors)
+    usable, keys = recording.lidar.range_max, np.arange(0, len(recording), 6)
+    return calibrate_ranges(make_clouds(recording, usable), keys, log.truth.poses[keys], usable)
+
+
+@pytest.mark.parametrize("errors", [ERRORS, RangeCalibration(-0.008, 0.003)])
+def test_an_error_of_all_ranges_is_learnt(errors):
+    found = learnt(log_of(rooms), errors)
+    ranges = np.linspace(0.3, 3.5, 20)
+    left = np.sqrt(((found.error(ranges) - errors.error(ranges)) ** 2).mean())
+    assert left < 0.003
+    assert left < 0.35 * np.sqrt((errors.error(ranges) ** 2).mean())
+
+
+def test_a_lidar_that_measures_right_is_left_alone():
+    assert learnt(log_of(rooms), RangeCalibration()) == RangeCalibration()
+
+
+def test_a_return_stays_a_return_and_nothing_else_changes():
+    recording = log_of(rooms).recording
+    lidar, strong = recording.lidar, RangeCalibration(-0.2, 0.0)
+    ranges = recording.ranges[:3].copy()
+    ranges[0, :6] = [np.inf, np.nan, lidar.range_max, 0.0, lidar.range_min, 3.499]
+    right = strong.applied(replace(recording, stamps_ns=recording.stamps_ns[:3], ranges=ranges)).ranges
+    back = lidar.returns(ranges)
+    assert right.dtype == ranges.dtype
+    assert lidar.returns(right).tolist() == back.tolist()
+    assert np.array_equal(right[~back], ranges[~back], equal_nan=True)
+    assert right[0, 5] == pytest.approx(lidar.range_max)
+    inside = back & (ranges < 3.0)
+    assert right[inside] == pytest.approx(ranges[inside] + 0.2, abs=1e-6)
+
+
+def test_points_and_lines_are_moved_as_if_made_of_the_right_ranges():
+    recording = misread(log_of(rooms).recording, ERRORS)
+    some = np.arange(0, len(recording), 50)
+    usable = recording.lidar.range_max
+    moved = ERRORS.moved(make_clouds(recording, usable, scans=some))
+    right = make_clouds(ERRORS.applied(recording), usable, scans=some)
+    assert np.abs(moved.points - right.points).max() < 1e-3
+    both = moved.line_ok & right.line_ok
+    turned = np.arccos(np.clip((moved.normals * right.normals).sum(axis=1)[both], -1.0, 1.0))
+    assert np.median(turned) < 0.002
+    off = ((moved.centers - right.centers) * right.normals).sum(axis=1)[both]
+    assert np.median(np.abs(off)) < 2e-4
+
+
+def test_a_map_has_the_size_of_the_world_all_the_same():
+    log = log_of(rooms)
+    recording, worst = misread(log.recording, RangeCalibration(0.0, -0.004)), {}
+    for on in (True, False):
+        result = run_slam(recording, SlamConfig(calibrate_ranges=on))
+        assert (result.session.ranges == RangeCalibration()) is not on
+        track, truth = result.trajectory.poses, log.truth.poses
+        worst[on] = np.linalg.norm((truth[0] @ track[0].inverse() @ track).xy - truth.xy, axis=1).max()
+    assert worst[True] < 0.5 * worst[False]
