@@ -147,6 +147,13 @@ MAP = (
             "Delay of the odometry behind the scans (negative: ahead), judged by the turns of both; "
             "corrected.",
         ),
+        Spec(
+            "range_error_m.at_1_m",
+            "range error at 1 m",
+            "mm",
+            "What the lidar's ranges were too long by (negative: too short), as its scans show; corrected.",
+        ),
+        Spec("range_error_m.at_3_m", "range error at 3 m", "mm", "The same, farther away."),
         Spec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),
         Spec(
             "loops.proposed",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +45,9 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces that are met at a smaller sine than this say little of ranges.
 GRAZING_SINE = 0.25
-# So well are ranges known then [m], root mean square over all, but for a common factor: to 2.8 mm in ten
-# drives of which the lidar's errors are known. An error of less than twice that is taken for none.
-LEARNT_M = 0.003
+# So well are ranges of up to 3.5 m known then [m], root mean square over all, but for a common factor: to 2.8 mm
+# in ten drives of which the lidar's errors are known. An error of less than twice that is taken for none.
+LEARNT_M, LEARNT_TO_M = 0.003, 3.5
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class RangeCalibration:
     def error(self, ranges: Array) -> Array:
         """What such readings are too long by [m]."""
         return np.asarray(self.offset_m + self.square_per_m * ranges**2)
+
+    def as_metrics(self) -> dict[str, Any]:
+        """`range_error_m`, at 1 and 3 m, where there is any."""
+        near, far = (float(off) for off in self.error(np.array([1.0, 3.0])))
+        return {"range_error_m": {"at_1_m": near, "at_3_m": far}} if self != RangeCalibration() else {}
 
     def applied(self, recording: Recording) -> Recording:
         """The recording with its returns put right; a return stays one."""
@@ -117,7 +123,7 @@ def calibrate_ranges(
         h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE_GATE_M, FINE_SIGMA_M)
         value = value - np.linalg.solve(h / STEP_INFLATION + prior, g / STEP_INFLATION + prior @ value)
     found = RangeCalibration(*(float(v) for v in value))
-    error = found.error(np.linspace(0.0, usable_m, 100))
+    error = found.error(np.linspace(0.0, min(usable_m, LEARNT_TO_M), 100))
     return found if np.sqrt((error**2).mean()) > 2.0 * LEARNT_M else RangeCalibration()
 
 

@@ -256,9 +256,10 @@ def _session(recording: Recording, run: _Run) -> Session:
 
 
 def _range_errors(recording: Recording, run: _Run, config: SlamConfig) -> RangeCalibration:
-    """What a lidar's ranges are off by, as the beginning of its log shows."""
-    usable = config.usable(recording.lidar)
-    if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
+    """What a lidar's ranges are off by, as the beginning of its log shows, where its sweeps can be undone."""
+    usable, lidar = config.usable(recording.lidar), recording.lidar
+    skewed = lidar.time_increment != 0.0 and recording.odometry is None
+    if not config.calibrate_ranges or lidar.range_max > TRIANGULATES_M or skewed:
         return RangeCalibration()
     log, make = first_scans(recording), run.steps.front_end or front_end_maker(config.front_end)
     clouds = make_clouds(log, usable)

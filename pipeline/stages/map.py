@@ -162,7 +162,8 @@ def _map_scans(
             write_explanation(folder, result, config)
 
     parts = {"parts": chosen_parts(config)}
-    return Mapped(recording, config, result, loop_record(result), write, manifest=parts)
+    ranges = result.session.ranges.as_metrics()
+    return Mapped(recording, config, result, loop_record(result), write, metrics=ranges, manifest=parts)
 
 
 def _require_name(named: str | None) -> None:

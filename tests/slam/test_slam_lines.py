@@ -83,7 +83,7 @@ def test_lines_grow_beam_by_beam_as_plain_numpy_grows_them(seed, noise, beams):
             expected = plain_line(clouds.points, lo, hi, i, clouds.origin, 2.0 * math.pi / beams, range_var)
             assert clouds.line_ok[i] == (expected is not None)
             if expected is None:
-                assert (clouds.point_var[i], clouds.normal_var[i]) == (range_var[i], 0.0)
+                assert (clouds.point_var[i], clouds.normal_var[i]) == (np.float32(range_var[i]), 0.0)
                 continue
             found += 1
             np.testing.assert_allclose(clouds.normals[i], expected[0], atol=1e-6)
