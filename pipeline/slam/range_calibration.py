@@ -45,7 +45,7 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces that are met at a smaller sine than this say little of ranges.
 GRAZING_SINE = 0.25
-# So well are ranges of up to 3.5 m known then [m], root mean square over all, but for a common factor: to 2.8 mm
+# So well are ranges up to 3.5 m known then [m], root mean square over all, but for a common factor: to 2.8 mm
 # in ten drives of which the lidar's errors are known. An error of less than twice that is taken for none.
 LEARNT_M, LEARNT_TO_M = 0.003, 3.5
 
