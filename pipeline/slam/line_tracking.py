@@ -34,7 +34,7 @@ FITS = 0.25
 # Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
 LOST, LOST_STEP_RAD = 1.0, 0.035
 # What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
-SURPRISE = 0.03
+SURPRISE = 0.01
 
 
 @dataclass

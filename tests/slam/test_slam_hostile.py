@@ -20,6 +20,7 @@ from benchmarks.slam_drives import (
     without,
 )
 from benchmarks.slam_logs import hall, office_plan
+from benchmarks.slam_logs import office as made_office
 from benchmarks.slam_scores import score
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.clouds import make_clouds
@@ -230,3 +231,19 @@ def test_log_without_a_single_surface_follows_the_odometry(value):
     )
     np.testing.assert_allclose(result.trajectory.poses.xy, odometry.xy, atol=0.02)
     assert not result.check.good
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_wheels_that_suddenly_count_backwards_are_outvoted_by_what_the_scans_see(seed):
+    log = made_office(seed, "reverse")
+    begin = slice(0, 200)  # they do so from the 100th scan on
+    recording = replace(
+        log.recording,
+        stamps_ns=log.recording.stamps_ns[begin],
+        ranges=log.recording.ranges[begin],
+        T_odom_base=log.recording.T_odom_base[begin],
+    )
+    off = {"loops": {"enabled": False}, "recall": {"enabled": False}, "refine": {"rounds": 0}}
+    track = run_slam(recording, SlamConfig.model_validate(off)).trajectory.poses
+    truth = log.truth.poses[begin]
+    assert np.linalg.norm((truth[0] @ track[0].inverse() @ track).xy - truth.xy, axis=1).max() < 0.1
