@@ -144,6 +144,40 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     return best
 
 
+@njit(cache=True)
+def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
+    """T_i_j as x, y, yaw, of rows i and j of poses (n, 3)."""
+    c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+    dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+    return c * dx + s * dy, -s * dx + c * dy, poses[j, 2] - poses[i, 2]
+
+
+@njit(cache=True)
+def partner_line(
+    clouds: Clouds, r: int, key: int, tx: float, ty: float, c: float, s: float, gate: float, sigma: float
+) -> tuple[int, float, float]:
+    """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
+
+    T_key_scan is (tx, ty) and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than the
+    point's noise.
+    """
+    normals, centers = clouds.normals, clouds.centers
+    px, py = clouds.points[r, 0], clouds.points[r, 1]
+    x, y = tx + c * px - s * py, ty + s * px + c * py
+    kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
+    inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
+    row = find_partner(x, y, key, clouds, reach)
+    if row < 0 or not clouds.line_ok[row]:
+        return -1, 0.0, 0.0
+    nx, ny = normals[row, 0], normals[row, 1]
+    bx, by = c * nx + s * ny, -s * nx + c * ny
+    e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
+    if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
+        return -1, 0.0, 0.0
+    w = 1.0 / (1.0 + e * e * inv_s2)
+    return row, e, w * w * inv_s2
+
+
 @njit(cache=True, nogil=True)
 def align_kernel(
     clouds: Clouds,

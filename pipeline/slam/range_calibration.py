@@ -22,11 +22,10 @@ from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.align import (
     FINE_GATE_M,
     FINE_SIGMA_M,
-    KERNEL_SIGMAS,
-    MIN_NORMAL_DOT,
     NEIGHBOURS,
     STEP_INFLATION,
-    find_partner,
+    partner_line,
+    relative_pose,
 )
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
@@ -135,10 +134,7 @@ def _equations(
     h, g, straight = np.zeros((2, 2)), np.zeros(2), _straight(clouds, keys)
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
-        ca, sa = math.cos(poses[a, 2]), math.sin(poses[a, 2])
-        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
-        tx, ty = ca * dx + sa * dy, -sa * dx + ca * dy
-        dyaw = poses[b, 2] - poses[a, 2]
+        tx, ty, dyaw = relative_pose(poses, a, b)
         c, s = math.cos(dyaw), math.sin(dyaw)
         whole, right = 1e-9 * np.eye(5), np.zeros(5)
         _half(clouds, straight, keys[b], keys[a], tx, ty, dyaw, gate, sigma, False, whole, right)
@@ -175,20 +171,12 @@ def _half(
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not straight[r]:
             continue
-        px, py = points[r, 0], points[r, 1]
-        x, y = tx + c * px - s * py, ty + s * px + c * py
-        kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
-        inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
-        row = find_partner(x, y, key, clouds, reach)
+        row, e, w = partner_line(clouds, r, key, tx, ty, c, s, gate, sigma)
         if row < 0 or not straight[row]:
             continue
+        px, py = points[r, 0], points[r, 1]
         nx, ny = normals[row, 0], normals[row, 1]
         bx, by = c * nx + s * ny, -s * nx + c * ny
-        if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT:
-            continue
-        e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-        if abs(e) > reach:
-            continue
         near, near_sine = _ray(px - origin[0], py - origin[1], bx, by)
         far, far_sine = _ray(centers[row, 0] - origin[0], centers[row, 1] - origin[1], nx, ny)
         if min(abs(near_sine), abs(far_sine)) < GRAZING_SINE:
@@ -207,8 +195,6 @@ def _half(
             row_of[0], row_of[1], row_of[2] = bx, by, by * px - bx * py
         row_of[3] = far_sine - near_sine
         row_of[4] = far_sine * far * far - near_sine * near * near
-        w = 1.0 / (1.0 + e * e * inv_s2)
-        w = w * w * inv_s2
         for i in range(5):
             g[i] += w * row_of[i] * e
             for j in range(5):

@@ -22,9 +22,7 @@ from turtlebag.pipeline.slam.align import (
     CAUCHY,
     FINE_GATE_M,
     FINE_SIGMA_M,
-    KERNEL_SIGMAS,
     LEAST_OVERLAP,
-    MIN_NORMAL_DOT,
     NEIGHBOURS,
     ROUGH_GATE_M,
     ROUGH_SIGMA_M,
@@ -32,8 +30,9 @@ from turtlebag.pipeline.slam.align import (
     SURFACE_VAR,
     _safe_solve,
     add_equation,
-    find_partner,
     observable,
+    partner_line,
+    relative_pose,
 )
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds
@@ -186,10 +185,7 @@ def linearise_pairs(
     overlap = np.zeros(n)
     for k in range(n):
         a, b = pairs[k, 0], pairs[k, 1]
-        ca, sa = math.cos(poses[a, 2]), math.sin(poses[a, 2])
-        dx, dy = poses[b, 0] - poses[a, 0], poses[b, 1] - poses[a, 1]
-        tx, ty = ca * dx + sa * dy, -sa * dx + ca * dy
-        dyaw = poses[b, 2] - poses[a, 2]
+        tx, ty, dyaw = relative_pose(poses, a, b)
         h = np.zeros((3, 3))
         g = np.zeros(3)
         used_b, hit_b, faked_b = _half(clouds, keys[b], keys[a], tx, ty, dyaw, gate, sigma, False, h, g)
@@ -226,30 +222,21 @@ def _half(
     normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
     `scan` is i and `key` j.
     """
-    points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
+    points, normals, line_ok = clouds.points, clouds.normals, clouds.line_ok
     c, s = math.cos(dyaw), math.sin(dyaw)
     used, hit, faked = 0, 0, 0.0
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not line_ok[r]:
             continue
         used += 1
-        px, py = points[r, 0], points[r, 1]
-        x, y = tx + c * px - s * py, ty + s * px + c * py
-        kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
-        inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
-        row = find_partner(x, y, key, clouds, reach)
-        if row < 0 or not line_ok[row]:
-            continue
-        nx, ny = normals[row, 0], normals[row, 1]
-        bx, by = c * nx + s * ny, -s * nx + c * ny
-        if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT:
-            continue
-        e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
-        if abs(e) > reach:
+        row, e, w = partner_line(clouds, r, key, tx, ty, c, s, gate, sigma)
+        if row < 0:
             continue
         hit += 1
-        w = 1.0 / (1.0 + e * e * inv_s2)
-        w = w * w * inv_s2
+        px, py = points[r, 0], points[r, 1]
+        x, y = tx + c * px - s * py, ty + s * px + c * py
+        nx, ny = normals[row, 0], normals[row, 1]
+        bx, by = c * nx + s * ny, -s * nx + c * ny
         faked += w * (clouds.normal_var[row] + SURFACE_VAR)
         if inverted:
             add_equation(h, g, w, -nx, -ny, -(x * ny - y * nx), e)

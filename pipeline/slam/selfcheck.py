@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP, relative_pose
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
@@ -177,10 +177,7 @@ def denied_shares(
     out = np.full(len(pairs), np.nan)
     for k in range(len(pairs)):
         a, b = pairs[k, 0], pairs[k, 1]
-        c, s = math.cos(poses[b, 2]), math.sin(poses[b, 2])
-        dx, dy = poses[a, 0] - poses[b, 0], poses[a, 1] - poses[b, 1]
-        tx, ty = c * dx + s * dy, -s * dx + c * dy
-        dyaw = poses[a, 2] - poses[b, 2]
+        tx, ty, dyaw = relative_pose(poses, b, a)
         c, s = math.cos(dyaw), math.sin(dyaw)
         confirmed, denied = 0, 0
         for r in range(starts[keys[a]], starts[keys[a] + 1]):
