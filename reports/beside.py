@@ -100,10 +100,13 @@ class Beside:
             if len(told) > 1 and self._is_error(path):
                 return f"{what}: {', '.join(told)}."
         apart = self._told("ate_aligned_m.rmse", "cm")
-        if apart:
+        if apart and not self.judged_by_truth:
             return f"Distance to {OURS} after a fit, RMSE: {', '.join(apart)}; the truth is not known."
         near = self._told("map.occupied_error_m.within_one_cell", "percent")
-        return f"Wall cells within one cell of those of {OURS}: {', '.join(near)}; the truth is not known."
+        if near and not self._is_error("map."):
+            on_ours = f"Wall cells within one cell of those of {OURS}: {', '.join(near)}"
+            return f"{on_ours}; the true walls are not known."
+        return "Nothing of another system could be measured."
 
     def _is_error(self, path: str) -> bool:
         """Whether a number is measured against something better than ours."""
@@ -152,14 +155,14 @@ def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str)
         draw = partial(figures.errors, errors, list(paths), f"to {reference} [cm]")
         pictures.append(album.add(f"{prefix}-time", title, caption, draw))
     ours = measured[0].grid
-    for one in measured[1:]:
+    for number, one in enumerate(measured[1:], start=1):
         if ours is not None and one.grid is not None:
             name = one.system.name
             caption = (
                 f"Walls of both maps: grey where they agree to a cell, coloured where only {OURS} or only "
                 f"{name} has one."
             )
-            draw = partial(figures.walls, ours, one.grid, name)
+            draw = partial(figures.walls, ours, one.grid, name, number)
             pictures.append(album.add(f"{prefix}-walls-{name.lower()}", f"Walls: {name}", caption, draw))
     return pictures
 

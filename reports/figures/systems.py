@@ -70,10 +70,11 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
     return figure
 
 
-def walls(ours: OccupancyGrid, rival: OccupancyGrid, name: str) -> Figure:
-    """Occupied cells of both: grey where the other has one within a cell, else in the system's colour."""
+def walls(ours: OccupancyGrid, rival: OccupancyGrid, name: str, number: int) -> Figure:
+    """Occupied cells of both: grey where the other has one within a cell, else in the system's colour
+    (the rival's by its number)."""
     figure, axes = map_figure(view_box(ours))
-    colours = (_colour(0), _colour(1))
+    colours = (_colour(0), _colour(number))
     reach = 1.5 * max(ours.resolution, rival.resolution)
     for grid, other, colour in ((rival, ours, colours[1]), (ours, rival, colours[0])):
         cells = np.argwhere(occupied(grid))

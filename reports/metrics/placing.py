@@ -25,7 +25,8 @@ GOOD_START = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A map moved by `T_ref_map` so that its walls lie on others; `share` of them lie within two cells."""
+    """A map moved by `T_ref_map` so that its walls lie on others; `share` of them lie within two cells of the
+    coarser map."""
 
     T_ref_map: SE2
     share: float
@@ -40,8 +41,8 @@ def walls(grid: OccupancyGrid) -> Array:
     return grid.center_of(np.argwhere(occupied(grid)))
 
 
-def place(grid: OccupancyGrid, walls_ref: Array, guesses: Sequence[SE2]) -> Placed:
-    """Lay a map on walls (m, 2) by the closest points, from the guess that ends best.
+def place(grid: OccupancyGrid, walls_ref: Array, cell_m: float, guesses: Sequence[SE2]) -> Placed:
+    """Lay a map on walls (m, 2), right to `cell_m`, by the closest points, from the guess that ends best.
 
     Where none ends well, every turn and shift is tried. A later guess has to be clearly better than an
     earlier: rooms look alike from several sides. A map without walls stays where the first guess puts it.
@@ -51,7 +52,7 @@ def place(grid: OccupancyGrid, walls_ref: Array, guesses: Sequence[SE2]) -> Plac
         return Placed(guesses[0], 0.0)
     points = points[:: -(-len(points) // MOST_POINTS)]
     tree = scipy.spatial.cKDTree(walls_ref)
-    near_m = 2.0 * grid.resolution
+    near_m = 2.0 * max(grid.resolution, cell_m)
     found = [_closed(points, tree, guess, near_m) for guess in guesses]
     if max(placed.share for placed in found) < GOOD_START:
         found += [_closed(points, tree, guess, near_m) for guess in _everywhere(points, walls_ref)]

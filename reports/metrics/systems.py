@@ -184,7 +184,7 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
     if known.true_map is None and measured is ours:
         return _replaced(measured, {}, [], grid)
     surface = _surface(reference, known.true_map, ours.system.grid)
-    placed = place(grid, surface, _guesses(measured, ours, known))
+    placed = place(grid, surface, reference.resolution, _guesses(measured, ours, known))
     moved = placed.moved(grid)
     numbers = {"map": map_metrics(moved, reference), "map_moved": placed.T_ref_map.xyt.tolist()}
     return _replaced(measured, numbers, _map_notes(placed, grid) if measured is not ours else [], moved)
@@ -218,7 +218,9 @@ def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
     if np.hypot(x, y) > grid.resolution or abs(yaw) > 0.01:
         told = f"by {x:.2f}, {y:.2f} m and turned by {np.rad2deg(yaw):.1f}°".replace("-", "\u2212")
         notes.append(f"Its map was moved {told}, to lie on the other walls.")
-    if placed.share < LAID:
+    if not len(walls(grid)):
+        notes.append("Its map has no walls.")
+    elif placed.share < LAID:
         notes.append(
             f"Only {100.0 * placed.share:.0f} % of its walls could be laid within two cells of the others: "
             "it is a map of another place, or badly bent."

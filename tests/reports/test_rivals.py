@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from report_fakes import ellipse, fake_localise, fake_map, fake_record, mapped_room, noisy
+from scipy import ndimage
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import save_map
@@ -144,9 +145,27 @@ def test_a_map_of_another_place_is_said_to_be_one(tree, tmp_path):
     assert any("another place" in note for _, note in found.notes)
 
 
+def test_a_map_of_finer_cells_is_not_another_place(tree, tmp_path):
+    grid = mapped_room()
+    fine = OccupancyGrid(np.kron(grid.cells, np.ones((5, 5), np.int8)), grid.resolution / 5, grid.T_map_grid)
+    # Its walls are one cell thin: on the surfaces, as a map of 1 cm cells has them.
+    inside = ndimage.binary_erosion(fine.cells == OCCUPIED)
+    fine = replace(fine, cells=np.where(inside, -1, fine.cells).astype(np.int8))
+    save_map(fine, tmp_path)
+    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    assert not any("another place" in note for _, note in found.notes)
+
+
+def test_a_map_without_walls_is_said_to_have_none(tree, tmp_path):
+    save_map(OccupancyGrid(np.zeros((90, 140), np.int8), 0.05), tmp_path)
+    found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
+    assert ("r", "Its map has no walls.") in found.notes
+    assert found.sentence == "Nothing of another system could be measured."
+
+
 def test_maps_that_lie_well_are_not_turned_to_lie_a_little_better():
     square = OccupancyGrid(np.pad(np.zeros((60, 60), np.int8), 2, constant_values=100), 0.05)
-    placed = place(square, walls(square), [SE2.identity()])
+    placed = place(square, walls(square), 0.05, [SE2.identity()])
     assert placed.share == 1.0
     assert placed.T_ref_map.xyt == pytest.approx([0, 0, 0], abs=1e-9)
 
