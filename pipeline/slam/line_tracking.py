@@ -158,8 +158,10 @@ class Lines:
             )
             e = between(prior, result.T_map_base.xyt)
             surprise = np.log1p(e @ information @ e / CAUCHY**2)
-            # what the key scans could not see is neither hit nor miss
-            fit = result.known * result.cost + (1.0 - result.known) * self._usual_cost
+            # What the key scans could not see is half a miss: a place where all is seen again is likelier
+            # than one that nobody saw, so odometry that jumps does not win by jumping out of sight.
+            unseen = 1.0 - result.known
+            fit = result.known * result.cost + unseen * (self._usual_cost + 0.5 * FITS)
             cost = fit + SURPRISE * float(surprise)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
