@@ -177,17 +177,11 @@ def track_log(
     max_range: float,
     scans: Iterable[int],
     make: Maker,
-    most_keys: int | None = None,
 ) -> Track:
-    """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers).
-
-    It ends with `most_keys` key scans, where that is given.
-    """
+    """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
     course = Course(clouds, recording, config, max_range, make)
     for _ in scans:
         course.step()
-        if len(course.keys) == most_keys:
-            break
     course.calibrate()
     return course.track()
 

@@ -35,8 +35,8 @@ TRIANGULATES_M = 12.0
 # How far off such lidars are taken to be before they are seen, in standard deviations: so much [m] anywhere,
 # and such a share of the farthest usable range there, growing with the square of the range.
 OFFSET_M, SHARE = 0.01, 0.01
-# The first scans of a log tell, and of these no more than so many key scans.
-FIRST_SCANS, FIRST_KEYS = 3000, 200
+# So many key scans are asked.
+FIRST_KEYS = 200
 # Their equations are solved so often, from where the solution before has moved the points.
 ROUNDS = 5
 # Lines so many beams to either side must have the same direction: lines cut corners and round pillars, the
@@ -97,13 +97,6 @@ class RangeCalibration:
         ranges = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
         share = 1.0 - self.error(ranges) / ranges
         return rays * share[:, None], np.column_stack([1.0 - 2.0 * self.square_per_m * ranges, share])
-
-
-def first_scans(recording: Recording) -> Recording:
-    """The part of a recording that a calibration is learnt from."""
-    T_odom_base = None if recording.T_odom_base is None else recording.T_odom_base[:FIRST_SCANS]
-    stamps_ns, ranges = recording.stamps_ns[:FIRST_SCANS], recording.ranges[:FIRST_SCANS]
-    return replace(recording, stamps_ns=stamps_ns, ranges=ranges, T_odom_base=T_odom_base)
 
 
 def calibrate_ranges(

@@ -34,7 +34,6 @@ from turtlebag.pipeline.slam.range_calibration import (
     TRIANGULATES_M,
     RangeCalibration,
     calibrate_ranges,
-    first_scans,
 )
 from turtlebag.pipeline.slam.refine import RefineConfig, refine
 from turtlebag.pipeline.slam.repeated_scans import without_repeats
@@ -56,6 +55,8 @@ from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 # Settings that the front end does not read; of all others a change starts it anew.
 LATER = {"back_end", "loops", "recall", "refine", "posing", "grid"}
 
+
+CloudsOf = Callable[[NDArray[np.int64] | None], Clouds]
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
@@ -234,37 +235,44 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording = without_repeats(without_own_body(recording), usable)
     recording = in_step(recording, *compared_turns(recording))
     recording = with_gyro(recording) if config.gyro else recording
-    ranges = _range_errors(recording, run, config)
-    recording = ranges.applied(recording)
-    motion = sweep_motion(recording) if recording.lidar.time_increment != 0.0 else None
-
-    def front_end(clouds: Clouds) -> Track:
-        scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
-        make = run.steps.front_end or front_end_maker(config.front_end)
-        return track_log(recording, clouds, config.tracking, usable, scans, make)
-
-    if motion is None and recording.lidar.time_increment != 0.0 and len(recording) > 1:
-        # nobody says how the robot moved during a sweep but the scans themselves, placed once before
-        first = front_end(make_clouds(recording, usable))
-        motion = sweep_motion_by_track(recording, first.T_track_base)
-    clouds_of = clouds_maker(recording, usable, motion)
-    track = front_end(clouds_of(None))
+    motion, clouds_of, track = _tracked(recording, run, config)
+    ranges = _range_errors(recording, clouds_of, track, config)
+    if ranges != RangeCalibration():
+        recording = ranges.applied(recording)
+        motion, clouds_of, track = _tracked(recording, run, config)
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
     chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
     graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
     return Session(recording, clouds, clouds_of, motion, track, chain, graph, ranges)
 
 
-def _range_errors(recording: Recording, run: _Run, config: SlamConfig) -> RangeCalibration:
-    """What a lidar's ranges are off by, as the beginning of its log shows, where its sweeps can be undone."""
-    usable, lidar = config.usable(recording.lidar), recording.lidar
-    skewed = lidar.time_increment != 0.0 and recording.odometry is None
-    if not config.calibrate_ranges or lidar.range_max > TRIANGULATES_M or skewed:
+def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 | None, CloudsOf, Track]:
+    """The motion during each sweep, what makes the clouds of some or all scans, and the front end's track."""
+    usable, turning = config.usable(recording.lidar), recording.lidar.time_increment != 0.0
+    motion = sweep_motion(recording) if turning else None
+
+    def front_end(clouds: Clouds) -> Track:
+        scans = run.progress(range(1, len(recording)), "matching scans", len(recording) - 1)
+        make = run.steps.front_end or front_end_maker(config.front_end)
+        return track_log(recording, clouds, config.tracking, usable, scans, make)
+
+    if motion is None and turning and len(recording) > 1:
+        # nobody says how the robot moved during a sweep but the scans themselves, placed once before
+        first = front_end(make_clouds(recording, usable))
+        motion = sweep_motion_by_track(recording, first.T_track_base)
+    clouds_of = clouds_maker(recording, usable, motion)
+    return motion, clouds_of, front_end(clouds_of(None))
+
+
+def _range_errors(
+    recording: Recording, clouds_of: CloudsOf, track: Track, config: SlamConfig
+) -> RangeCalibration:
+    """What a short-range lidar's ranges are off by, as the first key scans show."""
+    if not config.calibrate_ranges or recording.lidar.range_max > TRIANGULATES_M:
         return RangeCalibration()
-    log, make = first_scans(recording), run.steps.front_end or front_end_maker(config.front_end)
-    clouds = make_clouds(log, usable)
-    track = track_log(log, clouds, config.tracking, usable, range(1, len(log)), make, FIRST_KEYS)
-    return calibrate_ranges(clouds, track.keys, track.T_track_base[track.keys], usable)
+    keys = track.keys[:FIRST_KEYS]
+    clouds, usable = among(clouds_of(keys), keys, len(recording)), config.usable(recording.lidar)
+    return calibrate_ranges(clouds, keys, track.T_track_base[keys], usable)
 
 
 def _joined(a: Session, b: Session, run: _Run) -> Session:
