@@ -115,7 +115,7 @@ def close_loops(
     return finder
 
 
-BATCH = 24
+BATCH = 48
 # A key is looked for at so many of the places within its gate, the nearest first.
 PLACES = 3
 # Cells and turns of the coarse search.
