@@ -8,16 +8,16 @@ class.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 from turtlebag.api.making import (
     PathLike,
     Pose,
     command_line,
+    list_of,
     part_name,
+    path_if,
     path_of,
     pose_of,
     pose_text,
@@ -25,6 +25,7 @@ from turtlebag.api.making import (
     require_seed,
     setting_words,
     step,
+    text_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
 from turtlebag.api.results import Localisation, Plan, Report, Run
@@ -56,17 +57,18 @@ def record(
     from turtlebag.pipeline.stages.record import record as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    words, named = setting_words(settings), part_name(world)
+    words, scene = setting_words(settings), text_of(part_name(world), "world")
+    by, drive = None if robot is None else text_of(robot, "robot"), text_of(teleop, "teleop")
     T_start = None if start is None else pose_of(start, "start")
-    given = {"world": named, "robot": robot, "teleop": teleop, "seed": seed, "start": T_start}
-    with step("record", out, force=force, inputs=[teleop, config]) as now:
+    given = {"world": scene, "robot": by, "teleop": drive, "seed": seed, "start": T_start}
+    with step("record", out, force=force, inputs={"teleop": teleop, "config": config}) as now:
         code = stage(
-            os.fspath(named),
-            None if robot is None else os.fspath(robot),
-            os.fspath(teleop),
+            scene,
+            by,
+            drive,
             require_seed(seed),
             now.out,
-            sim=load_config(RecordOptions, path_of(config), words).sim,
+            sim=load_config(RecordOptions, path_if(config, "config"), words).sim,
             start=T_start,
             force=force,
             command=command_line("record", **given, config=config, set=words, out=now.out),
@@ -102,33 +104,30 @@ def map(
     """
     from turtlebag.pipeline.stages.map import build_map
 
-    words = setting_words({**(settings or {}), **({} if front_end is None else {"front_end": front_end})})
+    words, at = setting_words(settings, front_end=front_end), path_of(source, "source")
+    later = {f"also {number}": one for number, one in enumerate(list_of(also, "also"), start=1)}
     T_base_lidar = None if laser is None else pose_of(laser, "laser")
     if upside_down and T_base_lidar is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    given: dict[str, Any] = {
-        "truth": truth,
-        "relations": relations,
-        "also": list(also),
-        "continue": continued,
-    }
-    given |= {"topic": topic, "config": config, "set": words, "edits": edits, "explain": explain}
+    files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
+    given: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
+    given |= {"topic": topic, "set": words, "explain": explain}
     laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
-    inputs = [source, truth, relations, *also, continued, edits, config]
+    inputs = {"source": source, **files, **later, "continued": continued}
     with step("map", out, force=force, inputs=inputs) as now:
         build_map(
-            Path(source),
+            at,
             now.out,
-            truth=path_of(truth),
-            relations=path_of(relations),
-            config=path_of(config),
+            truth=path_if(truth, "truth"),
+            relations=path_if(relations, "relations"),
+            config=path_if(config, "config"),
             settings=words,
             laser=T_base_lidar,
             upside_down=upside_down,
-            also=[Path(one) for one in also],
-            continued=path_of(continued),
+            also=[path_of(one, what) for what, one in later.items()],
+            continued=path_if(continued, "continued"),
             topic=topic,
-            edits=path_of(edits),
+            edits=path_if(edits, "edits"),
             explain=explain,
             force=force,
             command=command_line("map", source, **given, laser=laser_text, out=now.out),
@@ -160,21 +159,22 @@ def localise(
     from turtlebag.pipeline.stages.localise import load_localise_config
     from turtlebag.pipeline.stages.localise import localise as stage
 
-    words, on = setting_words(settings), as_map(map).yaml
+    words, at, on = setting_words(settings), path_of(source, "source"), as_map(map).yaml
     told = told_pose(initial_pose, "global")
     T_base_lidar = None if laser is None else pose_of(laser, "laser")
     laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
     given = {"map": on, "initial_pose": told, "laser": laser_text, "truth": truth, "seed": seed}
-    with step("localise", out, force=force, inputs=[source, map, truth, config]) as now:
+    inputs = {"source": source, "map": map, "truth": truth, "config": config}
+    with step("localise", out, force=force, inputs=inputs) as now:
         stage(
-            Path(source),
+            at,
             on,
             now.out,
             initial_pose=told,
             T_base_lidar=T_base_lidar,
             upside_down=upside_down,
-            truth=path_of(truth),
-            config=load_localise_config(path_of(config), words),
+            truth=path_if(truth, "truth"),
+            config=load_localise_config(path_if(config, "config"), words),
             seed=require_seed(seed),
             force=force,
             command=command_line("localise", source, **given, config=config, set=words, out=now.out),
@@ -208,7 +208,7 @@ def plan(
 
     words, on, by = setting_words(settings), as_map(map), part_name(planner)
     T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
-    name = os.fspath(robot) if robot is not None else on.robot or "burger"
+    name = text_of(on.robot or "burger" if robot is None else robot, "robot")
     given = {
         "map": on.yaml,
         "robot": name,
@@ -220,7 +220,7 @@ def plan(
         "config": config,
         "set": words,
     }
-    with step("plan", out, force=force, inputs=[map, config]) as now:
+    with step("plan", out, force=force, inputs={"map": map, "config": config}) as now:
         stage(
             on.yaml,
             name,
@@ -228,7 +228,7 @@ def plan(
             T_goal,
             now.out,
             seed=require_seed(seed),
-            config=load_config(PlanStageConfig, path_of(config), [*words, *planner_settings(by)]),
+            config=load_config(PlanStageConfig, path_if(config, "config"), [*words, *planner_settings(by)]),
             compare=compare,
             force=force,
             command_line=command_line("plan", **given, out=now.out),
@@ -252,10 +252,11 @@ def report(
 
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
-    with step("report", out, force=force, inputs=outputs) as now:
+    shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
+    with step("report", out, force=force, inputs=shown) as now:
         options = {"no_animation": not animate, "paper": paper, "out": now.out}
         make_report(
-            [Path(one) for one in outputs],
+            [path_of(one, what) for what, one in shown.items()],
             now.out,
             force=force,
             animate=animate,
@@ -298,7 +299,9 @@ def navigate(
     from turtlebag.pipeline.stages.settings import load_config
 
     words = setting_words(settings)
-    with step("navigate", out, force=force, inputs=[map, takeover, config]) as now:
+    with step(
+        "navigate", out, force=force, inputs={"map": map, "takeover": takeover, "config": config}
+    ) as now:
         asked = asked_for(
             map,
             part_name(task),
@@ -318,11 +321,11 @@ def navigate(
             asked.request,
             now.out,
             robot=asked.robot,
-            config=load_config(NavigateConfig, path_of(config), [*words, *asked.settings]),
+            config=load_config(NavigateConfig, path_if(config, "config"), [*words, *asked.settings]),
             force=force,
             command_line=command_line("navigate", **options),
             say=lambda line: None,
-            files={} if config is None else {"config": Path(config)},
+            files={} if config is None else {"config": path_of(config, "config")},
         )
         require_finished(code)
         return Run.of(now)
