@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import tempfile
+import textwrap
 import threading
 import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -86,7 +87,9 @@ def in_python() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(re.sub(r"--([a-z]+(?:-[a-z]+)*)", _argument, str(error))) from error.__cause__
+        raise InputError(
+            re.sub(r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)", _argument, str(error))
+        ) from error.__cause__
 
 
 def _argument(option: re.Match[str]) -> str:
@@ -137,6 +140,11 @@ def _option_text(value: Any) -> str:
     return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
 
 
+def in_a_line(value: object) -> str:
+    """A value in one line that is not too long."""
+    return textwrap.shorten(repr(value), 100, placeholder=" ...")
+
+
 def pose_of(value: Pose, what: str) -> SE2:
     """A pose from three numbers; InputError names `what` when it is none."""
     try:
@@ -144,7 +152,7 @@ def pose_of(value: Pose, what: str) -> SE2:
     except (TypeError, ValueError):
         xyt = np.zeros(0)
     if xyt.shape != (3,) or not np.isfinite(xyt).all() or np.abs(xyt).max() > FARTHEST:
-        shown = " ".join(repr(value.xyt if isinstance(value, SE2) else value).split())
+        shown = in_a_line(value.xyt if isinstance(value, SE2) else value)
         raise InputError(
             f"{what}: expected three finite numbers x, y, yaw in metres and radians, not {shown}"
         )
@@ -205,13 +213,15 @@ def _value_text(value: Any, key: str) -> str:
     if isinstance(value, str) and value and parsed(value, where=key) == value:
         return value
     try:
-        return json.dumps(value, default=np.ndarray.tolist)
-    except TypeError:
-        raise InputError(f"settings {key}: expected a number, text, list or class, not {value!r}") from None
+        return json.dumps(value, default=lambda one: one.tolist())
+    except (TypeError, AttributeError):
+        raise InputError(
+            f"settings {key}: expected a number, text, list or class, not {in_a_line(value)}"
+        ) from None
 
 
 def require_seed(seed: int) -> int:
     """A seed; InputError for what is none."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed: expected a whole number, 0 or more, not {seed!r}")
+        raise InputError(f"seed: expected a whole number, 0 or more, not {in_a_line(seed)}")
     return int(seed)

@@ -37,8 +37,9 @@ class _Listener:
     """Where the laser sits, and the order of what is heard."""
 
     def __init__(self, robot: PathLike, laser: Pose | None) -> None:
-        spec = load_robot(text_of(robot, "robot")) if laser is None else None
-        self.T_base_lidar = spec.T_base_lidar if spec is not None else pose_of(laser or (), "laser")
+        self.T_base_lidar = (
+            load_robot(text_of(robot, "robot")).T_base_lidar if laser is None else pose_of(laser, "laser")
+        )
         self.scan: Scan | None = None
         self.odometry: SE2 | types.Trajectory | None = None
         self.observed_ns: int | None = None

@@ -44,8 +44,9 @@ class Planner:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or planner, or an unreadable map."""
+        by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
         with in_python():
-            words = [*setting_words(settings), *planner_settings(part_name(planner))]
+            words = [*setting_words(settings), *planner_settings(by)]
             self._config = load_config(PlanStageConfig, path_if(config, "config"), words)
             self._map, self._seed = as_map(map), require_seed(seed)
             self._robot = load_robot(

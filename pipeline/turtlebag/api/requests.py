@@ -16,6 +16,7 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     TemporaryFolder,
+    in_a_line,
     list_of,
     path_if,
     pose_of,
@@ -28,7 +29,7 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
-from turtlebag.planners.tasks.waypoints import load_keepout
+from turtlebag.planners.tasks.waypoints import load_keepout, parse_polygons
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def _of_task(task: Task | str, folder: Path) -> _Told:
     if isinstance(task, Explore):
         duration = _seconds(task.duration, "duration")
         return _Told({"duration_s": duration}, {"duration": duration})
-    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {task!r}")
+    raise InputError(
+        f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {in_a_line(task)}"
+    )
 
 
 def _seconds(value: float | None, what: str) -> float | None:
@@ -165,6 +168,7 @@ def _keepout(given: PathLike | Sequence[Any] | None, folder: Path) -> str | None
         return None if given is None else text_of(given, "keepout", "a path")
     areas = [list_of(outline, "keepout") for outline in list_of(given, "keepout")]
     outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in areas]
+    parse_polygons(outlines, "keepout")
     return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
 
 
@@ -175,7 +179,7 @@ def _numbers(one: Any, what: str) -> Any:
     try:
         return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
     except (TypeError, ValueError):
-        raise InputError(f"{what}: expected numbers, not {one!r}") from None
+        raise InputError(f"{what}: expected numbers, not {in_a_line(one)}") from None
 
 
 def _written(content: Any, path: Path) -> Path:

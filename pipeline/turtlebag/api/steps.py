@@ -105,13 +105,14 @@ def map(
     from turtlebag.pipeline.stages.map import build_map
 
     words, at = setting_words(settings, front_end=front_end), path_of(source, "source")
+    heard = None if topic is None else text_of(topic, "topic", "a name")
     later = {f"also {number}": one for number, one in enumerate(list_of(also, "also"), start=1)}
     T_base_lidar = None if laser is None else pose_of(laser, "laser")
     if upside_down and T_base_lidar is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
     files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
     given: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
-    given |= {"topic": topic, "set": words, "explain": explain}
+    given |= {"topic": heard, "set": words, "explain": explain}
     laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
     inputs = {"source": source, **files, **later, "continued": continued}
     with step("map", out, force=force, inputs=inputs) as now:
@@ -126,7 +127,7 @@ def map(
             upside_down=upside_down,
             also=[path_of(one, what) for what, one in later.items()],
             continued=path_if(continued, "continued"),
-            topic=topic,
+            topic=heard,
             edits=path_if(edits, "edits"),
             explain=explain,
             force=force,
@@ -206,7 +207,8 @@ def plan(
     from turtlebag.pipeline.stages.plan import plan as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    words, on, by = setting_words(settings), as_map(map), part_name(planner)
+    words, on = setting_words(settings), as_map(map)
+    by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
     T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
     name = text_of(on.robot or "burger" if robot is None else robot, "robot")
     given = {
