@@ -22,10 +22,16 @@ FEWEST = 3
 """Poses that a trajectory must have to be laid on another."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
 IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
+LONGEST_S = 4e9
 OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """From a camera's axes (x right, y down, z forward) to a robot's (x forward, y left, z up)."""
 CLIMB_M = 1.0
 """No robot on wheels climbs this far, and half as far as it drives."""
+
+
+def kind_of(path: Path) -> str:
+    """Which field of `RivalFiles` a file belongs to, by its name: a map's is YAML."""
+    return "map" if path.suffix in (".yaml", ".yml") else "trajectory"
 
 
 @dataclass(frozen=True)
@@ -48,11 +54,21 @@ class RivalFiles:
             raise InputError(f"{self.name}: a rival's name has letters, digits, - and _ only")
         if self.name in (OURS, TRUTH):
             raise InputError(f"{self.name}: is taken; give the rival another name")
+        if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
+            raise InputError(f"{self.name} has no trajectory")
         for what, path in (("trajectory", self.trajectory), ("map", self.map), ("times", self.times)):
             if path is not None and path.is_dir():
                 raise InputError(f"{path}: is a folder; give the file of the {what} in it")
             if path is not None and path.suffix.lower() in IMAGES:
                 raise InputError(f"{path}: is the image of a map; give the yaml beside it")
+
+        if not abs(self.shift_s) < LONGEST_S:
+            raise InputError(f"{self.name}: cannot be shifted by {self.shift_s:g} s")
+
+    @property
+    def moved(self) -> bool:
+        """Whether it tracks anything but the base."""
+        return bool(np.any(self.T_base_sensor.xyt))
 
     def inputs(self) -> dict[str, Path]:
         """Every file that is read, by what it is."""
@@ -93,7 +109,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
         notes.append(
             "Its path climbs as if z pointed forward: taken for a camera's axes and turned to a robot's."
         )
-    if np.any(files.T_base_sensor.xyt):
+    if files.moved:
         track = replace(track, T=track.T @ inverse(lifted(files.T_base_sensor)))
         x, y, yaw = (float(value) for value in files.T_base_sensor.xyt)
         notes.append(f"It tracks a point at {x:g}, {y:g} m, {yaw:g} rad on the robot; moved to the base.")

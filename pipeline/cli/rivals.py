@@ -33,12 +33,12 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
     """The rivals that `words` (NAME=FILE or FILE) and the options name; a name may have a trajectory and a
     map. InputError for what is neither, twice of one kind, or an option for a name that is not there.
     """
-    from turtlebag.datasets.rivals import RivalFiles
+    from turtlebag.datasets.rivals import RivalFiles, kind_of
 
     found: dict[str, dict[str, Path]] = {}
     for word in words:
         name, path = _named(word)
-        kind = "map" if path.suffix in (".yaml", ".yml") else "trajectory"
+        kind = kind_of(path)
         files = found.setdefault(name, {})
         if kind in files:
             raise InputError(f"{path}: {name} has a {kind} already ({files[kind]}); name rivals by NAME=FILE")
@@ -88,8 +88,6 @@ def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: st
             raise InputError(f"{option} {word}: of which rival? write {option} NAME={word}")
         if name not in names:
             raise InputError(f"{option} {word}: no rival is called {name}; there are {', '.join(names)}")
-        if "trajectory" not in names[name]:
-            raise InputError(f"{option} {word}: {name} has no trajectory")
         found[name] = value
     return found
 

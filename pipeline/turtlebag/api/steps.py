@@ -28,7 +28,8 @@ from turtlebag.api.making import (
     text_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
-from turtlebag.api.results import Localisation, Plan, Report, Run
+from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
+from turtlebag.api.rivals import Rivals, rival_files, rival_options
 from turtlebag.api.tasks import Task
 from turtlebag.datasets.errors import InputError
 
@@ -240,6 +241,7 @@ def plan(
 
 def report(
     *outputs: PathLike,
+    rivals: Rivals | None = None,
     animate: bool = True,
     paper: bool = False,
     out: PathLike | None = None,
@@ -247,25 +249,64 @@ def report(
 ) -> Report:
     """One page of what recordings, maps, runs, localisations and plans came to, with figures and numbers.
 
-    `animate=False` leaves out the animations, `paper=True` adds every figure as PDF and SVG. InputError for
-    what is no such output. `turtlebag verify` needs the outputs themselves: give those an `out` to keep them.
+    `rivals` are other systems to show beside ours: files or `Rival`s by name. `animate=False` leaves out the
+    animations, `paper=True` adds every figure as PDF and SVG. InputError for what is no such output, and for
+    rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves: give those an
+    `out` to keep them.
     """
     from turtlebag.pipeline.stages.report import make_report
+    from turtlebag.pipeline.stages.rivals import inputs_of
 
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
     shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
-    with step("report", out, force=force, inputs=shown) as now:
-        options = {"no_animation": not animate, "paper": paper, "out": now.out}
+    others = rival_files(rivals)
+    words, known = rival_options(others)
+    with step("report", out, force=force, inputs={**shown, **inputs_of(others)}) as now:
+        options = {"rival": words, **known, "no_animation": not animate, "paper": paper, "out": now.out}
         make_report(
             [path_of(one, what) for what, one in shown.items()],
             now.out,
+            rivals=others,
             force=force,
             animate=animate,
             paper=paper,
             command=command_line("report", *outputs, **options),
         )
         return Report.of(now)
+
+
+def compare(
+    output: PathLike,
+    other: PathLike | None = None,
+    *,
+    rivals: Rivals | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Comparison:
+    """What differs between two outputs of one step, or between ours and other systems' of one recording.
+
+    `rivals` are files or `Rival`s by the systems' names, in place of `other`. InputError for outputs of two
+    kinds, and for rivals that cannot be read or compared.
+    """
+    from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
+    from turtlebag.pipeline.stages.rivals import inputs_of
+
+    files = rival_files(rivals)
+    if (other is None) == (not files):
+        raise InputError("compare: give another output, or rivals by their names")
+    words, options = rival_options(files)
+    given = {"output": output, "other": other}
+    with step("compare", out, force=force, inputs={**given, **inputs_of(files)}) as now:
+        seconds = words if other is None else [other]
+        command = command_line("compare", output, *seconds, **options, out=now.out)
+        ours = path_of(output, "output")
+        if other is None:
+            found = compare_rivals(ours, files, now.out, force=force, command=command)
+            now.notes += [f"{name}: {note}" for name, note in found.notes]
+        else:
+            write_comparison(ours, path_of(other, "other"), now.out, force=force, command=command)
+        return Comparison.of(now)
 
 
 def navigate(
