@@ -140,6 +140,11 @@ class Answer(NamedTuple):
         if not isinstance(value, kind):
             raise self.wrong(f"must return a {kind.__name__}, not {told_kind(value)}")
 
+    def require_kind(self, what: str, value: object, *kinds: type) -> None:
+        """InputError unless `what` of it is of one of these kinds."""
+        if not isinstance(value, kinds):
+            raise self.wrong(f"{what} must be a {kinds[0].__name__}, not {told_kind(value)}")
+
     def require_finite(self, what: str, value: object, *shape: int) -> None:
         """InputError unless `what` of it is finite, an array of this shape or a number."""
         numbers = np.asarray(value) if isinstance(value, (np.ndarray, np.number, float, int)) else None

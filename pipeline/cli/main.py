@@ -181,10 +181,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
             return EXIT_INPUT
-        except Exception as error:
-            from turtlebag.datasets.parts import told_of  # NumPy, which not every command needs
-
-            said = told_of(error)
+        except (Exception, SystemExit) as error:
+            parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
+            said = parts.told_of(error) if parts else None
             if said is None or getattr(args, "verbosity", 0) > 0:
                 raise
             print(f"turtlebag: {said} (-v shows the way there)", file=sys.stderr)
