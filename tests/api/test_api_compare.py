@@ -84,6 +84,7 @@ WRONG = {
     "nothing": (lambda t: tb.compare(t / "a"), "^compare: give another output, or rivals"),
     "both": (lambda t: tb.compare(t / "a", t / "b", rivals={"x": t / "other.tum"}), "^compare: give another"),
     "a number": (lambda t: tb.compare(3, t / "b"), "^output: expected a path, not a int"),
+    "nothing of ours": (lambda t: tb.compare(None, t / "b"), "^output: expected a path, not None"),
     "two kinds": (lambda t: tb.compare(t / "a", t / "record"), "nothing to compare"),
     "a list": (lambda t: tb.compare(t / "a", rivals=["x"]), "^rivals: expected a mapping .*, not a list"),
     "no file": (lambda t: tb.compare(t / "a", rivals={"x": 3}), "^rivals x: expected a path, not a int"),

@@ -292,7 +292,7 @@ def compare(
     from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
     from turtlebag.pipeline.stages.rivals import inputs_of
 
-    files = rival_files(rivals)
+    ours, files = path_of(output, "output"), rival_files(rivals)
     if (other is None) == (not files):
         raise InputError("compare: give another output, or rivals by their names")
     words, options = rival_options(files)
@@ -300,7 +300,6 @@ def compare(
     with step("compare", out, force=force, inputs={**given, **inputs_of(files)}) as now:
         seconds = words if other is None else [other]
         command = command_line("compare", output, *seconds, **options, out=now.out)
-        ours = path_of(output, "output")
         if other is None:
             found = compare_rivals(ours, files, now.out, force=force, command=command)
             now.notes += [f"{name}: {note}" for name, note in found.notes]
