@@ -160,7 +160,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             with _stopping_cleanly():
                 if "" in argv:
-                    raise InputError("one of the arguments is empty; is a variable of the shell not set?")
+                    before = " ".join(argv[: argv.index("")][-1:])
+                    raise InputError(f"{before} : what follows is empty; is a variable of the shell not set?")
                 args = build_parser(verb).parse_args(joined(argv))
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)
