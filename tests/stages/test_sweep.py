@@ -18,7 +18,7 @@ from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
-from turtlebag.pipeline.terminal.messages import set_verbosity
+from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 from turtlebag.reports.campaign import compare_pairs, summarise
 from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
@@ -200,8 +200,9 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     from turtlebag.pipeline.campaign.sweep import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 98]"))
-    set_verbosity(0)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", hushed, scheduler="threads") == 1
+    with verbosity_kept():
+        set_verbosity(0)
+        assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", hushed, scheduler="threads") == 1
     said = capfd.readouterr().err
     assert said.count("make: turtlebag: bad size 98\n") == 8
     assert said.endswith("16 cases, 8 failed\n")
