@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
 from turtlebag.datasets.errors import InputError
@@ -42,19 +42,19 @@ def is_own(name: str) -> bool:
     return _OWN.fullmatch(name) is not None
 
 
-def part_of(*ours: str) -> AfterValidator:
+def part_of(*ours: str) -> BeforeValidator:
     """Of a setting that names a part, as `Annotated[str, part_of("lines")]`: ours or `module:Class`.
 
     The class is not looked for yet: settings can be read where it is not.
     """
 
-    def known(name: str) -> str:
-        if name in ours or is_own(name):
+    def known(name: object) -> str:
+        if isinstance(name, str) and (name in ours or is_own(name)):
             return name
-        said = "'{name}' is none of {ours}, nor a class of yours (module:Class)"
-        raise PydanticCustomError("part", said, {"name": name, "ours": ", ".join(ours)})
+        said = "{name} is none of {ours}, nor a class of yours (module:Class)"
+        raise PydanticCustomError("part", said, {"name": repr(name), "ours": ", ".join(ours)})
 
-    return AfterValidator(known)
+    return BeforeValidator(known)
 
 
 def chosen(name: str, ours: Mapping[str, Callable[..., Any]], contract: type) -> Any:
@@ -138,14 +138,19 @@ class Answer(NamedTuple):
     def require_a(self, kind: type, value: object) -> None:
         """InputError unless it is of this kind."""
         if not isinstance(value, kind):
-            raise self.wrong(f"must return a {kind.__name__}, not {_shown(value)}")
+            raise self.wrong(f"must return a {kind.__name__}, not {told_kind(value)}")
+
+    def require_kind(self, what: str, value: object, *kinds: type) -> None:
+        """InputError unless `what` of it is of one of these kinds."""
+        if not isinstance(value, kinds):
+            raise self.wrong(f"{what} must be a {kinds[0].__name__}, not {told_kind(value)}")
 
     def require_finite(self, what: str, value: object, *shape: int) -> None:
         """InputError unless `what` of it is finite, an array of this shape or a number."""
         numbers = np.asarray(value) if isinstance(value, (np.ndarray, np.number, float, int)) else None
         if numbers is None or numbers.shape != shape or numbers.dtype.kind not in "fiu":
             asked = f"an array of shape {shape}" if shape else "a number"
-            raise self.wrong(f"{what} must be {asked}, not {_shown(value)}")
+            raise self.wrong(f"{what} must be {asked}, not {told_kind(value)}")
         if not np.isfinite(numbers).all():
             raise self.wrong(f"{what} is not finite")
 
@@ -163,7 +168,7 @@ def _label(part: type) -> str:
     return f"{part.__module__}:{part.__qualname__}"
 
 
-def _shown(value: object) -> str:
+def told_kind(value: object) -> str:
     """What a value is, in a few words."""
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.se2 import SE2
@@ -14,18 +16,31 @@ from turtlebag.datasets.se3 import inverse, lifted
 from turtlebag.datasets.tracks import Track, read_track
 from turtlebag.datasets.types import Stamps, seconds
 
-OURS = "TurtleBag"
-"""What we are called among systems."""
+OURS, TRUTH = "TurtleBag", "truth"
+"""What we are called among systems, and what they are measured by."""
+FEWEST = 3
+"""Poses that a trajectory must have to be laid on another."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
+IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
+LONGEST_S = 4e9
 OPTICAL = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """From a camera's axes (x right, y down, z forward) to a robot's (x forward, y left, z up)."""
 CLIMB_M = 1.0
 """No robot on wheels climbs this far, and half as far as it drives."""
 
 
+def kind_of(path: Path) -> str:
+    """Which field of `RivalFiles` a file belongs to, by its name: a map's is YAML."""
+    return "map" if path.suffix in (".yaml", ".yml") else "trajectory"
+
+
 @dataclass(frozen=True)
 class RivalFiles:
     """Files of one rival. `T_base_sensor` is where on the robot sits what its trajectory tracks; `shift_s`
-    is added to its stamps; `times` are the stamps of a KITTI file."""
+    is added to its stamps; `times` are the stamps of a KITTI file.
+
+    InputError for a name that is none or is taken, and for what is no such file.
+    """
 
     name: str
     trajectory: Path | None = None
@@ -33,6 +48,27 @@ class RivalFiles:
     times: Path | None = None
     T_base_sensor: SE2 = field(default_factory=SE2.identity)
     shift_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise InputError(f"{self.name}: a rival's name has letters, digits, - and _ only")
+        if self.name in (OURS, TRUTH):
+            raise InputError(f"{self.name}: is taken; give the rival another name")
+        if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
+            raise InputError(f"{self.name} has no trajectory")
+        for what, path in (("trajectory", self.trajectory), ("map", self.map), ("times", self.times)):
+            if path is not None and path.is_dir():
+                raise InputError(f"{path}: is a folder; give the file of the {what} in it")
+            if path is not None and path.suffix.lower() in IMAGES:
+                raise InputError(f"{path}: is the image of a map; give the yaml beside it")
+
+        if not abs(self.shift_s) < LONGEST_S:
+            raise InputError(f"{self.name}: cannot be shifted by {self.shift_s:g} s")
+
+    @property
+    def moved(self) -> bool:
+        """Whether it tracks anything but the base."""
+        return bool(np.any(self.T_base_sensor.xyt))
 
     def inputs(self) -> dict[str, Path]:
         """Every file that is read, by what it is."""
@@ -57,6 +93,10 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     if files.trajectory is None:
         return System(files.name, None, grid)
     read = read_track(files.trajectory, files.times, scans_ns)
+    if len(read) < FEWEST:
+        raise InputError(
+            f"{files.trajectory}: has {len(read)} of the {FEWEST} poses that it takes to compare"
+        )
     notes = []
     shift_ns = round(files.shift_s * 1e9)
     track = replace(read, stamps_ns=read.stamps_ns + shift_ns).in_time()
@@ -69,7 +109,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
         notes.append(
             "Its path climbs as if z pointed forward: taken for a camera's axes and turned to a robot's."
         )
-    if np.any(files.T_base_sensor.xyt):
+    if files.moved:
         track = replace(track, T=track.T @ inverse(lifted(files.T_base_sensor)))
         x, y, yaw = (float(value) for value in files.T_base_sensor.xyt)
         notes.append(f"It tracks a point at {x:g}, {y:g} m, {yaw:g} rad on the robot; moved to the base.")

@@ -51,9 +51,12 @@ def require_plan(planner: GlobalPlanner, plan: object) -> None:
     answer = Answer(planner, "plan")
     answer.require_a(Plan, plan)
     assert isinstance(plan, Plan)
-    answer.require_a(SE2, plan.poses)
+    answer.require_kind("poses", plan.poses, SE2)
+    answer.require_kind("planner", plan.planner, str)
     if len(plan.poses) < 2:
         raise answer.wrong("a path has two poses at least")
     answer.require_finite("poses", plan.poses.xyt, len(plan.poses), 3)
     for what in ("length", "margin"):
         answer.require_finite(what, getattr(plan, what))
+    if plan.length < 0.0:
+        raise answer.wrong("length is below 0")

@@ -101,6 +101,14 @@ def require_world(maker: WorldMaker, world: object) -> None:
     answer.require_finite("bounds", np.array(world.bounds, dtype=np.float64), 4)
     if not world.shapes:
         raise answer.wrong("a world has a shape at least")
+    for what, value, kind in [
+        ("name", world.name, str),
+        ("robot", world.robot, str),
+        *[("shape", solid, Solid) for solid in world.shapes],
+    ]:
+        answer.require_kind(what, value, kind)
+    for outline in (*world.keepout, *world.routes.values()):
+        answer.require_finite("keepout or route", outline, len(outline), 2)
     _mappable(world.bounds, world.name)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -11,6 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from turtlebag.pipeline.campaign.campaign_file import BAG, Campaign
 from turtlebag.pipeline.campaign.cases import Case
 from turtlebag.pipeline.campaign.leases import made_once
 from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.terminal.messages import verbosity_kept
 from turtlebag.reports.numbers import lookup
 from turtlebag.reports.stages import read_json
 
@@ -33,7 +34,8 @@ Done = tuple[Row, float | None]
 """The row of a case and how long it took [s]; None when its worker was lost."""
 ROWS, CASES, SHARED = "rows", "cases", "shared"
 """Parts of a campaign's store: rows, files kept of each case, and of outputs that several cases use."""
-_one = threading.Lock()
+STREAMS = threading.Lock()
+"""Held by the thread that the streams of this process belong to."""
 
 
 class StageFailed(Exception):
@@ -166,7 +168,7 @@ class _Work:
         code = None
         try:
             # Streams, settings and libraries belong to the whole process: threads take turns.
-            with _one, contextlib.redirect_stderr(told), contextlib.redirect_stdout(said):
+            with STREAMS, verbosity_kept(), redirect_stderr(told), redirect_stdout(said):
                 code = self._run([*words, "--quiet", "--out", str(out), "--force"])
         except (Exception, SystemExit) as error:
             # A defect in one case must not end a campaign of a thousand: it becomes that case's result.

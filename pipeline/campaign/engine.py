@@ -55,6 +55,13 @@ def _client(scheduler: str | None, workers: int | None, scratch: Path) -> Iterat
         yield client
 
 
+def require_scheduler(scheduler: str | None) -> None:
+    """InputError when there is no scheduler at the address."""
+    if scheduler not in (None, THREADS):
+        with _client(scheduler, None, Path()):
+            pass
+
+
 def run_cases(
     campaign: Campaign,
     todo: Sequence[Case],

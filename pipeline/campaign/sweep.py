@@ -21,9 +21,9 @@ from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text,
 from turtlebag.datasets.urls import reason_of
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
-from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, Done, Row, Run, Where, recipes
+from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
 from turtlebag.pipeline.campaign.cases import Case, cases
-from turtlebag.pipeline.campaign.engine import THREADS, run_cases
+from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
 from turtlebag.pipeline.campaign.progress import Progress
 from turtlebag.pipeline.campaign.results import PAGE, write_results
 from turtlebag.pipeline.campaign.store import UNFINISHED, Store
@@ -61,6 +61,7 @@ def sweep(
     campaign = load_campaign(campaign_name)
     check_free(out, force=force, kind="folder")
     todo = cases(campaign)
+    require_scheduler(scheduler)
     with claimed(out, force=force) as claim:
         inputs = _inputs(campaign_name, todo)
         claim.watch(inputs.values())
@@ -187,7 +188,8 @@ def _run(
                 timing[row["case"]] = wall_s
             progress.add(row)
             if row["failed"]:
-                log.warning(f"{row['case']}: {row['error']}")
+                with STREAMS:
+                    log.warning(f"{row['case']}: {row['error']}")
     return [rows[case.name] for case in todo], dict(sorted(timing.items()))
 
 

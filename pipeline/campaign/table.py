@@ -72,6 +72,8 @@ def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         content = store.read(INDEX)
     except InputError:
         raise
+    except NotADirectoryError:
+        content = None
     except Exception as error:  # a store's client raises whatever its own libraries do
         raise InputError(f"{store.url}: cannot be read ({reason_of(error)})") from None
     if content is None:

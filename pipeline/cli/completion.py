@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
             action.complete = _name_or_file(action.dest, named[action.dest])  # type: ignore[attr-defined]
         elif action.dest == "names":
             action.choices = list(DATASETS)
-        elif action.type in (Path, map_file):
+        elif action.type in (Path, map_file) or str(action.metavar).endswith("FILE"):
             folder = action.metavar == "DIR"
             action.complete = shtab.DIRECTORY if folder else shtab.FILE  # type: ignore[attr-defined]
     print(shtab.complete(parser, args.shell))

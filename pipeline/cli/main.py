@@ -159,6 +159,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with guarded_streams() as stdout:
         try:
             with _stopping_cleanly():
+                if "" in argv:
+                    before = " ".join(argv[: argv.index("")][-1:])
+                    raise InputError(f"{before} : what follows is empty; is a variable of the shell not set?")
                 args = build_parser(verb).parse_args(joined(argv))
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)
@@ -181,10 +184,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         except MemoryError:
             print(f"turtlebag: {verb}: not enough memory for this input", file=sys.stderr)
             return EXIT_INPUT
-        except Exception as error:
-            from turtlebag.datasets.parts import told_of  # NumPy, which not every command needs
-
-            said = told_of(error)
+        except (Exception, SystemExit) as error:
+            parts = sys.modules.get("turtlebag.datasets.parts")  # loaded where there can be parts
+            said = parts.told_of(error) if parts else None
             if said is None or getattr(args, "verbosity", 0) > 0:
                 raise
             print(f"turtlebag: {said} (-v shows the way there)", file=sys.stderr)

@@ -16,9 +16,6 @@ from turtlebag.pipeline.cli.arguments import pose
 if TYPE_CHECKING:
     from turtlebag.datasets.rivals import RivalFiles
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_+-]*")
-IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg")
-
 
 def add_rival_options(parser: argparse.ArgumentParser) -> None:
     """--rival-base, --rival-times and --rival-shift."""
@@ -36,14 +33,12 @@ def rivals(words: Sequence[str], args: argparse.Namespace) -> list[RivalFiles]:
     """The rivals that `words` (NAME=FILE or FILE) and the options name; a name may have a trajectory and a
     map. InputError for what is neither, twice of one kind, or an option for a name that is not there.
     """
-    from turtlebag.datasets.rivals import RivalFiles
+    from turtlebag.datasets.rivals import RivalFiles, kind_of
 
     found: dict[str, dict[str, Path]] = {}
     for word in words:
         name, path = _named(word)
-        kind = "map" if path.suffix in (".yaml", ".yml") else "trajectory"
-        if path.suffix.lower() in IMAGES:
-            raise InputError(f"{path}: is the image of a map; give the yaml beside it")
+        kind = kind_of(path)
         files = found.setdefault(name, {})
         if kind in files:
             raise InputError(f"{path}: {name} has a {kind} already ({files[kind]}); name rivals by NAME=FILE")
@@ -73,16 +68,10 @@ def existing_rivals(words: Sequence[str], args: argparse.Namespace) -> list[Path
 
 def _named(word: str) -> tuple[str, Path]:
     """NAME=FILE, or FILE with the name of the file."""
-    from turtlebag.datasets.rivals import OURS
-
     name, equals, file = word.partition("=")
     if not equals or Path(word).exists():
         path = Path(word)
         return re.sub(r"^[^A-Za-z0-9]+|[^A-Za-z0-9_+-]+", "-", path.stem).strip("-") or "rival", path
-    if not NAME.fullmatch(name):
-        raise InputError(f"{word}: a rival's name has letters, digits, - and _ only")
-    if name == OURS:
-        raise InputError(f"{word}: {OURS} is what we are called; give the rival another name")
     return name, Path(file)
 
 
@@ -99,8 +88,6 @@ def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: st
             raise InputError(f"{option} {word}: of which rival? write {option} NAME={word}")
         if name not in names:
             raise InputError(f"{option} {word}: no rival is called {name}; there are {', '.join(names)}")
-        if "trajectory" not in names[name]:
-            raise InputError(f"{option} {word}: {name} has no trajectory")
         found[name] = value
     return found
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.conformance.room import (
@@ -17,9 +16,10 @@ from turtlebag.pipeline.conformance.room import (
     bytes_of,
     made,
     room,
+    told,
 )
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.driver import Task
+from turtlebag.pipeline.navigation.driver import Task, require_task
 from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
@@ -84,10 +84,8 @@ def _planned(
 ) -> Plan:
     one: GlobalPlanner = made(planner, GlobalPlanner, PlanConfig())
     plan = one.plan(costmap, model, start, goal, 1)
-    try:
+    with told():
         require_plan(one, plan)
-    except InputError as error:
-        raise AssertionError(str(error)) from None
     return plan
 
 
@@ -149,10 +147,8 @@ def _driven(
 
 def _require_command(part: object, method: str, command: Twist, last: Twist, model: RobotModel) -> None:
     """AssertionError unless it is a command that the robot can obey after the last one."""
-    try:
+    with told():
         require_twist(part, method, command)
-    except InputError as error:
-        raise AssertionError(str(error)) from None
     slack = 1e-6
     if abs(command.v) > model.max_v + slack or abs(command.w) > model.max_w + slack:
         raise broken(
@@ -194,12 +190,11 @@ def _run(task: Callable[[Any, Any], Task], on_a_map: bool) -> Array:
                 one.resume(Twist())
                 continue
             command = one.step(observation)
-            require_twist(one, "step", command)
+            with told():
+                require_task(one, observation, command)
             limits = robot.model.max_v + 1e-6, robot.model.max_w + 1e-6
             if abs(command.v) > limits[0] or abs(command.w) > limits[1]:
                 raise broken(one, f"step: {command} is beyond the robot's limits")
-            if not (isinstance(one.state, str) and isinstance(one.finished, bool)):
-                raise broken(one, "state must be a word, and finished true or false")
             commands.append([command.v, command.w])
             if one.finished:
                 break

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -40,13 +41,22 @@ def broken(part: object, text: str) -> AssertionError:
 
 def made(part: Callable[..., Any], contract: type, *given: object) -> Any:
     """The part, made as its contract says; AssertionError where it is not what that asks for."""
-    try:
+    if not callable(part):
+        raise AssertionError(f"{part!r}: give a class, or a function that makes a {contract.__name__}")
+    with told():
         if inspect.isclass(part):
             require(part, contract)
         one = part(*given)
         require(type(one), _without_init(contract))
         require_attributes(one, contract)
         return one
+
+
+@contextmanager
+def told() -> Iterator[None]:
+    """What is an InputError to the commands is an AssertionError of a check."""
+    try:
+        yield
     except InputError as error:
         raise AssertionError(str(error)) from None
 

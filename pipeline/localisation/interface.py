@@ -119,3 +119,13 @@ def require_estimate(localiser: Localiser) -> None:
     answer.require_a(SE2, T_map_odom)
     answer.require_finite("T_map_odom", T_map_odom.xyt, 3)
     answer.require_finite("covariance", covariance, 3, 3)
+    for what in ("converged", "agrees", "lost"):
+        answer.require_kind(what, getattr(localiser, what), bool, np.bool_)
+    for what in ("pushes", "searches"):
+        answer.require_kind(what, getattr(localiser, what), int, np.integer)
+    answer.require_finite("agreement", localiser.agreement)
+    if not -1e-6 <= localiser.agreement <= 1.0 + 1e-6:
+        raise answer.wrong(f"agreement must be a share 0..1, not {localiser.agreement:g}")
+    answer.require_kind("particles", localiser.particles, SE2)
+    if localiser.particles.xyt.ndim != 2 or not len(localiser.particles):
+        raise answer.wrong("particles must be poses (n,), one at least")

@@ -5,10 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
+import numpy as np
+
+from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
 from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.planners.control.interface import require_twist
 from turtlebag.planners.live import LiveLayer
 
 
@@ -45,6 +49,20 @@ class Task(Protocol):
     def resume(self, last: Twist) -> None:
         """Drive again from the next step on, after the command that someone else gave last."""
         ...
+
+
+def require_task(task: Task, observation: Observation, command: object) -> None:
+    """InputError unless it returned, and says of itself, what it must after a step."""
+    require_twist(task, "step", command)
+    answer = Answer(task, "step")
+    answer.require_kind("state", task.state, str)
+    answer.require_kind("goal_index", task.goal_index, int, np.integer)
+    answer.require_kind("finished", task.finished, bool, np.bool_)
+    if task.estimate is not None:
+        answer.require_kind("estimate", task.estimate, SE2)
+        answer.require_finite("estimate", task.estimate.xyt, 3)
+    if task.sensing.shown_ns != observation.stamp_ns:
+        raise answer.wrong("its sensing must be shown every observation")
 
 
 class Driver(ABC):

@@ -66,9 +66,10 @@ class Sensing:
         self.sight: Sight | None = None
         self.silent_s = 0.0
         """How long no scan has come [s]."""
+        self.shown_ns: int | None = None
+        """Stamp of the observation that it was shown last [ns]."""
         self._T_base_lidar = T_base_lidar
         self._heard_ns: int | None = None
-        self._last_ns: int | None = None
 
     @property
     def blind(self) -> bool:
@@ -80,9 +81,9 @@ class Sensing:
 
         Of two drivers that share it, the second to show it the same observation is told the same.
         """
-        if observation.stamp_ns == self._last_ns:
+        if observation.stamp_ns == self.shown_ns:
             return None if observation.scan is None else self.sight
-        self._last_ns, odometry = observation.stamp_ns, observation.odometry
+        self.shown_ns, odometry = observation.stamp_ns, observation.odometry
         self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
         if observation.scan is not None or self._heard_ns is None:
             self._heard_ns = observation.stamp_ns

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.datasets.yaml_files import checked, parsed
-from turtlebag.pipeline.navigation.driver import Task
-from turtlebag.planners.control.interface import SpeedLimits, ramped, require_twist
+from turtlebag.pipeline.navigation.driver import Task, require_task
+from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.simulator import CONTROL_HZ
 
@@ -135,7 +135,7 @@ class CommandOwner:
                 self.driver.resume(self._last)
             self.owner = "navigation"
             self._last = self.driver.step(observation)
-            require_twist(self.driver, "step", self._last)
+            require_task(self.driver, observation, self._last)
             return self._last
         self.owner = "teleop"
         self._note(observation.stamp_ns, asked)

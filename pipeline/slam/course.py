@@ -9,6 +9,7 @@ odometry's systematic errors are learnt as the log goes on.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +84,11 @@ class Course:
             placed, moved = Placed(pose, np.zeros((3, 3)), 0.0), True
         else:
             wait_s = float(self.stamps[self.scan] - self.stamps[before]) / 1e9
-            placed = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
-            require_placed(self._front_end, placed)
+            said = self._front_end.step(self.clouds.of(self.scan), step, wait_s)
+            require_placed(self._front_end, said, self.scan)
+            # It may go on with its own arrays.
+            own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
+            placed = replace(said, T_track_base=own[0], information=own[1])
             self.velocity = between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
         for scan, pose in placed.revised:

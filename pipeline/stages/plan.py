@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
@@ -105,6 +106,9 @@ def planner_settings(name: str | None) -> list[str]:
         return []
     if name in get_args(PlannerName):
         return ["plan.planner=ompl", f"plan.ompl.planner={name}"]
+    if not is_own(name):
+        known = ", ".join(get_args(PlannerName))
+        raise InputError(f"--planner: {name!r} is none of {known}, nor a class of yours (module:Class)")
     return [f"plan.planner={name}"]
 
 

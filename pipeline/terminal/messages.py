@@ -59,6 +59,19 @@ def set_verbosity(level: int) -> None:
     show_bars(level >= 0)
 
 
+@contextmanager
+def verbosity_kept() -> Iterator[None]:
+    """Whatever a command within makes of it, messages are shown as before when this is over."""
+    root, bars = logging.getLogger(), _bars
+    handlers, level = root.handlers[:], log.level
+    try:
+        yield
+    finally:
+        root.handlers[:] = handlers
+        log.setLevel(level)
+        show_bars(bars)
+
+
 def show_bars(on: bool) -> None:
     """Whether progress is shown at all: the commands ask for it, those who call from Python may not."""
     global _bars

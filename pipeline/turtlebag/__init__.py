@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from turtlebag.api.online import Localiser, Mapper
     from turtlebag.api.outputs import Bag, Map
     from turtlebag.api.planning import Planner
-    from turtlebag.api.results import Localisation, Plan, Report, Run
+    from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
+    from turtlebag.api.rivals import Rival
     from turtlebag.api.simulation import Simulator
-    from turtlebag.api.steps import localise, map, navigate, plan, record, report
+    from turtlebag.api.steps import compare, localise, map, navigate, plan, record, report
     from turtlebag.api.tables import Table, Trajectory
     from turtlebag.api.tasks import Avoid, Explore, Goal, Patrol
     from turtlebag.datasets.errors import InputError
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
     from turtlebag.planners.planner import NoPath
 
 _HOMES = {
-    "turtlebag.api.steps": ("record", "map", "localise", "navigate", "plan", "report"),
+    "turtlebag.api.steps": ("record", "map", "localise", "navigate", "plan", "report", "compare"),
     "turtlebag.api.tasks": ("Patrol", "Goal", "Avoid", "Explore"),
     "turtlebag.api.outputs": ("Bag", "Map"),
-    "turtlebag.api.results": ("Localisation", "Run", "Plan", "Report"),
+    "turtlebag.api.results": ("Localisation", "Run", "Plan", "Report", "Comparison"),
+    "turtlebag.api.rivals": ("Rival",),
     "turtlebag.api.tables": ("Trajectory", "Table"),
     "turtlebag.api.simulation": ("Simulator",),
     "turtlebag.api.online": ("Mapper", "Localiser"),
@@ -50,6 +52,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "Avoid",
     "Bag",
+    "Comparison",
     "Explore",
     "Goal",
     "InputError",
@@ -63,12 +66,14 @@ __all__ = [
     "Plan",
     "Planner",
     "Report",
+    "Rival",
     "Run",
     "SE2",
     "Scan",
     "Simulator",
     "Table",
     "Trajectory",
+    "compare",
     "localise",
     "map",
     "navigate",

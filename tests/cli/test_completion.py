@@ -60,7 +60,16 @@ def test_bash_completes_verbs_options_names_and_files(complete):
     assert found[1:5] == [["navigate"], ["recover"], ["--world"], ["turtlebot3_house"]]
     assert sorted(found[5]) == ["file.yaml", "folder"]
     assert sorted(found[6]) == sorted([*robot_names(), "file.yaml", "folder"])
-    found = complete("navigate --task _", "map fi", "report f", "data fetch int", "sweep bre", "completion z")
+    found = complete(
+        "navigate --task _",
+        "map fi",
+        "report f",
+        "data fetch int",
+        "sweep bre",
+        "completion z",
+        "compare there fi",
+        "report there --rival fi",
+    )
     assert found == [
         ["goal", "patrol", "avoid", "explore"],
         ["file.yaml"],
@@ -68,6 +77,8 @@ def test_bash_completes_verbs_options_names_and_files(complete):
         ["intel"],
         ["breaks"],
         ["zsh"],
+        ["file.yaml"],
+        ["file.yaml"],
     ]
 
 

@@ -26,7 +26,10 @@ def normal():
     console.set_verbosity(0)
 
 
-@pytest.mark.parametrize("words", [[], ["navigate"], ["bag"], ["bag", "info"], ["mpa"], ["map", "--ot", "x"]])
+@pytest.mark.parametrize(
+    "words",
+    [[], ["navigate"], ["bag"], ["bag", "info"], ["mpa"], ["map", "--ot", "x"], ["map", "", "--out", "x"]],
+)
 def test_a_usage_error_is_one_line_that_begins_once_with_the_program(capsys, words):
     assert main(words) == 2
     error = capsys.readouterr().err

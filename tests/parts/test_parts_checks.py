@@ -9,6 +9,7 @@ from turtlebag import testing
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
+from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.drivers import make_avoider
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
@@ -107,6 +108,40 @@ class Unsure(Wheels):
         return replace(super().step(points, odometry_step, wait_s), sure=False)
 
 
+class Sees(Wheels):
+    """Says something else of each scan than the wheels do."""
+
+    def __init_subclass__(cls, **said):
+        cls.said = said
+
+    def step(self, points, odometry_step, wait_s):
+        return replace(super().step(points, odometry_step, wait_s), **self.said)
+
+
+class TooMuch(Sees, overlap=7.0):
+    pass
+
+
+class Ahead(Sees, revised=((99, np.zeros(3)),)):
+    pass
+
+
+class Backwards(Sees, revised=((-1, np.zeros(3)),)):
+    pass
+
+
+class NoPairs(Sees, revised=(3,)):
+    pass
+
+
+class Perhaps(Sees, sure=np.array([True, False])):
+    pass
+
+
+class Sources(Sees, source=np.zeros(3)):
+    pass
+
+
 class NoStep:
     def __init__(self, course):
         pass
@@ -126,6 +161,11 @@ class Everywhere(Open3dMatch):
 class Denies(Open3dMatch):
     def confirms(self, clouds, query, place, pose):
         return False
+
+
+class Mumbles(Open3dMatch):
+    def confirms(self, clouds, query, place, pose):
+        return "no"
 
 
 class Idle(Gtsam):
@@ -156,6 +196,27 @@ class Deaf(Amcl):
 class Silent(Amcl):
     def update(self, scan, T_odom_base, T_odom_base_end=None):
         super().update(scan, T_odom_base, T_odom_base_end)
+
+
+class Boastful(Amcl):
+    agreement = 7.0
+
+
+class Empty(Amcl):
+    particles = SE2.identity(0)
+
+
+class Torn(Amcl):
+    lost = None
+
+
+class Uncounted(Amcl):
+    pushes = None
+
+
+class Shorter(OmplPlanner):
+    def plan(self, costmap, model, T_map_start, T_map_goal, seed):
+        return replace(super().plan(costmap, model, T_map_start, T_map_goal, seed), length=-1.0)
 
 
 class Through(OmplPlanner):
@@ -199,6 +260,7 @@ class Rammer:
         self.estimate = None
 
     def step(self, observation):
+        self.sensing.observe(observation)
         return Twist(9.0, 0.0)
 
     def stand_by(self, observation):
@@ -213,6 +275,71 @@ class Stateless(Rammer):
         self.sensing = kit.sensing
 
 
+class Stands(Driver):
+    """A task that stands still for a while, and says something of itself."""
+
+    def __init_subclass__(cls, **said):
+        cls.said = said
+
+    def __init__(self, kit, mission):
+        super().__init__(kit.sensing)
+
+    def step(self, observation):
+        self.stand_by(observation)
+        for what, value in self.said.items():
+            setattr(self, what, value)
+        return Twist()
+
+    def stand_by(self, observation):
+        self.sensing.observe(observation)
+
+
+class Mute(Stands, state=None):
+    pass
+
+
+class Unfinished(Stands, finished=None):
+    pass
+
+
+class Goals(Stands, goal_index="first"):
+    pass
+
+
+class Somewhere(Stands, estimate=np.zeros(3)):
+    pass
+
+
+class Blind(Stands):
+    def stand_by(self, observation):
+        pass
+
+
+class Silly(Stands):
+    def step(self, observation):
+        super().step(observation)
+
+
+class Strange(Named):
+    def world(self):
+        return replace(load_world("turtlebot3_world"), robot="nobody")
+
+
+class Numbers(Named):
+    def world(self):
+        return replace(load_world("turtlebot3_world"), shapes=(1, 2))
+
+
+class Nameless(Named):
+    def world(self):
+        return replace(load_world("turtlebot3_world"), name=None)
+
+
+class Lost(Named):
+    def world(self):
+        return replace(load_world("turtlebot3_world"), routes={"there": [1.0, 2.0]})
+
+
 class Tight(Named):
     def world(self):
         return replace(load_world("turtlebot3_world"), spawn=SE2.identity())
@@ -225,6 +352,10 @@ class Small(Named):
 
 def front_end(part):
     testing.check_front_end(part, without_odometry=False)
+
+
+def world(part):
+    testing.check_world(part, "")
 
 
 @pytest.mark.parametrize(
@@ -257,12 +388,29 @@ def front_end(part):
         (testing.check_controller, Rolls, "brake: must come to a standstill within 5 s"),
         (testing.check_task, Rammer, "is beyond the robot's limits"),
         (testing.check_task, Stateless, "has no state, which a Task has"),
-        (
-            lambda part: testing.check_world(part, ""),
-            Tight,
-            "there must be room for the robot where it starts",
-        ),
-        (lambda part: testing.check_world(part, ""), Small, "bounds must hold all shapes"),
+        (world, Tight, "there must be room for the robot where it starts"),
+        (world, Small, "bounds must hold all shapes"),
+        (world, Numbers, "shape must be a Solid, not a int"),
+        (world, Nameless, "name must be a str, not None"),
+        (world, Lost, "keepout or route must be an array of shape (2, 2), not a list"),
+        (front_end, TooMuch, "step: overlap is 7, it must be 0 to 1"),
+        (front_end, Ahead, "step: revised must be scans before this one"),
+        (front_end, Backwards, "step: revised must be scans before this one"),
+        (front_end, NoPairs, "step: revised must be scans before this one"),
+        (front_end, Perhaps, "step: sure must be a bool, not an array of shape (2,)"),
+        (front_end, Sources, "step: source must be 0 to 3"),
+        (testing.check_loop_match, Mumbles, "confirms: must be true for the true pose"),
+        (testing.check_localiser, Boastful, "agreement must be a share 0..1, not 7"),
+        (testing.check_localiser, Empty, "particles must be poses (n,), one at least"),
+        (testing.check_localiser, Torn, "lost must be a bool, not None"),
+        (testing.check_localiser, Uncounted, "pushes must be a int, not None"),
+        (testing.check_planner, Shorter, "length is below 0"),
+        (testing.check_task, Mute, "state must be a str, not None"),
+        (testing.check_task, Unfinished, "finished must be a bool, not None"),
+        (testing.check_task, Goals, "goal_index must be a int, not a str"),
+        (testing.check_task, Somewhere, "estimate must be a SE2, not an array of shape (3,)"),
+        (testing.check_task, Blind, "its sensing must be shown every observation"),
+        (testing.check_task, Silly, "step: must return a Twist, not None"),
     ],
     ids=lambda value: value.__name__ if isinstance(value, type) else "",
 )
@@ -272,3 +420,27 @@ def test_a_broken_contract_is_told_in_one_line(check, part, said):
     assert said in str(error.value)
     assert f":{part.__name__}: " in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_what_is_no_class_and_a_robot_that_is_none_are_told_too():
+    with pytest.raises(AssertionError, match="3: give a class, or a function that makes a FrontEnd"):
+        testing.check_front_end(3)
+    with pytest.raises(AssertionError, match="unknown robot 'nobody'"):
+        testing.check_world(Strange, "")
+
+
+class Reuses(Wheels):
+    """Writes each pose into the same array."""
+
+    def __init__(self, course):
+        super().__init__(course)
+        self._pose = np.zeros(3)
+
+    def step(self, points, odometry_step, wait_s):
+        placed = super().step(points, odometry_step, wait_s)
+        self._pose[:] = placed.T_track_base
+        return replace(placed, T_track_base=self._pose)
+
+
+def test_a_front_end_may_go_on_with_the_array_that_it_returned():
+    front_end(Reuses)

@@ -41,6 +41,10 @@ class Nothing(Good):
     def step(self, points, odometry_step, wait_s):
         return None
 
+class Leaves(Good):
+    def step(self, points, odometry_step, wait_s):
+        raise SystemExit("bye")
+
 class Breaks(Good):
     def step(self, points, odometry_step, wait_s):
         return {}["pose"]
@@ -161,6 +165,7 @@ def test_attributes_are_asked_of_a_part_that_is_made():
         ),
         ("Nothing", ":Nothing: step: must return a Placed, not None"),
         ("Breaks", ", in step: KeyError: 'pose' (-v shows the way there)"),
+        ("Leaves", ", in step: SystemExit: bye (-v shows the way there)"),
         ("Godo", "has no class Godo"),
     ],
 )

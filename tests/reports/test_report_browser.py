@@ -1,6 +1,7 @@
 """The page in a real browser: nothing overflows, every picture is there, the map answers the mouse."""
 
-from urllib.parse import unquote
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 from browser import Browser, find_browser
@@ -30,6 +31,8 @@ CENTRE = """(() => {
   };
   return {room: p(-1.0, 1.0), right: p(0.0, 1.0), wall: p(0.0, 0.28), inside: p(0.0, 0.0)};
 })()"""
+CUT = """[...document.querySelectorAll(".scroll")].filter((box) => box.scrollWidth > box.clientWidth)
+  .map((box) => box.closest("section").innerText)"""
 COPIED = """(async () => {
   for (let k = 0; k < 100; k++) {
     if (document.querySelector(".pointer output").textContent.endsWith("copied")) return true;
@@ -66,6 +69,16 @@ def address(tmp_path_factory):
 def browser(tmp_path_factory):
     with Browser(find_browser(), tmp_path_factory.mktemp("profile")) as browser:
         yield browser
+
+
+@pytest.mark.slow
+def test_tables_of_four_systems_are_not_cut(browser, address, tmp_path):
+    base = Path(urlsplit(address).path).parents[1]
+    names = ("cartographer", "slam_toolbox", "kiss_icp")
+    files = [RivalFiles(name, base / "other/trajectory.tum", base / "other/map.yaml") for name in names]
+    compare_rivals(base / "map", files, tmp_path / "rivals")
+    browser.open((tmp_path / "rivals/index.html").as_uri(), 1200)
+    assert browser.evaluate(CUT) == []
 
 
 @pytest.mark.parametrize(("width", "dark"), [(400, False), (1400, False), (1400, True)])

@@ -18,6 +18,7 @@ from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query, write_table
+from turtlebag.pipeline.terminal.messages import set_verbosity, verbosity_kept
 from turtlebag.reports.campaign import compare_pairs, summarise
 from turtlebag.reports.metrics import statistics
 from turtlebag.reports.metrics.statistics import median_interval, paired, share_interval
@@ -147,6 +148,9 @@ def test_a_query_that_asks_nothing_is_refused(tmp_path, sql):
     store = Store(str(tmp_path))
     with pytest.raises(InputError, match="not a finished sweep"):
         query(store, "SELECT 1")
+    (tmp_path / "sweep.yaml").touch()
+    with pytest.raises(InputError, match="not a finished sweep"):
+        query(Store(str(tmp_path / "sweep.yaml")), "SELECT 1")
     write_table([{"size": 1, "failed": False}], "failed", store)
     assert query(store, "SELECT size FROM runs") == (["size"], [(1,)])
     with pytest.raises(InputError, match="is empty"):
@@ -183,6 +187,34 @@ def scheduler():
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
         yield cluster.scheduler_address
+
+
+def hushed(argv):
+    """A stage that shows nothing but its errors, as every one that is run with --quiet."""
+    set_verbosity(-1)
+    return fake_main(argv)
+
+
+@pytest.mark.slow
+def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 98]"))
+    with verbosity_kept():
+        set_verbosity(0)
+        assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", hushed, scheduler="threads") == 1
+    said = capfd.readouterr().err
+    assert said.count("make: turtlebag: bad size 98\n") == 8
+    assert said.endswith("16 cases, 8 failed\n")
+
+
+def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
+    from turtlebag.pipeline.campaign.sweep import sweep
+
+    (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
+    with pytest.raises(InputError, match="no scheduler answers there"):
+        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler="bananas")
+    assert [path.name for path in tmp_path.iterdir()] == ["campaign.yaml"]
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ import os
 import re
 import shutil
 import tempfile
+import textwrap
 import threading
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 
 from turtlebag.datasets.claims import claimed
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.parts import name_of
+from turtlebag.datasets.parts import name_of, told_kind
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import parsed
 from turtlebag.pipeline.terminal.messages import log, show_bars
@@ -34,6 +35,7 @@ Pose = SE2 | Sequence[float] | np.ndarray
 log.addHandler(logging.NullHandler())
 _printed = logging.StreamHandler()
 IN_PYTHON = {"set": "settings", "force": "force=True", "wiggle": "wiggle=True"}
+IN_PYTHON |= {"rival": "rivals", **{f"rival-{what}": what for what in ("base", "times", "shift")}}
 FARTHEST = 1e9
 
 
@@ -65,17 +67,18 @@ class Step:
 
 @contextmanager
 def step(
-    verb: str, out: PathLike | None, *, force: bool = False, inputs: Sequence[PathLike | None] = ()
+    verb: str, out: PathLike | None, *, force: bool = False, inputs: Mapping[str, PathLike | None]
 ) -> Iterator[Step]:
     """Run a stage in here: into `out`, or where that is None into a folder as short-lived as the result.
 
-    What is wrong is an InputError in terms of Python, not of the command line. Inputs must not change, and
-    live as long as the result where they are objects.
+    What is wrong is an InputError in terms of Python, not of the command line. Inputs, by the names of their
+    arguments, must not change, and live as long as the result where they are objects.
     """
+    read = [path_of(one, what) for what, one in inputs.items() if one is not None]
     folder = None if out is not None else TemporaryFolder()
-    given = [one for one in inputs if one is not None]
-    now = Step(Path(out) if folder is None else folder.path / verb, [folder, *given])  # type: ignore[arg-type]
-    with in_python(), _heard(now.notes), claimed(now.out, force=force, inputs=[Path(one) for one in given]):
+    place = path_if(out, "out") or folder.path / verb  # type: ignore[union-attr]
+    now = Step(place, [folder, *inputs.values()])
+    with in_python(), _heard(now.notes), claimed(now.out, force=force, inputs=read):
         yield now
 
 
@@ -85,7 +88,9 @@ def in_python() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(re.sub(r"--([a-z]+(?:-[a-z]+)*)", _argument, str(error))) from error.__cause__
+        raise InputError(
+            re.sub(r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)", _argument, str(error))
+        ) from error.__cause__
 
 
 def _argument(option: re.Match[str]) -> str:
@@ -136,6 +141,11 @@ def _option_text(value: Any) -> str:
     return os.fspath(value) if isinstance(value, os.PathLike) else str(value)
 
 
+def in_a_line(value: object) -> str:
+    """A value in one line that is not too long."""
+    return textwrap.shorten(repr(value), 100, placeholder=" ...")
+
+
 def pose_of(value: Pose, what: str) -> SE2:
     """A pose from three numbers; InputError names `what` when it is none."""
     try:
@@ -143,7 +153,7 @@ def pose_of(value: Pose, what: str) -> SE2:
     except (TypeError, ValueError):
         xyt = np.zeros(0)
     if xyt.shape != (3,) or not np.isfinite(xyt).all() or np.abs(xyt).max() > FARTHEST:
-        shown = " ".join(repr(value.xyt if isinstance(value, SE2) else value).split())
+        shown = in_a_line(value.xyt if isinstance(value, SE2) else value)
         raise InputError(
             f"{what}: expected three finite numbers x, y, yaw in metres and radians, not {shown}"
         )
@@ -155,9 +165,30 @@ def pose_text(pose: SE2) -> str:
     return ",".join(repr(float(number)) for number in pose.xyt)
 
 
-def path_of(value: PathLike | None) -> Path | None:
+def text_of(value: PathLike, what: str, kind: str = "a name or a path") -> str:
+    """A name or a path as text; InputError names `what` when it is none."""
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(text, str) or not text or "\0" in text:
+        shown = repr(value) if isinstance(value, str | bytes) else told_kind(value)
+        raise InputError(f"{what}: expected {kind}, not {shown}")
+    return text
+
+
+def path_of(value: PathLike, what: str) -> Path:
+    """A path; InputError names `what` when it is none."""
+    return Path(text_of(value, what, "a path"))
+
+
+def path_if(value: PathLike | None, what: str) -> Path | None:
     """A path, where there is one."""
-    return None if value is None else Path(value)
+    return None if value is None else path_of(value, what)
+
+
+def list_of(values: Iterable[Any], what: str) -> list[Any]:
+    """The values of any list; InputError names `what` when it is none, such as a text."""
+    if isinstance(values, str | bytes | os.PathLike) or not isinstance(values, Iterable):
+        raise InputError(f"{what}: expected a list, not {told_kind(values)}")
+    return list(values)
 
 
 def part_name(part: Any) -> Any:
@@ -165,9 +196,17 @@ def part_name(part: Any) -> Any:
     return name_of(part) if inspect.isclass(part) else part
 
 
-def setting_words(settings: Mapping[str, Any] | None) -> list[str]:
-    """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names."""
-    return [f"{key}={_value_text(value, key)}" for key, value in (settings or {}).items()]
+def setting_words(settings: Mapping[str, Any] | None, **more: Any) -> list[str]:
+    """`{"loops.match": "open3d"}` as `loops.match=open3d`, which --set takes; classes by their names.
+
+    `more` are settings that have arguments of their own; None leaves them as they are.
+    """
+    if not isinstance(settings, Mapping | None):
+        raise InputError(
+            f'settings: expected a mapping such as {{"loops.match": "open3d"}}, not {told_kind(settings)}'
+        )
+    chosen = {key: value for key, value in more.items() if value is not None}
+    return [f"{key}={_value_text(value, key)}" for key, value in {**(settings or {}), **chosen}.items()]
 
 
 def _value_text(value: Any, key: str) -> str:
@@ -175,13 +214,15 @@ def _value_text(value: Any, key: str) -> str:
     if isinstance(value, str) and value and parsed(value, where=key) == value:
         return value
     try:
-        return json.dumps(value, default=np.ndarray.tolist)
-    except TypeError:
-        raise InputError(f"settings {key}: expected a number, text, list or class, not {value!r}") from None
+        return json.dumps(value, default=lambda one: one.tolist())
+    except (TypeError, AttributeError):
+        raise InputError(
+            f"settings {key}: expected a number, text, list or class, not {in_a_line(value)}"
+        ) from None
 
 
 def require_seed(seed: int) -> int:
     """A seed; InputError for what is none."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed: expected a whole number, 0 or more, not {seed!r}")
+        raise InputError(f"seed: expected a whole number, 0 or more, not {in_a_line(seed)}")
     return int(seed)

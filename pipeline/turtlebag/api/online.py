@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -11,10 +10,11 @@ from turtlebag.api.making import (
     PathLike,
     Pose,
     in_python,
-    path_of,
+    path_if,
     pose_of,
     require_seed,
     setting_words,
+    text_of,
 )
 from turtlebag.api.outputs import as_map
 from turtlebag.api.tables import Trajectory
@@ -37,8 +37,9 @@ class _Listener:
     """Where the laser sits, and the order of what is heard."""
 
     def __init__(self, robot: PathLike, laser: Pose | None) -> None:
-        spec = load_robot(os.fspath(robot)) if laser is None else None
-        self.T_base_lidar = spec.T_base_lidar if spec is not None else pose_of(laser or (), "laser")
+        self.T_base_lidar = (
+            load_robot(text_of(robot, "robot")).T_base_lidar if laser is None else pose_of(laser, "laser")
+        )
         self.scan: Scan | None = None
         self.odometry: SE2 | types.Trajectory | None = None
         self.observed_ns: int | None = None
@@ -78,10 +79,11 @@ class Mapper:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or setting."""
-        chosen = {} if front_end is None else {"front_end": front_end}
         with in_python():
             self._heard = _Listener(robot, laser)
-            slam = load_config(SlamConfig, path_of(config), setting_words({**(settings or {}), **chosen}))
+            slam = load_config(
+                SlamConfig, path_if(config, "config"), setting_words(settings, front_end=front_end)
+            )
             self._online = OnlineMap(self._heard.T_base_lidar, slam)
 
     def __len__(self) -> int:
@@ -173,7 +175,7 @@ class Localiser:
             raise InputError(f"initial_pose: expected x, y, yaw or global, not {told!r}")
         with in_python():
             self._heard = _Listener(robot, laser)
-            self._config = load_localise_config(path_of(config), setting_words(settings))
+            self._config = load_localise_config(path_if(config, "config"), setting_words(settings))
             self._grid = map if isinstance(map, OccupancyGrid) else as_map(map).occupancy
         self._told, self._rng = told, stream(require_seed(seed), "amcl")
         self._buffer = OdometryBuffer()

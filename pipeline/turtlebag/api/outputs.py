@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.api.making import PathLike, Step, TemporaryFolder
+from turtlebag.api.making import PathLike, Step, TemporaryFolder, path_of
 from turtlebag.api.tables import Table, Trajectory
 from turtlebag.datasets import types
 from turtlebag.datasets.bags.reader import bag_info
@@ -38,7 +37,7 @@ class Output:
     _kept: tuple[object, ...] = ()
 
     def __init__(self, path: PathLike) -> None:
-        self.path = Path(path)
+        self.path = path_of(path, "path")
         """Where it lies."""
         self.stage = self._load()
         """Its manifest, configuration and files; None where it is no output of ours."""
@@ -279,4 +278,4 @@ class Map(Output):
 
 def as_map(map: PathLike) -> Map:
     """A map from what was given as one."""
-    return map if isinstance(map, Map) else Map(map)
+    return map if isinstance(map, Map) else Map(path_of(map, "map"))

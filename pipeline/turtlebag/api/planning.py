@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,10 +10,11 @@ from turtlebag.api.making import (
     Pose,
     in_python,
     part_name,
-    path_of,
+    path_if,
     pose_of,
     require_seed,
     setting_words,
+    text_of,
 )
 from turtlebag.api.outputs import as_map
 from turtlebag.datasets.se2 import Array
@@ -44,11 +44,14 @@ class Planner:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         """InputError for an unknown robot or planner, or an unreadable map."""
+        by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
         with in_python():
-            words = [*setting_words(settings), *planner_settings(part_name(planner))]
-            self._config = load_config(PlanStageConfig, path_of(config), words)
+            words = [*setting_words(settings), *planner_settings(by)]
+            self._config = load_config(PlanStageConfig, path_if(config, "config"), words)
             self._map, self._seed = as_map(map), require_seed(seed)
-            self._robot = load_robot(os.fspath(robot or self._map.robot or "burger"))
+            self._robot = load_robot(
+                text_of(self._map.robot or "burger" if robot is None else robot, "robot")
+            )
             self._costmap = costmap_from_grid(self._map.occupancy, self._config.costmap)
 
     def plan(self, start: Pose, goal: Pose) -> Array:

@@ -12,14 +12,24 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from turtlebag.api.making import PathLike, Pose, TemporaryFolder, pose_of, require_seed
+from turtlebag.api.making import (
+    PathLike,
+    Pose,
+    TemporaryFolder,
+    in_a_line,
+    list_of,
+    path_if,
+    pose_of,
+    require_seed,
+    text_of,
+)
 from turtlebag.api.outputs import as_map
 from turtlebag.api.tasks import Avoid, Explore, Goal, Patrol, Task
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.parts import is_own
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
-from turtlebag.planners.tasks.waypoints import load_keepout
+from turtlebag.planners.tasks.waypoints import load_keepout, parse_polygons
 
 
 @dataclass(frozen=True)
@@ -82,14 +92,14 @@ def asked_for(
         start=start_pose,
         initial_pose=guess,  # type: ignore[arg-type]
         wiggle=wiggle,
-        takeover=None if takeover is None else Path(takeover),
+        takeover=path_if(takeover, "takeover"),
         keepout=None if areas is None else () if areas == "none" else load_keepout(Path(areas)),
         keepout_path=None if areas in (None, "none") else Path(areas),
         **told.fields,
     )
     options = {
-        "world": os.fspath(scene),
-        "robot": None if by is None else os.fspath(by),
+        "world": text_of(scene, "world"),
+        "robot": None if by is None else text_of(by, "robot"),
         "task": name,
         "map": request.map_path,
         "start": start_pose,
@@ -129,7 +139,9 @@ def _of_task(task: Task | str, folder: Path) -> _Told:
     if isinstance(task, Explore):
         duration = _seconds(task.duration, "duration")
         return _Told({"duration_s": duration}, {"duration": duration})
-    raise InputError(f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {task!r}")
+    raise InputError(
+        f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {in_a_line(task)}"
+    )
 
 
 def _seconds(value: float | None, what: str) -> float | None:
@@ -143,15 +155,20 @@ def _seconds(value: float | None, what: str) -> float | None:
 def _waypoints(given: Any, folder: Path) -> Path | None:
     """The file of a patrol's waypoints, written where they are given as numbers."""
     if given is None or isinstance(given, str | os.PathLike):
-        return None if given is None else Path(given)
-    return _written([_numbers(one, "waypoints") for one in given], folder / "waypoints.yaml")
+        return path_if(given, "waypoints")
+    poses = [_numbers(one, "waypoints") for one in list_of(given, "waypoints")]
+    if not poses:
+        raise InputError("waypoints: is empty; give one or more poses")
+    return _written(poses, folder / "waypoints.yaml")
 
 
 def _keepout(given: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
     """The file of areas to keep out of, or the word none."""
     if given is None or isinstance(given, str | os.PathLike):
-        return None if given is None else os.fspath(given)
-    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in given]
+        return None if given is None else text_of(given, "keepout", "a path")
+    areas = [list_of(outline, "keepout") for outline in list_of(given, "keepout")]
+    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in areas]
+    parse_polygons(outlines, "keepout")
     return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
 
 
@@ -162,7 +179,7 @@ def _numbers(one: Any, what: str) -> Any:
     try:
         return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
     except (TypeError, ValueError):
-        raise InputError(f"{what}: expected numbers, not {one!r}") from None
+        raise InputError(f"{what}: expected numbers, not {in_a_line(one)}") from None
 
 
 def _written(content: Any, path: Path) -> Path:

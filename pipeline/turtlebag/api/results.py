@@ -15,9 +15,10 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.draw_localise import read_path
-from turtlebag.reports.numbers import shown
+from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest
 
 GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
@@ -163,10 +164,8 @@ class Plan(_OnAMap):
         return scene(self._given_map, {"plan": Trajectory(stamps, SE2(self.poses))})
 
 
-class Report(Output):
-    """The page that `report` made."""
-
-    kind = "report"
+class _Page(Output):
+    """An output that is a page about others."""
 
     @property
     def page(self) -> Path:
@@ -175,13 +174,54 @@ class Report(Output):
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
-        """Numbers of every stage by world and stage."""
+        """Its metrics.json: by world and stage in a report."""
         return read_json(self.path / "metrics.json")
 
     def _load(self) -> None:
-        manifest = read_manifest(self.path / "manifest.json")
-        if manifest.stage != self.kind:
-            raise InputError(f"{self.path}: is an output of {manifest.stage}, not of {self.kind}")
+        self._manifest = read_manifest(self.path / "manifest.json")
+        if self._manifest.stage != self.kind:
+            raise InputError(f"{self.path}: is an output of {self._manifest.stage}, not of {self.kind}")
+
+
+class Comparison(_Page):
+    """What `compare` found of two outputs, or of ours beside other systems."""
+
+    kind = "compare"
+
+    @cached_property
+    def numbers(self) -> Table:
+        """A row a number: its name in metrics.json, then a column for A and B, or for each system."""
+        systems = self.metrics.get("systems")
+        if systems is None:
+            columns = {name: [pair[k] for pair in self.metrics.values()] for k, name in enumerate("AB")}
+            return Table({"number": [*self.metrics], **columns})
+        told = {name: dict(leaves(numbers)) for name, numbers in systems.items()}
+        rows = [*dict.fromkeys(row for numbers in told.values() for row in numbers)]
+        columns = {name: [one.get(row) for row in rows] for name, one in told.items()}
+        return Table({"number": rows, **columns})
+
+    @cached_property
+    def _mood_and_verdict(self) -> tuple[str, str]:
+        if "systems" in self.metrics:
+            return "neutral", Beside(self.metrics, []).sentence
+        differ = sum(a != b for a, b in self.metrics.values())
+        return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
+
+    def _facts(self) -> dict[str, str]:
+        return {"page": str(self.page)}
+
+    def _picture(self) -> str:
+        return self.numbers._repr_html_()
+
+
+class Report(_Page):
+    """The page that `report` made."""
+
+    kind = "report"
+
+    def _load(self) -> None:
+        super()._load()
+        manifest = self._manifest
         self._places = {name: self.path / place for name, place in manifest.folders.items()}
         self._shows = f"{len(self._places)} outputs"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,10 +10,11 @@ from turtlebag.api.making import (
     Pose,
     in_python,
     part_name,
-    path_of,
+    path_if,
     pose_of,
     require_seed,
     setting_words,
+    text_of,
 )
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, Twist
@@ -45,10 +45,10 @@ class Simulator:
     ) -> None:
         """`start` is the true pose in the world (default: its spawn). InputError for unknown names."""
         with in_python():
-            sim = load_config(RecordOptions, path_of(config), setting_words(settings)).sim
+            sim = load_config(RecordOptions, path_if(config, "config"), setting_words(settings)).sim
             T_start = None if start is None else pose_of(start, "start")
-            by = None if robot is None else os.fspath(robot)
-            self._scene = Scene.load(os.fspath(part_name(world)), by, require_seed(seed), sim, T_start)
+            by = None if robot is None else text_of(robot, "robot")
+            self._scene = Scene.load(text_of(part_name(world), "world"), by, require_seed(seed), sim, T_start)
             self._simulator = simulator.Simulator(
                 self._scene.world, self._scene.robot, self._scene.sim, self._scene.seed
             )

@@ -8,16 +8,16 @@ class.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 from turtlebag.api.making import (
     PathLike,
     Pose,
     command_line,
+    list_of,
     part_name,
+    path_if,
     path_of,
     pose_of,
     pose_text,
@@ -25,9 +25,11 @@ from turtlebag.api.making import (
     require_seed,
     setting_words,
     step,
+    text_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
-from turtlebag.api.results import Localisation, Plan, Report, Run
+from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
+from turtlebag.api.rivals import Rivals, rival_files, rival_options
 from turtlebag.api.tasks import Task
 from turtlebag.datasets.errors import InputError
 
@@ -56,17 +58,18 @@ def record(
     from turtlebag.pipeline.stages.record import record as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    words, named = setting_words(settings), part_name(world)
+    words, scene = setting_words(settings), text_of(part_name(world), "world")
+    by, drive = None if robot is None else text_of(robot, "robot"), text_of(teleop, "teleop")
     T_start = None if start is None else pose_of(start, "start")
-    given = {"world": named, "robot": robot, "teleop": teleop, "seed": seed, "start": T_start}
-    with step("record", out, force=force, inputs=[teleop, config]) as now:
+    given = {"world": scene, "robot": by, "teleop": drive, "seed": seed, "start": T_start}
+    with step("record", out, force=force, inputs={"teleop": teleop, "config": config}) as now:
         code = stage(
-            os.fspath(named),
-            None if robot is None else os.fspath(robot),
-            os.fspath(teleop),
+            scene,
+            by,
+            drive,
             require_seed(seed),
             now.out,
-            sim=load_config(RecordOptions, path_of(config), words).sim,
+            sim=load_config(RecordOptions, path_if(config, "config"), words).sim,
             start=T_start,
             force=force,
             command=command_line("record", **given, config=config, set=words, out=now.out),
@@ -102,33 +105,31 @@ def map(
     """
     from turtlebag.pipeline.stages.map import build_map
 
-    words = setting_words({**(settings or {}), **({} if front_end is None else {"front_end": front_end})})
+    words, at = setting_words(settings, front_end=front_end), path_of(source, "source")
+    heard = None if topic is None else text_of(topic, "topic", "a name")
+    later = {f"also {number}": one for number, one in enumerate(list_of(also, "also"), start=1)}
     T_base_lidar = None if laser is None else pose_of(laser, "laser")
     if upside_down and T_base_lidar is None:
         raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
-    given: dict[str, Any] = {
-        "truth": truth,
-        "relations": relations,
-        "also": list(also),
-        "continue": continued,
-    }
-    given |= {"topic": topic, "config": config, "set": words, "edits": edits, "explain": explain}
+    files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
+    given: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
+    given |= {"topic": heard, "set": words, "explain": explain}
     laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
-    inputs = [source, truth, relations, *also, continued, edits, config]
+    inputs = {"source": source, **files, **later, "continued": continued}
     with step("map", out, force=force, inputs=inputs) as now:
         build_map(
-            Path(source),
+            at,
             now.out,
-            truth=path_of(truth),
-            relations=path_of(relations),
-            config=path_of(config),
+            truth=path_if(truth, "truth"),
+            relations=path_if(relations, "relations"),
+            config=path_if(config, "config"),
             settings=words,
             laser=T_base_lidar,
             upside_down=upside_down,
-            also=[Path(one) for one in also],
-            continued=path_of(continued),
-            topic=topic,
-            edits=path_of(edits),
+            also=[path_of(one, what) for what, one in later.items()],
+            continued=path_if(continued, "continued"),
+            topic=heard,
+            edits=path_if(edits, "edits"),
             explain=explain,
             force=force,
             command=command_line("map", source, **given, laser=laser_text, out=now.out),
@@ -160,21 +161,22 @@ def localise(
     from turtlebag.pipeline.stages.localise import load_localise_config
     from turtlebag.pipeline.stages.localise import localise as stage
 
-    words, on = setting_words(settings), as_map(map).yaml
+    words, at, on = setting_words(settings), path_of(source, "source"), as_map(map).yaml
     told = told_pose(initial_pose, "global")
     T_base_lidar = None if laser is None else pose_of(laser, "laser")
     laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
     given = {"map": on, "initial_pose": told, "laser": laser_text, "truth": truth, "seed": seed}
-    with step("localise", out, force=force, inputs=[source, map, truth, config]) as now:
+    inputs = {"source": source, "map": map, "truth": truth, "config": config}
+    with step("localise", out, force=force, inputs=inputs) as now:
         stage(
-            Path(source),
+            at,
             on,
             now.out,
             initial_pose=told,
             T_base_lidar=T_base_lidar,
             upside_down=upside_down,
-            truth=path_of(truth),
-            config=load_localise_config(path_of(config), words),
+            truth=path_if(truth, "truth"),
+            config=load_localise_config(path_if(config, "config"), words),
             seed=require_seed(seed),
             force=force,
             command=command_line("localise", source, **given, config=config, set=words, out=now.out),
@@ -206,9 +208,10 @@ def plan(
     from turtlebag.pipeline.stages.plan import plan as stage
     from turtlebag.pipeline.stages.settings import load_config
 
-    words, on, by = setting_words(settings), as_map(map), part_name(planner)
+    words, on = setting_words(settings), as_map(map)
+    by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
     T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
-    name = os.fspath(robot) if robot is not None else on.robot or "burger"
+    name = text_of(on.robot or "burger" if robot is None else robot, "robot")
     given = {
         "map": on.yaml,
         "robot": name,
@@ -220,7 +223,7 @@ def plan(
         "config": config,
         "set": words,
     }
-    with step("plan", out, force=force, inputs=[map, config]) as now:
+    with step("plan", out, force=force, inputs={"map": map, "config": config}) as now:
         stage(
             on.yaml,
             name,
@@ -228,7 +231,7 @@ def plan(
             T_goal,
             now.out,
             seed=require_seed(seed),
-            config=load_config(PlanStageConfig, path_of(config), [*words, *planner_settings(by)]),
+            config=load_config(PlanStageConfig, path_if(config, "config"), [*words, *planner_settings(by)]),
             compare=compare,
             force=force,
             command_line=command_line("plan", **given, out=now.out),
@@ -238,6 +241,7 @@ def plan(
 
 def report(
     *outputs: PathLike,
+    rivals: Rivals | None = None,
     animate: bool = True,
     paper: bool = False,
     out: PathLike | None = None,
@@ -245,24 +249,63 @@ def report(
 ) -> Report:
     """One page of what recordings, maps, runs, localisations and plans came to, with figures and numbers.
 
-    `animate=False` leaves out the animations, `paper=True` adds every figure as PDF and SVG. InputError for
-    what is no such output. `turtlebag verify` needs the outputs themselves: give those an `out` to keep them.
+    `rivals` are other systems to show beside ours: files or `Rival`s by name. `animate=False` leaves out the
+    animations, `paper=True` adds every figure as PDF and SVG. InputError for what is no such output, and for
+    rivals that cannot be compared with it. `turtlebag verify` needs the outputs themselves: give those an
+    `out` to keep them.
     """
     from turtlebag.pipeline.stages.report import make_report
+    from turtlebag.pipeline.stages.rivals import inputs_of
 
     if not outputs:
         raise InputError("report: give one or more outputs: recordings, maps, runs, localisations, plans")
-    with step("report", out, force=force, inputs=outputs) as now:
-        options = {"no_animation": not animate, "paper": paper, "out": now.out}
+    shown = {f"output {number}": one for number, one in enumerate(outputs, start=1)}
+    others = rival_files(rivals)
+    words, known = rival_options(others)
+    with step("report", out, force=force, inputs={**shown, **inputs_of(others)}) as now:
+        options = {"rival": words, **known, "no_animation": not animate, "paper": paper, "out": now.out}
         make_report(
-            [Path(one) for one in outputs],
+            [path_of(one, what) for what, one in shown.items()],
             now.out,
+            rivals=others,
             force=force,
             animate=animate,
             paper=paper,
             command=command_line("report", *outputs, **options),
         )
         return Report.of(now)
+
+
+def compare(
+    output: PathLike,
+    other: PathLike | None = None,
+    *,
+    rivals: Rivals | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+) -> Comparison:
+    """What differs between two outputs of one step, or between ours and other systems' of one recording.
+
+    `rivals` are files or `Rival`s by the systems' names, in place of `other`. InputError for outputs of two
+    kinds, and for rivals that cannot be read or compared.
+    """
+    from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
+    from turtlebag.pipeline.stages.rivals import inputs_of
+
+    ours, files = path_of(output, "output"), rival_files(rivals)
+    if (other is None) == (not files):
+        raise InputError("compare: give another output, or rivals by their names")
+    words, options = rival_options(files)
+    given = {"output": output, "other": other}
+    with step("compare", out, force=force, inputs={**given, **inputs_of(files)}) as now:
+        seconds = words if other is None else [other]
+        command = command_line("compare", output, *seconds, **options, out=now.out)
+        if other is None:
+            found = compare_rivals(ours, files, now.out, force=force, command=command)
+            now.notes += [f"{name}: {note}" for name, note in found.notes]
+        else:
+            write_comparison(ours, path_of(other, "other"), now.out, force=force, command=command)
+        return Comparison.of(now)
 
 
 def navigate(
@@ -298,7 +341,9 @@ def navigate(
     from turtlebag.pipeline.stages.settings import load_config
 
     words = setting_words(settings)
-    with step("navigate", out, force=force, inputs=[map, takeover, config]) as now:
+    with step(
+        "navigate", out, force=force, inputs={"map": map, "takeover": takeover, "config": config}
+    ) as now:
         asked = asked_for(
             map,
             part_name(task),
@@ -318,11 +363,11 @@ def navigate(
             asked.request,
             now.out,
             robot=asked.robot,
-            config=load_config(NavigateConfig, path_of(config), [*words, *asked.settings]),
+            config=load_config(NavigateConfig, path_if(config, "config"), [*words, *asked.settings]),
             force=force,
             command_line=command_line("navigate", **options),
             say=lambda line: None,
-            files={} if config is None else {"config": Path(config)},
+            files={} if config is None else {"config": path_of(config, "config")},
         )
         require_finished(code)
         return Run.of(now)

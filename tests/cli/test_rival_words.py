@@ -1,0 +1,40 @@
+"""What cannot be a rival is refused in a line that says why."""
+
+import pytest
+from report_fakes import fake_map, fake_record
+
+from turtlebag.pipeline.cli.main import main
+
+POSE = "{} 0 0 0 0 0 0 1\n"
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory):
+    base = tmp_path_factory.mktemp("words")
+    fake_map(base / "map", fake_record(base / "record"))
+    for count in (1, 2, 5):
+        (base / f"{count}.tum").write_text("".join(POSE.format(second) for second in range(count)))
+    (base / "truth.tum").write_text((base / "map/trajectory.tum").read_text())
+    (base / "TurtleBag.tum").write_text((base / "map/trajectory.tum").read_text())
+    return base
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["a=1.tum"], "1.tum: has 1 of the 3 poses that it takes to compare"),
+        (["a=2.tum"], "2.tum: has 2 of the 3 poses that it takes to compare"),
+        (["a=map"], "map: is a folder; give the file of the trajectory in it"),
+        (["a=5.tum", "--rival-times", "map"], "map: is a folder; give the file of the times in it"),
+        (["truth=5.tum"], "truth: is taken"),
+        (["truth.tum"], "truth: is taken"),
+        (["TurtleBag.tum"], "TurtleBag: is taken"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_by_its_name(tree, capsys, monkeypatch, words, said):
+    monkeypatch.chdir(tree)
+    assert main(["compare", "map", *words]) == 2
+    assert main(["report", "map", "--rival", *words, "--out", "out"]) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert said in first == second
+    assert not (tree / "out").exists()
