@@ -34,7 +34,6 @@ CHOICES: dict[str, dict[str, Any]] = {
 ABLATIONS: dict[str, dict[str, Any]] = {
     **CHOICES,
     "no loop closure": {"loops": OFF},
-    "graph not robust": {"loops": {"soft": 0.0}, "refine": {"soft": 0.0}},
     "no joint refinement": {"refine": {"rounds": 0}},
     "no odometry calibration": {"tracking": {"calibration": False}},
     "no re-posing": {"posing": OFF},
