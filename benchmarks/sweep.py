@@ -32,7 +32,7 @@ from turtlebag.pipeline.campaign.table import query, write_table
 from turtlebag.pipeline.cli.main import main as turtlebag
 
 WORKERS = 2
-MAPS = 16
+MAPS = 40
 SQL = "SELECT front_end, median(error_m), count(*) FILTER (failed) FROM runs GROUP BY front_end"
 
 
