@@ -24,10 +24,9 @@ from turtlebag.pipeline.slam.align import (
     FINE_SIGMA_M,
     NEIGHBOURS,
     STEP_INFLATION,
-    partner_line,
-    relative_pose,
 )
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
+from turtlebag.pipeline.slam.partners import partner_line, relative_pose
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
 
 # Lidars that see farther than this [m] time the light: nothing of theirs grows with the square of the range.

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.align import LEAST_OVERLAP, relative_pose
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
+from turtlebag.pipeline.slam.partners import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.verdict import Verdict

@@ -10,8 +10,6 @@ from tests.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.align import (
     FAKED,
-    KERNEL_SIGMAS,
-    MIN_NORMAL_DOT,
     PRIOR_SHARE,
     SAME_PARTNERS,
     STEP_INFLATION,
@@ -21,11 +19,11 @@ from turtlebag.pipeline.slam.align import (
     _wrap,
     align,
     align_kernel,
-    find_partner,
     observable,
     without_direction,
 )
 from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.selfcheck import denied_shares
 

@@ -9,7 +9,6 @@ from turtlebag.pipeline.slam.align import (
     FAKED,
     STEP_INFLATION,
     align,
-    find_partner,
     observable,
     without_direction,
 )
@@ -21,6 +20,7 @@ from turtlebag.pipeline.slam.correlative import (
     make_field,
     points_in_map,
 )
+from turtlebag.pipeline.slam.partners import find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
 
 HERE = np.array([1.5, 1.2, 0.3])

@@ -1,0 +1,103 @@
+"""Which point of another scan a point belongs to, and which line of it.
+
+Correspondences are projective: a point is looked up by its bearing in the key scan, and the nearest
+of the points seen around that bearing is taken. No search tree is built, and what the key scan could
+not have seen (behind its walls) finds no partner by itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import Array
+from turtlebag.pipeline.slam.clouds import Clouds
+
+# A point is looked for so many bearings to either side at most.
+MAX_HALF_WINDOW = 10
+# Surfaces whose normals agree by less are not the same (cosine).
+MIN_NORMAL_DOT = 0.6
+# The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
+KERNEL_SIGMAS = 3.0
+
+
+@njit(cache=True)
+def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> int:
+    """Row of the point of scan `key` nearest to (x, y) in that scan's base frame, or -1 beyond `gate`."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
+    n_bins = table.shape[1]
+    scale = n_bins / (2.0 * math.pi)
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * scale)
+    half = MAX_HALF_WINDOW
+    if r > gate:
+        half = min(MAX_HALF_WINDOW, int(gate / r * scale) + 1)
+    best, best_d2 = -1, gate * gate
+    for k in range(b - half, b + half + 1):
+        if k < 0:
+            k += n_bins
+        elif k >= n_bins:
+            k -= n_bins
+        row = table[key, k]
+        if row < 0:
+            continue
+        ex, ey = points[row, 0] - x, points[row, 1] - y
+        d2 = ex * ex + ey * ey
+        if d2 < best_d2:
+            best, best_d2 = row, d2
+    return best
+
+
+@njit(cache=True)
+def sees(x: float, y: float, key: int, clouds: Clouds, margin: float) -> bool:
+    """Whether scan `key` had (x, y), in its base frame, in view: all beams about that bearing reached it but
+    for `margin` [m], and there are at least two of them."""
+    points, table, origin = clouds.points, clouds.table, clouds.origin
+    n_bins = table.shape[1]
+    dx, dy = x - origin[0], y - origin[1]
+    r = math.sqrt(dx * dx + dy * dy)
+    b = int((math.atan2(dy, dx) + math.pi) * n_bins / (2.0 * math.pi))
+    beams = 0
+    for k in range(b - 1, b + 2):
+        row = table[key, k % n_bins]
+        if row < 0:
+            continue
+        if math.hypot(points[row, 0] - origin[0], points[row, 1] - origin[1]) < r - margin:
+            return False
+        beams += 1
+    return beams >= 2
+
+
+@njit(cache=True)
+def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
+    """T_i_j as x, y, yaw, of rows i and j of poses (n, 3)."""
+    c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
+    dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
+    return c * dx + s * dy, -s * dx + c * dy, poses[j, 2] - poses[i, 2]
+
+
+@njit(cache=True)
+def partner_line(
+    clouds: Clouds, r: int, key: int, tx: float, ty: float, c: float, s: float, gate: float, sigma: float
+) -> tuple[int, float, float]:
+    """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
+
+    T_key_scan is (tx, ty) and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than the
+    point's noise.
+    """
+    normals, centers = clouds.normals, clouds.centers
+    px, py = clouds.points[r, 0], clouds.points[r, 1]
+    x, y = tx + c * px - s * py, ty + s * px + c * py
+    kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
+    inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
+    row = find_partner(x, y, key, clouds, reach)
+    if row < 0 or not clouds.line_ok[row]:
+        return -1, 0.0, 0.0
+    nx, ny = normals[row, 0], normals[row, 1]
+    bx, by = c * nx + s * ny, -s * nx + c * ny
+    e = nx * (x - centers[row, 0]) + ny * (y - centers[row, 1])
+    if bx * normals[r, 0] + by * normals[r, 1] < MIN_NORMAL_DOT or abs(e) > reach:
+        return -1, 0.0, 0.0
+    w = 1.0 / (1.0 + e * e * inv_s2)
+    return row, e, w * w * inv_s2
