@@ -134,6 +134,14 @@ def fake_map(folder: Path, record: Path, *, sigma_m: float = 0.005) -> Path:
     return folder
 
 
+def fake_maps(base: Path) -> Path:
+    """A record, and two maps of it that differ: `record`, `a` and `b` in a folder."""
+    record = fake_record(base / "record")
+    fake_map(base / "a", record)
+    fake_map(base / "b", record, sigma_m=0.02)
+    return record
+
+
 def fake_run(
     folder: Path,
     map_folder: Path,

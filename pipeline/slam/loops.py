@@ -115,6 +115,8 @@ def close_loops(
     return finder
 
 
+# The graph is optimised after so many keys, if they closed loops: with half as many, twice as many or all at
+# once the maps are the same; fewer cost optimisations, more cost wider searches.
 BATCH = 48
 # A key is looked for at so many of the places within its gate, the nearest first.
 PLACES = 3

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from report_fakes import ellipse, fake_map, fake_record, mapped_room, noisy
+from report_fakes import ellipse, fake_maps, mapped_room, noisy
 
 import turtlebag as tb
 from turtlebag.datasets.maps import save_map
@@ -22,9 +22,7 @@ pytestmark = pytest.mark.slow
 def tree(tmp_path_factory):
     """A record, two maps of ours, and another system's trajectory and map."""
     base = tmp_path_factory.mktemp("compare")
-    record = fake_record(base / "record")
-    fake_map(base / "a", record)
-    fake_map(base / "b", record, sigma_m=0.02)
+    record = fake_maps(base)
     path = noisy(load_tum(record / "truth/trajectory.tum"), 0.03)
     save_tum(Trajectory(path.stamps_ns - 5 * 10**9, path.poses), base / "early.tum")
     save_tum(path, base / "other.tum")

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from report_fakes import fake_localise, fake_map, fake_plan, fake_record, mapped_room
+from report_fakes import fake_localise, fake_map, fake_maps, fake_plan, fake_record, mapped_room
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -16,9 +16,7 @@ from turtlebag.reports.compare import changed_settings, map_overlap
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
     base = tmp_path_factory.mktemp("compare")
-    record = fake_record(base / "record")
-    fake_map(base / "a", record)
-    fake_map(base / "b", record, sigma_m=0.02)
+    fake_maps(base)
     return base
 
 
