@@ -76,3 +76,10 @@ def require_alignment(matcher: LoopMatch, found: object) -> None:
     answer.require_finite("information", found.information, 3, 3)
     for what in ("overlap", "known", "rmse"):
         answer.require_finite(what, getattr(found, what))
+
+
+def confirmed(matcher: LoopMatch, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
+    """What `confirms` says; InputError when that is neither true nor false."""
+    opinion = matcher.confirms(clouds, query, place, pose)
+    Answer(matcher, "confirms").require_kind("what it returns", opinion, bool, np.bool_)
+    return bool(opinion)

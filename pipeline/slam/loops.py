@@ -28,7 +28,7 @@ from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import free_space_violations
@@ -271,7 +271,7 @@ class LoopFinder(LoopSearch):
             verdict = "low overlap"
         elif np.abs(between(fine, found.T_map_base.xyt)).max() > PEAK:
             verdict = "alignment left the peak"
-        elif not self.matcher.confirms(self.clouds, query, place, found.T_map_base.xyt):
+        elif not confirmed(self.matcher, self.clouds, query, place, found.T_map_base.xyt):
             verdict = "open3d disagrees"
         elif self._denied(query, place, found.T_map_base.xyt) > DENIED:
             verdict = "free-space violations"

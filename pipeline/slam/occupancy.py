@@ -9,6 +9,7 @@ rastered exactly (Amanatides and Woo 1987), so no cell a beam crosses is missed 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,14 +90,15 @@ def make_checked_grid(
     low = (T_map_lidar.xy - seen).min(axis=0) - config.margin_m
     high = (T_map_lidar.xy + seen).max(axis=0) + config.margin_m
     corner = np.floor(low / resolution)
-    cols, rows = (np.ceil(high / resolution) - corner).astype(int)
-    if rows * cols > MAX_COUNTED:
-        raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
+    extent = np.ceil(high / resolution) - corner
+    _require_cells(extent[::-1].tolist(), MAX_COUNTED)
+    cols, rows = extent.astype(int)
     if motion is None and lidar.time_increment != 0.0:
         motion = sweep_motion(recording)
     if rows * cols > MAX_CELLS and motion is None:
         # most of what is counted may be cut off again: only what is surely known is too large for certain
-        _require_drawable(_known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution))
+        known = _known(T_map_lidar, lidar, np.where(returned, length, 0.0), resolution)
+        _require_cells(known, MAX_CELLS)
     hits, misses = np.zeros((rows, cols), dtype=np.uint16), np.zeros((rows, cols), dtype=np.uint16)
     sweep = np.zeros((0, KNOTS, 3)) if motion is None else motion.xyt
     args = (corner * resolution, resolution, length, returned, lidar.angles, T_map_base.xyt)
@@ -215,7 +217,7 @@ def trimmed(cells: NDArray[np.int8], corner: Array, config: OccupancyConfig) -> 
     r0, r1 = max(known_rows[0] - border, 0), known_rows[-1] + border + 1
     c0, c1 = max(known_cols[0] - border, 0), known_cols[-1] + border + 1
     kept = cells[r0:r1, c0:c1].copy()
-    _require_drawable(kept.shape)
+    _require_cells(kept.shape, MAX_CELLS)
     x, y = (corner + np.array([c0, r0])) * config.resolution_m
     return OccupancyGrid(kept, config.resolution_m, SE2.from_xyt(x, y, 0.0))
 
@@ -234,11 +236,13 @@ def _known(
     return rows, cols
 
 
-def _require_drawable(shape: tuple[int, ...]) -> None:
-    """InputError for more cells than any program could work with."""
+def _require_cells(shape: Sequence[float], most: int) -> None:
+    """InputError for more cells than these."""
     rows, cols = shape
-    if rows * cols > MAX_CELLS:
-        raise InputError(f"the map would have {rows} x {cols} cells; choose a larger grid.resolution_m")
+    if rows * cols > most:
+        raise InputError(
+            f"the map would have {rows:.12g} x {cols:.12g} cells; choose a larger grid.resolution_m"
+        )
 
 
 @njit(cache=True)

@@ -25,7 +25,14 @@ from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, compe
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loop_match import ROUGH, Limits, LoopMatch, Stretch, require_alignment
+from turtlebag.pipeline.slam.loop_match import (
+    ROUGH,
+    Limits,
+    LoopMatch,
+    Stretch,
+    confirmed,
+    require_alignment,
+)
 from turtlebag.pipeline.slam.loops import LoopConfig
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.selfcheck import (
@@ -206,7 +213,7 @@ def _settled(
     )  # fmt: skip
     if blind(information):
         return place_found.judged("blind in one direction")
-    if not matcher.confirms(clouds, middle, there, pose):
+    if not confirmed(matcher, clouds, middle, there, pose):
         return place_found.judged("open3d disagrees")
     return place_found
 

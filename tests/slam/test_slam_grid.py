@@ -50,6 +50,15 @@ def test_a_map_that_could_not_be_read_again_is_not_made(monkeypatch):
         make_grid(log, SE2.from_array(around_the_room(3)), OccupancyConfig(), 30.0)
 
 
+@pytest.mark.filterwarnings("error")
+def test_poses_beyond_all_maps_are_told_in_one_line():
+    poses = around_the_room(3)
+    log = recording(rectangle(0.0, 0.0, 7.0, 6.0), poses)
+    poses[1, :2] = 1e30, 1e200
+    with pytest.raises(InputError, match="cells; choose a larger grid"):
+        make_grid(log, SE2.from_array(poses), OccupancyConfig(), 30.0)
+
+
 def test_thinning_does_as_numpy_does():
     rng = np.random.default_rng(4)
     for _ in range(20):
