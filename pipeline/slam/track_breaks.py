@@ -96,7 +96,7 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
     unseen = blind(track.information)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
-    waited = _gaps(recording, track)
+    waited = gaps_between(recording.stamps_ns, track.usable)
     for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
         step = int(np.searchsorted(keys, after)) - 1
         if not 0 <= step < len(keys) - 1:
@@ -113,10 +113,10 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
     return Chain(broken, contradicted, alone, between)
 
 
-def _gaps(recording: Recording, track: Track) -> NDArray[np.int64]:
-    """Pairs (n, 2) of successive scans with surfaces between which nothing was seen for long."""
-    usable = np.flatnonzero(track.usable)
-    stamps = recording.stamps_ns[usable] * 1e-9
+def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Pairs (n, 2) of successive scans that `saw` something between which nothing was seen for long."""
+    usable = np.flatnonzero(saw)
+    stamps = stamps_ns[usable] * 1e-9
     if len(stamps) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     # stamps out of order make gaps that are none: the latest before against the earliest after

@@ -13,6 +13,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import residuals
 from turtlebag.pipeline.slam.selfcheck import APART_KEYS
+from turtlebag.pipeline.slam.track_breaks import gaps_between
 from turtlebag.pipeline.slam.verdict import Verdict
 from turtlebag.pipeline.slam3d.cloud_tracking import Track3d
 from turtlebag.pipeline.slam3d.surfels import LEAST_OVERLAP
@@ -40,6 +41,7 @@ class SelfCheck3d(Verdict):
 
 
 def check_map(
+    stamps_ns: NDArray[np.int64],
     track: Track3d,
     T_map_keys: Array,
     constraints: Sequence[Constraint],
@@ -56,19 +58,33 @@ def check_map(
         reasons.append(f"{empty} of {len(track.T)} clouds hold too few points")
     if len(lost) > MOST_LOST * len(track.T):
         reasons.append(f"{len(lost)} clouds fit nothing before them")
-    reasons += _broken(track, lost, constraints)
+    reasons += _broken(stamps_ns, track, lost, constraints)
     if disagreeing > MOST_DISAGREEING:
         reasons.append(f"{100 * disagreeing:.0f} % of the revisits disagree")
     return SelfCheck3d(len(seen), disagreeing, len(lost), empty, tuple(reasons))
 
 
-def _broken(track: Track3d, lost: NDArray[np.int64], constraints: Sequence[Constraint]) -> list[str]:
-    """A lost cloud that nothing bridges: neither odometry nor any constraint from before to after it."""
-    if track.T_odom is not None or len(lost) == 0:
+def _broken(
+    stamps_ns: NDArray[np.int64], track: Track3d, lost: NDArray[np.int64], constraints: Sequence[Constraint]
+) -> list[str]:
+    """What nothing bridges without odometry: a lost cloud, and a time without clouds.
+
+    What is matched across such a time starts at a guess that may be far off; only a recognised place tells.
+    """
+    if track.T_odom is not None:
         return []
-    keys = np.array(track.keys)
-    bridges = [(keys[min(c.i, c.j)], keys[max(c.i, c.j)]) for c in constraints if c.kind in ("pair", "loop")]
-    for index in lost.tolist():
-        if not any(a < index < b for a, b in bridges):
-            return [f"cloud {index} fits nothing before it, and nothing later ties the two parts together"]
-    return []
+    keys, reasons = np.array(track.keys), []
+    tied = [(*sorted((keys[c.i], keys[c.j])), c.kind) for c in constraints if c.kind in ("pair", "loop")]
+    alone = [index for index in lost.tolist() if not any(a < index < b for a, b, _ in tied)]
+    if alone:
+        reasons.append(
+            f"cloud {alone[0]} fits nothing before it, and nothing later ties the two parts together"
+        )
+    places = [(a, b) for a, b, kind in tied if kind == "loop"]
+    gaps = gaps_between(stamps_ns, track.usable)[:, 1].tolist()
+    unknown = [after for after in gaps if not any(a < after <= b for a, b in places)]
+    if unknown:
+        reasons.append(
+            f"no clouds for a while before cloud {unknown[0]}, and no odometry: what follows may lie anywhere"
+        )
+    return reasons

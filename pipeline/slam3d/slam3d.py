@@ -105,7 +105,7 @@ def run_slam_3d(
         T_keys, constraints = refine(track.places, T_keys, hold, setup.voxel, config.refine)
     T = carried_poses(track.T, np.array(track.keys), T_keys)
     T, cloud, grid = _drawn(sweeps("drawing the map"), track, T, setup, config)
-    check = check_map(track, T_keys, constraints, setup.voxel)
+    check = check_map(recording.stamps_ns, track, T_keys, constraints, setup.voxel)
     trajectory = Trajectory(recording.stamps_ns, se3.planar(T))
     return Slam3dResult(
         T, trajectory, finished(cloud), grid, setup, track, T_keys, constraints, loops, recognised, check

@@ -159,6 +159,14 @@ def test_missing_empty_and_foul_clouds_do_no_harm_beside_wheels(short):
     assert np.all(np.isfinite(result.T_map_base))
 
 
+def test_three_seconds_without_clouds_or_wheels_are_called_doubtful(short):
+    """What follows is matched at a guess that is far off, and fits there."""
+    gap = without_wheels(changed(short, lambda k, cloud: None if 30 <= k < 45 else cloud))
+    result = run_slam_3d(gap.recording, FEW)
+    assert error(gap, result, align=True)["max"] > 0.5
+    assert [reason for reason in result.check.reasons if "before cloud 30" in reason]
+
+
 def test_stamps_that_go_back_keep_file_order_and_the_map(short):
     recording = short.recording
     stamps = recording.stamps_ns.copy()
