@@ -44,7 +44,7 @@ def too_fast(
     reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
     wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
     moved = _moved(T_map_base, before, after - before)
-    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE]
+    allowed = reach * np.maximum(wait, least_s * (after - before))[:, None] + [AGREE_M, AGREE]
     return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
 
 
