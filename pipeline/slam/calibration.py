@@ -32,6 +32,9 @@ BASELINE_M = 1.5
 GATES_M = (ROUGH_GATE_M, FINE_GATE_M, FINE_GATE_M)
 # What odometry may be wrong by before anything is known: share of distance and of turn, radian per metre.
 ODOMETRY_SHARE = 0.05
+# Odometry that is wrong by this share of the way lies: wheels whose clock is late are wrong by less at every
+# start.
+GROSS = 0.3
 # Standard deviations over one baseline before anything is known, x, y [m] and yaw [rad], and the least they
 # are taken for; what so many pairs of key scans tell weighs as much as the former.
 USUAL_NOISE = np.array([0.03, 0.03, 0.015])
@@ -52,6 +55,15 @@ class Calibration:
     turn_per_m: float = 0.0
     noise: Array = field(default_factory=lambda: USUAL_NOISE)
     pairs: int = 0
+
+    @property
+    def tells_nothing(self) -> bool:
+        """Whether the odometry is off by as large a share of the way, usually, as makes one step a lie.
+
+        Of 20 logs, wheels that jump, slip, stick or drift among them, none was off by more than 0.07 m in a
+        baseline of 1.5 m; with the odometry of another drive five were off by 1.1 m or more.
+        """
+        return bool(self.noise[0] > GROSS * BASELINE_M)
 
     def corrected(self, steps: Array) -> Array:
         """Odometry steps (..., 3) with the systematic error taken out."""

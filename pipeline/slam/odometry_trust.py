@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import contradiction
+from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import fastest, way_and_turn
 from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
-# And when it is wrong by this share of the way: wheels whose clock is late are wrong by less at every start.
-GROSS = 0.3
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
 
@@ -45,7 +44,7 @@ def too_fast(
     reach = fastest(steps[seen], np.maximum(waits[seen], least_s))
     wait = (recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
     moved = _moved(T_map_base, before, after - before)
-    allowed = reach * np.maximum(wait, least_s)[:, None] + [AGREE_M, AGREE]
+    allowed = reach * np.maximum(wait, least_s * (after - before))[:, None] + [AGREE_M, AGREE]
     return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
 
 

@@ -19,7 +19,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
 from turtlebag.pipeline.slam.partners import relative_pose
@@ -144,11 +144,20 @@ def _unlikely_motion(
     recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> list[str]:
     """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
-    reasons, scans = [], np.setdiff1d(np.arange(len(recording) - 1), borders - 1)
-    fast = too_fast(recording, track, T_map_base, scans, scans + 1)
-    jumps = [k for k in scans[fast].tolist() if not agree(recording, track, k, k + 1, T_map_base)]
-    if jumps:
-        reasons.append(f"{len(jumps)} jumps farther than the robot can drive (first: to scan {jumps[0] + 1})")
+    reasons = []
+    period_s = float(np.median(np.abs(np.diff(recording.stamps_ns)))) * 1e-9 if len(recording) > 1 else GAP_S
+    for later in (1, max(1, round(GAP_S / max(period_s, 1e-3)))):
+        first = np.arange(len(recording) - later)
+        first = first[
+            np.searchsorted(borders, first, "right") == np.searchsorted(borders, first + later, "right")
+        ]
+        fast = first[too_fast(recording, track, T_map_base, first, first + later)]
+        jumps = [k for k in fast.tolist() if not agree(recording, track, k, k + later, T_map_base)]
+        if jumps:
+            reasons.append(
+                f"{len(jumps)} jumps farther than the robot can drive (first: to scan {jumps[0] + later})"
+            )
+            break
     way = unwitnessed(recording, track, noise, borders)
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it

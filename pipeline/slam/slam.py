@@ -236,6 +236,9 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording = in_step(recording, *compared_turns(recording))
     recording = with_gyro(recording) if config.gyro else recording
     motion, clouds_of, track = _tracked(recording, run, config)
+    if config.front_end != "wheels" and track.calibration.tells_nothing:
+        recording = _without_odometry(recording)
+        motion, clouds_of, track = _tracked(recording, run, config)
     ranges = _range_errors(recording, clouds_of, track, config)
     if ranges != RangeCalibration():
         recording = ranges.applied(recording)
@@ -244,6 +247,12 @@ def _session(recording: Recording, run: _Run) -> Session:
     chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
     graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
     return Session(recording, clouds, clouds_of, motion, track, chain, graph, ranges)
+
+
+def _without_odometry(recording: Recording) -> Recording:
+    """The recording without an odometry that the scans contradict from end to end: another drive's, say."""
+    said = "the scans contradict the odometry nearly everywhere: it is not used"
+    return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
 
 
 def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 | None, CloudsOf, Track]:

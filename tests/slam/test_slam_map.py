@@ -10,7 +10,7 @@ from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, rec
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
@@ -86,6 +86,20 @@ def test_odometry_that_runs_backwards_is_not_believed(log):
         poses.append((SE2(poses[-1]) @ SE2(step)).xyt)
     liar = replace(log, T_odom_base=SE2.from_array(np.array(poses)))
     assert error(run_slam(liar, SlamConfig()), log)["rmse"] < 0.01
+
+
+@pytest.mark.slow
+def test_odometry_of_another_drive_is_left_out_and_said(log):
+    rng, poses = np.random.default_rng(0), [np.zeros(3)]
+    for v, w in np.repeat(rng.uniform(-0.3, 0.3, (25, 2)), 8, axis=0)[1:]:
+        poses.append(compose(poses[-1], np.array([v, 0.0, w])))
+    other = replace(log, T_odom_base=SE2.from_array(np.array(poses)))
+    result = run_slam(other, SlamConfig())
+    assert result.session.recording.T_odom_base is None
+    assert any("contradict the odometry nearly everywhere" in note for note in result.session.recording.notes)
+    truth = Trajectory(log.stamps_ns, SE2.from_array(TRUTH))
+    assert ate(result.trajectory, truth, align=True)["rmse"] < 0.015
+    assert run_slam(log, SlamConfig()).session.recording.T_odom_base is not None
 
 
 @pytest.mark.slow

@@ -248,6 +248,26 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("usual", "laid", "verdict"),
+    [(0.0, 0.04, "accepted"), (0.0, 0.08, "the stretch contradicts the place"), (0.04, 0.08, "accepted")],
+)
+def test_a_place_is_believed_where_visits_deny_each_other_little_more_than_usual(
+    monkeypatch, usual, laid, verdict
+):
+    """Cells of a maze are alike: nothing that fits tells them apart, what each saw through does."""
+    monkeypatch.setattr(recall, "_usually_denied", lambda *of: usual)
+    monkeypatch.setattr(recall, "_laid_out", lambda *of: np.full(9, laid))
+    poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
+    broken = np.arange(19) == 9
+    steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
+    found = [Recognised(i, i - 10, np.zeros(3), 1.0, 0.9, 0.0, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
+    drift = drift_of(poses, steps, broken)
+    believed, record = recall._believed(None, np.arange(20), found, drift, RecallConfig(), LoopConfig())
+    assert {place.verdict for place in record} == {verdict}
+    assert len(believed) == (verdict == "accepted")
+
+
 def test_recall_costs_nothing_where_the_chain_holds():
     truth = around_the_room(60)
     log = recording(ROOM, truth, odometry=truth)
