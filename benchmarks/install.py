@@ -9,7 +9,6 @@ an empty folder, twice: the first time compiles the numeric kernels.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -19,7 +18,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.rows import write
+from benchmarks.rows import options, write
 from turtlebag.pipeline.setup.short_chain import SCRIPT
 
 ROOT = Path(__file__).parents[1]
@@ -96,9 +95,8 @@ def measure(python: str, folder: Path) -> Iterator[dict[str, object]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--python", default=sys.executable, help="Python to install for")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         rows = list(measure(args.python, Path(name)))

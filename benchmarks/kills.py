@@ -13,7 +13,6 @@ the imports, so that the moments fall into the stage's work and not into its sta
 
 from __future__ import annotations
 
-import argparse
 import csv
 import ctypes
 import importlib
@@ -35,7 +34,7 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from benchmarks.rows import write
+from benchmarks.rows import options, write
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter
@@ -342,14 +341,12 @@ def looks_whole(bag: Path) -> bool:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, quick="one kill each")
     parser.add_argument("--count", type=int, default=190)
-    parser.add_argument("--quick", action="store_true", help="one kill each")
     parser.add_argument(
         "--only", nargs="+", default=[], choices=commands(Path()), metavar="STAGE", help="kill these alone"
     )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     load_everything()
     with tempfile.TemporaryDirectory() as name:

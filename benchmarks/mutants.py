@@ -10,7 +10,6 @@ nothing that matters are listed in mutants_equivalent.yaml with the reason, and 
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import resource
@@ -26,7 +25,7 @@ from typing import Any
 import yaml
 
 from benchmarks.mutants_draw import FOLDERS, Mutant, draw
-from benchmarks.rows import Rows, interval
+from benchmarks.rows import Rows, interval, options
 
 ROOT = Path(__file__).parents[1]
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
@@ -162,15 +161,11 @@ def report(rows: list[dict[str, Any]], equivalent: dict[str, str]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, "data/benchmarks/mutants")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
-    parser.add_argument("--out", type=Path, default=ROOT / "data/benchmarks/mutants")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     equivalent = yaml.safe_load(EQUIVALENT.read_text()) or {}
     rows = Rows(args.out / f"seed-{args.seed}.jsonl")
     tree = Tree(ROOT, args.out.resolve())

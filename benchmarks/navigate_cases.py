@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.drives import Maps
+from benchmarks.rows import public
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -186,8 +186,8 @@ def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) ->
 
 def barn_worlds() -> list[Path]:
     """The BARN worlds in TURTLEBAG_DATA/barn; none when that is not set."""
-    folder = Path(os.environ.get("TURTLEBAG_DATA", "")) / "barn"
-    found = folder.glob("world_*.world") if os.environ.get("TURTLEBAG_DATA") else ()
+    folder = public("barn")
+    found = folder.glob("world_*.world") if folder else ()
     return sorted(found, key=lambda p: int(p.stem.split("_")[1]))
 
 

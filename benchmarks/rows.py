@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import csv
 import json
 import math
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,6 +18,28 @@ from turtlebag.datasets.fingerprints import fingerprint
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
+
+
+def options(doc: str, out: str = "data/benchmarks", quick: str = "") -> argparse.ArgumentParser:
+    """The command line of a benchmark: `--out`, and `--quick` where it has a sample of itself."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
+    if quick:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
+    return parser
+
+
+def public(*names: str) -> Path | None:
+    """A file or folder of the public data, below TURTLEBAG_DATA; None when it is not there."""
+    root = os.environ.get("TURTLEBAG_DATA")
+    path = Path(root, *names) if root else None
+    return path if path is not None and path.exists() else None
+
+
+def held_mb(process: int | str = "self") -> float:
+    """Memory that a process holds now [MB]."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 @dataclass(frozen=True)
@@ -135,6 +159,7 @@ def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *,
     if not rows:
         return
     everything = list(dict.fromkeys(key for row in rows for key in row))
+    out.mkdir(parents=True, exist_ok=True)
     with (out / f"{name}.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, everything, lineterminator="\n")
         writer.writeheader()

@@ -9,7 +9,6 @@ damaged. Times are CPU seconds of one process, reading included.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks.rows import write
+from benchmarks.rows import options, write
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
 from turtlebag.datasets import se3
 from turtlebag.datasets.bags.clouds import load_clouds
@@ -175,10 +174,7 @@ def _damages(drive: Drive3d) -> dict[str, Drive3d]:
 
 def main() -> None:
     """Print and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="the made room only")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam3d"))
-    args = parser.parse_args()
+    args = options(__doc__, "data/benchmarks/slam3d", "the made room only").parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     around = make_drive(room(), ROUND, v=0.6, w=1.2)
     timed(changed(around, lambda k, cloud: cloud if k < 20 else None).recording, {})

@@ -27,7 +27,6 @@ the only anchor). CPU seconds are those of mapping alone.
 
 from __future__ import annotations
 
-import argparse
 import fnmatch
 import os
 import sys
@@ -36,14 +35,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.rows import Case, Row, Rows, code_of, shown, write
+from benchmarks.rows import Case, Row, Rows, code_of, options, public, shown, write
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_online import COLUMNS as ONLINE
 from benchmarks.slam_online import online_cases
 from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
-from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
+from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases
 from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
 from benchmarks.workers import in_processes
 
@@ -125,9 +124,8 @@ def tables(out: Path, name: str, suite: Suite, rows: list[Row]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = options(__doc__, "data/benchmarks/slam", "a sample that takes less than 20 minutes")
     parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
-    parser.add_argument("--quick", action="store_true", help="a sample that takes less than 20 minutes")
     parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes")
@@ -139,9 +137,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="a case that takes longer is an error",
     )
     parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam"))
     args = parser.parse_args(argv)
-    data = public_data()
+    data = public() if public("radish") else None
     known = suites(args.out.absolute(), data)
     names = args.suites or [name for name, suite in known.items() if suite.quick or not args.quick]
     if wrong := [name for name in names if name not in known]:
@@ -152,7 +149,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(
             "TURTLEBAG_DATA names no folder with a folder `radish`: the public logs are left out", flush=True
         )
-    args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in names:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import Case, Row
+from benchmarks.rows import Case, Row, held_mb
 from benchmarks.slam_cases import driven, errors, mapped
 from benchmarks.slam_growth import SCANS, there_and_back
 from benchmarks.slam_logs import LOGS
@@ -55,7 +54,7 @@ def online(recording: Recording) -> tuple[Trajectory, Trajectory, Row]:
         spent.append(time.process_time() - start)
         lost += mapper.lost
         if (4 * (k + 1)) % len(recording) < 4:
-            held.append(_held_mb())
+            held.append(round(held_mb()))
     row = {
         "scans": len(recording),
         "keys": len(mapper.T_map_keys),
@@ -67,12 +66,6 @@ def online(recording: Recording) -> tuple[Trajectory, Trajectory, Row]:
         "mb after each quarter": " ".join(map(str, held)),
     }
     return Trajectory(recording.stamps_ns, SE2(np.array(given))), mapper.trajectory, row
-
-
-def _held_mb() -> int:
-    """Memory that the process holds now [MB]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
 
 
 def online_row(recording: Recording, error_m: Callable[[Trajectory], float]) -> Row:
@@ -128,10 +121,10 @@ def hours_row() -> Row:
                 spent.append(time.process_time() - start)
                 off.append(_off(mapped_so_far, observation, simulator.truth.T_world_base))
             if now >= (len(held) + 1) * 900.0 * HOURS:
-                held.append(_held_mb())
+                held.append(round(held_mb()))
             command = driver.send(simulator.truth)
             observation = simulator.step(command)
-    held.append(_held_mb())
+    held.append(round(held_mb()))
     assert mapped_so_far.mapper is not None
     return {
         "scans": len(spent),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -34,12 +33,6 @@ PUBLISHED = {
     "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
     "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
 }
-
-
-def public_data() -> Path | None:
-    """The folder in TURTLEBAG_DATA, with the logs in its folders `radish` and `wild`."""
-    root = os.environ.get("TURTLEBAG_DATA")
-    return Path(root) if root and (Path(root) / "radish").is_dir() else None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import dataclasses
-import os
 import subprocess
 import sys
 import tempfile
@@ -26,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import Row, write
+from benchmarks.rows import Row, held_mb, options, public, write
 from benchmarks.studio_client import Client
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.recordings import load_recording
@@ -181,12 +180,9 @@ async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
             await client.read_for(0.3)
             if not client.picture.head["task"]:
                 go_round(client, 1)
-        status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
         head = client.picture.head
-        mb = round(int(status["VmRSS"].split()[0]) / 1e3)
-        rows.append(
-            {"wall_min": round(0.1 * part * minutes, 2), "simulated_min": round(head["t"] / 60), "mb": mb}
-        )
+        told = {"wall_min": round(0.1 * part * minutes, 2), "simulated_min": round(head["t"] / 60)}
+        rows.append(told | {"mb": round(held_mb(pid))})
         print(rows[-1], file=sys.stderr, flush=True)
     client.close()
     return rows
@@ -224,15 +220,13 @@ def aces(log: Path) -> Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--minutes", type=float, default=0.0)
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     parser.add_argument("--serve", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.serve:
         serve_here(*args.serve)
         return
-    args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         map_path = Path(folder) / "map.yaml"
         save_map(load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height), Path(folder))
@@ -241,8 +235,7 @@ def main() -> None:
         with studio("turtlebot3_house", None) as (url, _):
             rows.append(asyncio.run(exploring(url)))
         write(args.out, "studio", rows)
-        log = Path(os.environ.get("TURTLEBAG_DATA", "")) / "wild" / "aces.clf.bz2"
-        if log.exists():
+        if log := public("wild", "aces.clf.bz2"):
             write(args.out, "studio_aces", [aces(log)])
         write(args.out, "studio_viewer", [speeds])
         if args.minutes:
