@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,9 +51,6 @@ class Known:
         return self.recording.T_odom_base
 
 
-Kind = TypeVar("Kind", bound=Known)
-
-
 def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
     """An undisturbed log."""
     return Known(recording, reference, relations, np.arange(len(relations)))
@@ -67,7 +64,7 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
 # Scans lost.
 
 
-def with_scans(log: Kind, keep: Mask | slice) -> Kind:
+def with_scans(log: Known, keep: Mask | slice) -> Known:
     """The log with these scans only, and the relations whose two scans are left."""
     r = log.recording
     recording = replace(
@@ -210,7 +207,7 @@ def jump(log: Known, rng: np.random.Generator) -> Known:
 # Ranges.
 
 
-def with_ranges(log: Kind, ranges: ArrayLike) -> Kind:
+def with_ranges(log: Known, ranges: ArrayLike) -> Known:
     """The log with other ranges (n_scans, n_beams)."""
     return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
 

@@ -24,14 +24,13 @@ from benchmarks.disturb import (
 )
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_scores import score
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from turtlebag.pipeline.stages.record import record
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
@@ -77,29 +76,6 @@ def warm_up() -> None:
     """Compile the kernels and load the libraries, so that no row pays for it."""
     for name in ("posts-1", "arena-slow-1"):
         run_slam(with_scans(LOGS[name](), slice(60)).recording, SlamConfig())
-
-
-def errors(poses: SE2, reference: SE2) -> Row:
-    """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
-
-    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
-    cannot tell that of its lidar; `anchored_*` with the first pose as the only
-    anchor; `near_deg` that of poses near each other; `folded` as in `Score`.
-    """
-    sure = np.isfinite(reference.xyt).all(axis=1)
-    stamps = np.arange(int(sure.sum()))
-    found = score(poses[sure], Trajectory(stamps, reference[sure]))
-    return {
-        "m": found.ate_aligned,
-        "deg": found.yaw_deg,
-        "worst_m": found.ate_max,
-        "scaled_m": found.ate_scaled,
-        "scale": found.scale,
-        "anchored_m": found.ate,
-        "anchored_worst_m": found.ate_worst,
-        "near_deg": found.relation_deg,
-        "folded": found.folded,
-    }
 
 
 def picture(result: SlamResult, out: Path, name: str) -> None:

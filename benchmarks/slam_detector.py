@@ -32,7 +32,6 @@ from benchmarks.disturb import (
 )
 from benchmarks.rows import Case, Row, share
 from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_of
-from benchmarks.slam_drives import Log
 from benchmarks.slam_logs import arena, office, rooms
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
@@ -41,7 +40,7 @@ BAD_M, TIMES = 0.2, 5.0
 PLAINS, TURNS = 4, 2
 """Undisturbed maps for one of each kind, and how often each kind comes in a world."""
 SCRIPTS = ("fast", "random_walk", "wall_follow")
-SYNTHETIC: dict[str, Callable[[int], Log]] = {
+SYNTHETIC: dict[str, Callable[[int], Known]] = {
     "synthetic arena": lambda seed: arena(seed, ("slow", "fast", "spiral")[seed % 3]),
     "synthetic rooms": rooms,
     "synthetic office": office,

@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from benchmarks.disturb import Known
 from benchmarks.rows import Case, Row
-from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
+from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import door
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.grid import UNKNOWN
@@ -163,7 +164,7 @@ def carmen(recording: Recording) -> str:
     return "\n".join(lines) + "\n"
 
 
-def floor(blocks: int) -> Log:
+def floor(blocks: int) -> Known:
     """Corridors with doors about blocks x blocks squares of 14 m, each corridor driven once or twice."""
     rng, w = stream(blocks, "floor"), 1.1
     size, lines = BLOCK_M * blocks, [6.0 + BLOCK_M * k for k in range(blocks + 1)]

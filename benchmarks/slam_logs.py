@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.disturb import Known
 from benchmarks.slam_drives import (
     Drive,
     Lie,
-    Log,
     Sensor,
     Wheels,
     blinded,
@@ -37,7 +37,7 @@ def wheels_of(seed: int) -> Wheels:
     return WHEELS.get(seed) or Wheels(float(scale), float(turn), float(drift))
 
 
-def ring(seed: int, range_max: float) -> Log:
+def ring(seed: int, range_max: float) -> Known:
     """Corridor ring 20 x 14 m, 2 m wide, not one feature on its walls; three laps."""
     plan = FloorPlan(24.0, 18.0)
     plan.carve(2.0, 2.0, 22.0, 16.0)
@@ -48,7 +48,7 @@ def ring(seed: int, range_max: float) -> Log:
     return make_log(f"ring-{range_max:.0f}m-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed)
 
 
-def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Log:
+def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Known:
     """Two rooms joined by 30 m of corridor without a feature (seen from 8 m), there and back."""
     plan = FloorPlan(46.0, 12.0)
     plan.carve(1.0, 2.0, 7.0, 10.0)
@@ -62,7 +62,7 @@ def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float
     return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], lies=lies, seed=seed)
 
 
-def killian(seed: int) -> Log:
+def killian(seed: int) -> Known:
     """Long corridors with identical doors, alcoves and rooms: 104 x 44 m, two loops, 10000 scans."""
     rng = stream(seed, "killian plan")
     plan = FloorPlan(120.0, 60.0)
@@ -93,7 +93,7 @@ def killian(seed: int) -> Log:
     return make_log(f"killian-{seed}", plan, route, sensor, drive=Drive(v=0.75), wheels=wheels, seed=seed)
 
 
-def aces(seed: int) -> Log:
+def aces(seed: int) -> Known:
     """Square building of four corridors crossed by two more, with doors; 50 x 50 m."""
     rng = stream(seed, "aces plan")
     plan = FloorPlan(62.0, 62.0)
@@ -179,7 +179,7 @@ def office_route(rooms: int = 8) -> Array:
 OFFICE_SENSOR = Sensor(sick(360, 40.0), 0.2, T_base_lidar=(0.08, 0.0, 0.0))
 
 
-def office(seed: int, what: str = "plain") -> Log:
+def office(seed: int, what: str = "plain") -> Known:
     """The office with one mishap: see MISHAPS."""
     lies, change, person = MISHAPS[what]
     log = make_log(
@@ -189,14 +189,14 @@ def office(seed: int, what: str = "plain") -> Log:
     return change(log)
 
 
-Change = Callable[[Log], Log]
+Change = Callable[[Known], Known]
 
 
-def _same(log: Log) -> Log:
+def _same(log: Known) -> Known:
     return log
 
 
-def _gaps(log: Log) -> Log:
+def _gaps(log: Known) -> Known:
     return without(without(log, 35.0, 3.0), 120.0, 3.0)
 
 
@@ -227,7 +227,7 @@ def burger_lidar(x: float = -0.032) -> Sensor:
     return Sensor(lds(), 0.2, T_base_lidar=(x, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
 
 
-def arena(seed: int, style: str) -> Log:
+def arena(seed: int, style: str) -> Known:
     """Nine pillars in a walled arena, TurtleBot3's lidar turning."""
     plan = FloorPlan(7.0, 7.0)
     plan.carve(1.0, 1.0, 6.0, 6.0)
@@ -256,7 +256,7 @@ def arena(seed: int, style: str) -> Log:
     )
 
 
-def rooms(seed: int) -> Log:
+def rooms(seed: int) -> Known:
     """A small house for TurtleBot3: six rooms, 11 x 7.5 m, walls often beyond the lidar's 3.5 m."""
     plan = FloorPlan(13.0, 9.5)
     for x in (1.0, 4.7, 8.4):
@@ -277,7 +277,7 @@ def rooms(seed: int) -> Log:
     )
 
 
-def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Log:
+def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Known:
     """A hall of table and chair legs, `density` a square metre: two laps with no surface in sight."""
     rng = stream(seed, "posts")
     plan = FloorPlan(size + 2.0, size + 2.0)
@@ -301,7 +301,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
     return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
 
 
-LOGS: dict[str, Callable[[], Log]] = {
+LOGS: dict[str, Callable[[], Known]] = {
     **{f"ring-{r}m-{s}": (lambda s=s, r=r: ring(s, float(r))) for r in (8, 80) for s in (1, 2, 3)},
     **{f"hall-{s}": (lambda s=s: hall(s)) for s in (1, 2, 3)},
     **{f"killian-{s}": (lambda s=s: killian(s)) for s in (1, 2)},

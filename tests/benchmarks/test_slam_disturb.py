@@ -17,9 +17,10 @@ from benchmarks.disturb import (
     with_odometry,
     with_scans,
 )
-from benchmarks.slam_cases import VARIANTS, errors
+from benchmarks.slam_cases import VARIANTS
 from benchmarks.slam_detector import KINDS
 from benchmarks.slam_public import by_relations
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, LidarSpec, Recording, Trajectory
