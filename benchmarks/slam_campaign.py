@@ -41,7 +41,7 @@ from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_online import COLUMNS as ONLINE
 from benchmarks.slam_online import online_cases
-from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
+from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases
 from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
 from benchmarks.workers import in_processes
@@ -91,7 +91,7 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         ),
         "worlds": Suite(world_cases(out), (*WORLD, "near_deg", *ENDS), code=SIMULATED),
         "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
-        "parts": Suite(parts_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
+        "parts": Suite(ablation_cases(data, CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
         "numbers": Suite(sensitivity_cases(data), (*EXACT, *ENDS), sensitivity_table, code=SYNTHETIC),
         "online": Suite(online_cases(data), ONLINE, quick=8, code=SYNTHETIC),
         "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import PLACES, driven, errors, mapped
+from benchmarks.slam_cases import PLACES, mapped
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_public import RADISH, by_relations, read
-from turtlebag.datasets.relations import load_relations
+from benchmarks.slam_public import by_name
 
 OFF = {"enabled": False}
 OPEN3D = {"match": "open3d"}
@@ -42,27 +41,15 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "odometry only": {"sensors": "odometry"},
 }
 ABLATED = ("mit-csail", "fr079", "intel", "posts-1", "hall-2", "office-all-1", "rooms-1", "arena-fast-1")
-
-
 PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", "aces")
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
 
-def ablated_row(data: Path | None, log: str, variant: str) -> Row:
-    """A log with one of ABLATIONS."""
-    return mapped_row(data, log, ABLATIONS[variant])
-
-
 def mapped_row(data: Path | None, log: str, settings: dict[str, Any]) -> Row:
-    """A log by its name: relations of a public one, or the exact truth of a made one or a drive."""
-    if log in LOGS or log in PLACES:
-        made = LOGS[log]() if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
-        result, row = mapped(made.recording, settings)
-        return row | errors(result.trajectory.poses, made.reference)
-    assert data is not None
-    folder = data / ("radish" if log in RADISH else "wild")
-    result, row = mapped(read(folder / f"{log}.clf.bz2"), settings)
-    return row | by_relations(result.trajectory, load_relations(folder / f"{log}.relations"))
+    """A log by its name, mapped with some settings."""
+    recording, scored = by_name(data, log)
+    result, row = mapped(recording, settings)
+    return row | scored(result.trajectory)
 
 
 def ablation_cases(
@@ -70,16 +57,12 @@ def ablation_cases(
 ) -> list[Case]:
     """Every variant on every log there is."""
     there = [log for log in logs if log in LOGS or log in PLACES or data is not None]
-    return [
-        Case(f"{log}, {variant}", partial(ablated_row, data, log, variant), {"log": log, "variant": variant})
-        for variant in variants
-        for log in there
-    ]
-
-
-def parts_cases(data: Path | None) -> list[Case]:
-    """The exchangeable parts on public logs and drives."""
-    return ablation_cases(data, CHOICES, PARTS)
+    cases = []
+    for variant in variants:
+        for log in there:
+            measure = partial(mapped_row, data, log, ABLATIONS[variant])
+            cases.append(Case(f"{log}, {variant}", measure, {"log": log, "variant": variant}))
+    return cases
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -11,7 +12,9 @@ import numpy as np
 
 from benchmarks.disturb import MODES, chosen, disturbed, known
 from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import errors, mapped, picture
+from benchmarks.slam_cases import PLACES, driven, mapped, picture
+from benchmarks.slam_logs import LOGS
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.kept import read_kept, write_kept
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
@@ -71,19 +74,44 @@ def stem(log: Path) -> str:
     return log.name.split(".clf")[0]
 
 
-def log_row(log: Path, files: Files) -> Row:
-    """A public log, scored by its relations, or after a rigid fit to reference poses, or not at all."""
-    result, row = mapped(read(log))
-    name, at = stem(log), result.trajectory
-    keep(files.kept(name), at.poses)
-    picture(result, files.out, name)
-    relations, reference = (log.with_name(f"{name}.{kind}") for kind in ("relations", "reference.tum"))
+def scored(log: Path, found: Trajectory) -> Row:
+    """Errors on a public log by its relations, or after a rigid fit to reference poses; none without them."""
+    relations, reference = (log.with_name(f"{stem(log)}.{kind}") for kind in ("relations", "reference.tum"))
     if relations.is_file():
-        row |= by_relations(at, load_relations(relations))
-    elif reference.is_file():
-        pairs = associate(at, load_tum(reference))
-        row |= errors(pairs.T_map_base, pairs.T_world_base)
-    return row
+        return by_relations(found, load_relations(relations))
+    if reference.is_file():
+        pairs = associate(found, load_tum(reference))
+        return errors(pairs.T_map_base, pairs.T_world_base)
+    return {}
+
+
+def public_log(data: Path, name: str) -> Path:
+    """Where a public log lies."""
+    return data / ("radish" if name in RADISH else "wild") / f"{name}.clf.bz2"
+
+
+def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajectory], Row]]:
+    """A log, and the errors of a trajectory of it.
+
+    Names are those of LOGS, of worlds of PLACES (with `-robot-script-seed` where that is not a burger's first
+    tour; sensors are realistic), and of the public logs in `data`.
+    """
+    place, *drive = name.split("-")
+    if name in LOGS or place.partition(":")[0] in PLACES:
+        robot, teleop, seed = drive if name not in LOGS and drive else ("burger", "tour", "1")
+        made = LOGS[name]() if name in LOGS else driven(place, robot, teleop, int(seed), "realistic")[0]
+        return made.recording, lambda found: errors(found.poses, made.reference)
+    assert data is not None
+    log = public_log(data, name)
+    return read(log), partial(scored, log)
+
+
+def log_row(log: Path, files: Files) -> Row:
+    """A public log."""
+    result, row = mapped(read(log))
+    keep(files.kept(stem(log)), result.trajectory.poses)
+    picture(result, files.out, stem(log))
+    return row | scored(log, result.trajectory)
 
 
 def keep(file: Path, poses: SE2) -> None:
@@ -121,7 +149,7 @@ def disturbed_row(log: Path, mode: str, files: Files) -> Row:
 
 def log_cases(data: Path, files: Files) -> list[Case]:
     """The public logs there are."""
-    found = [data / "radish" / f"{name}.clf.bz2" for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
+    found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
     cases = []
     for log in filter(Path.is_file, found):
         published = dict(zip(COLUMNS, PUBLISHED.get(stem(log), ()), strict=False))
@@ -131,7 +159,7 @@ def log_cases(data: Path, files: Files) -> list[Case]:
 
 def disturbed_cases(data: Path, files: Files) -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
-    logs = [log for name in RADISH if (log := data / "radish" / f"{name}.clf.bz2").is_file()]
+    logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
     return [
         Case(
             f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), {"log": stem(log), "mode": mode}
