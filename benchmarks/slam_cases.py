@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks.disturb import (
-    Known,
-    known,
-    outside,
-    shortened,
-    times,
-    with_ranges,
-    with_scans,
-)
+from benchmarks.disturb import Known, known, outside, shortened, times, with_ranges, with_scans
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
@@ -40,6 +32,7 @@ from turtlebag.sim.teleop import script_names
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")
 ROUNDS = 5
+SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
 TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
 DOCUMENTED = (
     *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
@@ -102,14 +95,12 @@ def driven(
     return known(recording, truth.at(recording.stamps_ns)), true_map, code
 
 
-def drive_row(
-    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
-) -> Row:
+def drive_row(drive: Row, pictures: Path | None) -> Row:
     """A simulated drive, its trajectory and its map against the exact truth."""
-    log, true_map, code = driven(world, robot, teleop, seed, sensors)
+    log, true_map, code = driven(**drive)
     result, row = mapped(log.recording)
     if pictures is not None:
-        picture(result, pictures, f"{world}-{robot}-{teleop}-{seed}-{sensors}")
+        picture(result, pictures, "-".join(map(str, drive.values())))
     found: Any = map_metrics(result.grid, true_map)
     row |= errors(result.trajectory.poses, log.reference)
     seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
@@ -126,8 +117,7 @@ def drive_case(
 ) -> Case:
     """The case of a simulated drive."""
     about = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "sensors": sensors}
-    name = "-".join(map(str, about.values()))
-    return Case(name, partial(drive_row, world, robot, teleop, seed, sensors, pictures), about)
+    return Case("-".join(map(str, about.values())), partial(drive_row, about, pictures), about)
 
 
 def drive_cases() -> list[Case]:
@@ -137,11 +127,9 @@ def drive_cases() -> list[Case]:
     """
     scripts, cases = script_names(), []
     for number in range(ROUNDS * len(PLACES) * len(ROBOTS) * len(scripts)):
-        turn, place = divmod(number, len(PLACES))
+        (turn, place), seed = divmod(number, len(PLACES)), 5001 + number
         robot, teleop = ROBOTS[(turn + place) % 2], scripts[(turn // 2 + place) % len(scripts)]
-        cases.append(
-            drive_case(world_of(PLACES[place], 5001 + number), robot, teleop, 5001 + number, "realistic")
-        )
+        cases.append(drive_case(world_of(PLACES[place], seed), robot, teleop, seed, "realistic"))
     return cases
 
 
@@ -152,14 +140,12 @@ def world_of(place: str, seed: int) -> str:
 
 def fast_cases() -> list[Case]:
     """Fifty fast drives through the house, with either set of sensors."""
-    sets: tuple[Sensors, ...] = ("realistic", "clean")
-    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in sets]
+    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in SENSORS]
 
 
 def world_cases(out: Path) -> list[Case]:
     """The drives of the documentation, with either set of sensors."""
-    sets: tuple[Sensors, ...] = ("realistic", "clean")
-    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in sets]
+    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in SENSORS]
 
 
 # Synthetic logs.
@@ -198,25 +184,21 @@ VARIANTS: dict[str, Callable[[Known], Known]] = {
 }
 
 
-def synthetic_row(name: str, variant: str, pictures: Path) -> Row:
+def synthetic_row(log: str, lidar: str, pictures: Path) -> Row:
     """A synthetic log with one of VARIANTS of its lidar, against the exact truth."""
-    made = LOGS[name]()
-    log = VARIANTS[variant](made)
-    result, row = mapped(log.recording)
-    picture(result, pictures, f"{name}-{variant}".replace(" ", "_"))
-    wheels = errors(log.odometry, log.reference)["m"]
-    return row | errors(result.trajectory.poses, log.reference) | {
-        "driven_m": made.truth.length(), "odometry_m": wheels
-    }  # fmt: skip
+    made = LOGS[log]()
+    heard = VARIANTS[lidar](made)
+    result, row = mapped(heard.recording)
+    picture(result, pictures, f"{log}-{lidar}".replace(" ", "_"))
+    wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
+    return row | errors(result.trajectory.poses, heard.reference) | wheels
 
 
 def synthetic_cases(out: Path) -> list[Case]:
     """Every synthetic log in every variant, in an order drawn once and for all."""
-    pairs = [(name, variant) for name in LOGS for variant in VARIANTS]
+    pairs = [{"log": log, "lidar": lidar} for log in LOGS for lidar in VARIANTS]
+    order = stream(1, "synthetic cases").permutation(len(pairs))
     return [
-        Case(
-            f"{name}, {variant}", partial(synthetic_row, name, variant, out), {"log": name, "lidar": variant}
-        )
-        for k in stream(1, "synthetic cases").permutation(len(pairs))
-        for name, variant in [pairs[k]]
+        Case("{log}, {lidar}".format(**pairs[k]), partial(synthetic_row, pictures=out, **pairs[k]), pairs[k])
+        for k in order
     ]

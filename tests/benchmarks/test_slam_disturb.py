@@ -209,7 +209,7 @@ def test_a_map_that_is_only_too_large_says_how_much_and_has_no_other_error():
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_the_detector_keeps_a_pose_for_each_scan(kind):
     log = a_log()
-    log = KINDS[kind][1](log, np.random.default_rng(1))
+    log = KINDS[kind](log, np.random.default_rng(1))
     assert len(log.reference) == len(log.recording) == len(log.odometry)
     assert np.isfinite(log.reference.xyt).all(axis=1).mean() >= 0.89
 
