@@ -43,9 +43,7 @@ def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
     name = scenario.name if sensors == "realistic" else f"{scenario.name}, {sensors}"
 
     def make(seed: int) -> Case:
-        case = scenario.make(seed)
-        sim = case.config.sim.model_copy(update={"sensors": sensors})
-        return dataclasses.replace(case, name=name, config=case.config.model_copy(update={"sim": sim}))
+        return dataclasses.replace(scenario.make(seed).simulated(sensors=sensors), name=name)
 
     return dataclasses.replace(scenario, name=name, make=make)
 
