@@ -154,6 +154,15 @@ def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
+def as_they_come(rows: Iterable[Row]) -> list[Row]:
+    """The rows, each of them printed as soon as it is there."""
+    found = []
+    for row in rows:
+        print("  ", row, flush=True)
+        found.append(row)
+    return found
+
+
 def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *, show: bool = True) -> None:
     """A CSV file with all of the rows and, with `show`, `columns` of it as a markdown table, printed too."""
     if not rows:

@@ -71,12 +71,11 @@ def warm_up() -> None:
         run_slam(with_scans(LOGS[name](), slice(60)).recording, SlamConfig())
 
 
-def picture(result: SlamResult, out: Path, name: str) -> None:
-    """The map as pgm, yaml and png."""
-    folder = out / "maps"
+def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
+    """A map as pgm, yaml and png."""
     folder.mkdir(parents=True, exist_ok=True)
     name = name.replace(":", "_").replace("/", "_")
-    save_map(result.grid, folder, name)
+    save_map(grid, folder, name)
     Image.open(folder / f"{name}.pgm").save(folder / f"{name}.png")
 
 
@@ -100,7 +99,7 @@ def drive_row(drive: Row, pictures: Path | None) -> Row:
     log, true_map, code = driven(**drive)
     result, row = mapped(log.recording)
     if pictures is not None:
-        picture(result, pictures, "-".join(map(str, drive.values())))
+        picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
     found: Any = map_metrics(result.grid, true_map)
     row |= errors(result.trajectory.poses, log.reference)
     seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
@@ -189,7 +188,7 @@ def synthetic_row(log: str, lidar: str, pictures: Path) -> Row:
     made = LOGS[log]()
     heard = VARIANTS[lidar](made)
     result, row = mapped(heard.recording)
-    picture(result, pictures, f"{log}-{lidar}".replace(" ", "_"))
+    picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))
     wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
     return row | errors(result.trajectory.poses, heard.reference) | wheels
 

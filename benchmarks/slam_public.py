@@ -110,7 +110,7 @@ def log_row(log: Path, files: Files) -> Row:
     """A public log."""
     result, row = mapped(read(log))
     keep(files.kept(stem(log)), result.trajectory.poses)
-    picture(result, files.out, stem(log))
+    picture(result.grid, files.out / "maps", stem(log))
     return row | scored(log, result.trajectory)
 
 
