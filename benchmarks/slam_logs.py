@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -68,13 +68,12 @@ def killian(seed: int) -> Known:
     plan = FloorPlan(120.0, 60.0)
     x0, x1, x2, y0, y1 = 8.0, 60.0, 112.0, 8.0, 52.0
     w = 1.2
+    crossing(plan, (x0, x1, x2), (y0, y1), w)
     for y in (y0, y1):
-        plan.carve(x0 - w, y - w, x2 + w, y + w)
         for x in np.arange(x0 + 4.0, x2 - 3.0, 4.0):
             for side in (-1.0, 1.0):
                 door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
     for x in (x0, x1, x2):
-        plan.carve(x - w, y0 - w, x + w, y1 + w)
         for y in np.arange(y0 + 6.0, y1 - 5.0, 4.0):
             for side in (-1.0, 1.0):
                 door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
@@ -98,9 +97,7 @@ def aces(seed: int) -> Known:
     rng = stream(seed, "aces plan")
     plan = FloorPlan(62.0, 62.0)
     lines, w = (6.0, 31.0, 56.0), 1.1
-    for c in lines:
-        plan.carve(6.0 - w, c - w, 56.0 + w, c + w)
-        plan.carve(c - w, 6.0 - w, c + w, 56.0 + w)
+    crossing(plan, lines, lines, w)
     for c in lines:
         for along in np.arange(9.0, 54.0, 3.5):
             if abs(along - 31.0) < 3.0:
@@ -117,6 +114,14 @@ def aces(seed: int) -> Known:
     return make_log(
         f"aces-{seed}", plan, route, Sensor(sick(180, 40.0), 0.2), wheels=WHEELS[seed + 1], seed=seed
     )
+
+
+def crossing(plan: FloorPlan, xs: Sequence[float], ys: Sequence[float], half: float) -> None:
+    """Corridors along x at each of `ys` and along y at each of `xs`, `half` of their width to either side."""
+    for y in ys:
+        plan.carve(xs[0] - half, y - half, xs[-1] + half, y + half)
+    for x in xs:
+        plan.carve(x - half, ys[0] - half, x + half, ys[-1] + half)
 
 
 def door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:

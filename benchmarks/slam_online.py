@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.rows import Case, Row, held_mb
 from benchmarks.slam_cases import mapped
-from benchmarks.slam_growth import SCANS, there_and_back
+from benchmarks.slam_growth import GROWN, there_and_back
 from benchmarks.slam_public import RADISH, by_name, public_log, read
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Recording, Trajectory, seconds
@@ -121,5 +121,5 @@ def online_cases(data: Path | None) -> list[Case]:
     cases = [Case(name, partial(online_row, data, name)) for name in (*there, *made)]
     cases.append(Case(f"arena, {HOURS:g} h", hours_row))
     if "aces" in there:
-        cases.append(Case(f"ACES to {SCANS} scans", partial(long_row, public_log(data, "aces"))))
+        cases.append(Case(GROWN, partial(long_row, public_log(data, "aces"))))
     return cases

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -109,26 +108,23 @@ def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajecto
 def log_row(log: Path, files: Files) -> Row:
     """A public log."""
     result, row = mapped(read(log))
-    keep(files.kept(stem(log)), result.trajectory.poses)
+    keep(files.kept(stem(log)), result.trajectory)
     picture(result.grid, files.out / "maps", stem(log))
     return row | scored(log, result.trajectory)
 
 
-def keep(file: Path, poses: SE2) -> None:
-    """Keep poses for other cases."""
-    content = io.BytesIO()
-    np.save(content, poses.xyt)
-    write_kept(file, content.getvalue())
+def keep(file: Path, found: Trajectory) -> Trajectory:
+    """Keep the poses of a map for other cases."""
+    write_kept(file, np.ascontiguousarray(found.poses.xyt).tobytes())
+    return found
 
 
 def undisturbed(log: Path, files: Files) -> Trajectory:
     """The map's trajectory of a log as it is: kept, or made."""
     recording, file = read(log), files.kept(stem(log))
-    if read_kept(file) is None:
-        keep(file, mapped(recording)[0].trajectory.poses)
-    found = read_kept(file)
-    assert found is not None
-    return Trajectory(recording.stamps_ns, SE2(np.load(io.BytesIO(found))))
+    if (found := read_kept(file)) is None:
+        return keep(file, mapped(recording)[0].trajectory)
+    return Trajectory(recording.stamps_ns, SE2(np.frombuffer(found).reshape(-1, 3)))
 
 
 def disturbed_row(log: Path, mode: str, files: Files) -> Row:
@@ -160,11 +156,10 @@ def log_cases(data: Path, files: Files) -> list[Case]:
 def disturbed_cases(data: Path, files: Files) -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
     logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
-    return [
-        Case(
-            f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), {"log": stem(log), "mode": mode}
-        )
-        for shift in range(len(logs))
-        for k, mode in enumerate(MODES)
-        for log in [logs[(k + shift) % len(logs)]]
-    ]
+    cases = []
+    for shift in range(len(logs)):
+        for k, mode in enumerate(MODES):
+            log = logs[(k + shift) % len(logs)]
+            about = {"log": stem(log), "mode": mode}
+            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), about))
+    return cases
