@@ -67,12 +67,8 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
 def with_scans(log: Known, keep: Mask | slice) -> Known:
     """The log with these scans only, and the relations whose two scans are left."""
     r = log.recording
-    recording = replace(
-        r,
-        stamps_ns=r.stamps_ns[keep],
-        ranges=r.ranges[keep],
-        T_odom_base=None if r.T_odom_base is None else r.T_odom_base[keep],
-    )
+    T_odom_base = None if r.T_odom_base is None else r.T_odom_base[keep]
+    recording = replace(r, stamps_ns=r.stamps_ns[keep], ranges=r.ranges[keep], T_odom_base=T_odom_base)
     pairs = log.relations
     left = np.ones(len(pairs), dtype=bool)
     for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
@@ -172,10 +168,9 @@ def noisy(log: Known, rng: np.random.Generator) -> Known:
     """Wheel noise of 5 % of the way, and of 10 degrees a radian turned."""
     moved = steps(log.odometry)
     way, turn = np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2])
-    moved[:, 0] += 0.05 * way * rng.standard_normal(len(moved))
-    moved[:, 2] += 0.17 * turn * rng.standard_normal(len(moved)) + 0.03 * way * rng.standard_normal(
-        len(moved)
-    )
+    n = len(moved)
+    moved[:, 0] += 0.05 * way * rng.standard_normal(n)
+    moved[:, 2] += 0.17 * turn * rng.standard_normal(n) + 0.03 * way * rng.standard_normal(n)
     return with_steps(log, moved)
 
 
@@ -256,21 +251,13 @@ def mirrored_scans(log: Known) -> Known:
 
 def mirror(log: Known, rng: np.random.Generator) -> Known:
     """The world in a mirror: left is right for scans, odometry, gyro and truth."""
-    r, pairs = mirrored_scans(log).recording, log.relations
-    imu, odometry = r.imu, r.odometry
-    recording = replace(
-        r,
-        T_base_lidar=mirrored(r.T_base_lidar),
-        T_odom_base=mirrored(log.odometry),
-        odometry=None if odometry is None else replace(odometry, poses=mirrored(odometry.poses)),
-        imu=None
-        if imu is None
-        else ImuLog(
-            imu.stamps_ns,
-            imu.angular_velocity * [-1.0, 1.0, -1.0],
-            imu.linear_acceleration * [1.0, -1.0, 1.0],
-        ),
-    )
+    r, imu, pairs = mirrored_scans(log).recording, log.recording.imu, log.relations
+    if r.odometry is not None:
+        r = replace(r, odometry=replace(r.odometry, poses=mirrored(r.odometry.poses)))
+    if imu is not None:
+        turned, pushed = imu.angular_velocity * [-1.0, 1.0, -1.0], imu.linear_acceleration * [1.0, -1.0, 1.0]
+        r = replace(r, imu=ImuLog(imu.stamps_ns, turned, pushed))
+    recording = replace(r, T_base_lidar=mirrored(r.T_base_lidar), T_odom_base=mirrored(log.odometry))
     relations = replace(pairs, T_a_b=mirrored(pairs.T_a_b))
     return replace(log, recording=recording, reference=mirrored(log.reference), relations=relations)
 
@@ -281,21 +268,18 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
     if r.lidar.time_increment != 0.0:
         raise ValueError(f"{r.source}: a turning lidar cannot be played backwards")
     ends = r.stamps_ns[0] + r.stamps_ns[-1]
-    odometry, imu = r.odometry, r.imu
-    recording = replace(
-        r,
-        stamps_ns=ends - r.stamps_ns[::-1],
-        ranges=r.ranges[::-1],
-        T_odom_base=log.odometry[::-1],
-        odometry=None
-        if odometry is None
-        else Trajectory(ends - odometry.stamps_ns[::-1], odometry.poses[::-1]),
-        imu=None
-        if imu is None
-        else ImuLog(ends - imu.stamps_ns[::-1], -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]),
-    )
+    if (driven := r.odometry) is not None:
+        r = replace(r, odometry=Trajectory(ends - driven.stamps_ns[::-1], driven.poses[::-1]))
+    if (imu := r.imu) is not None:
+        turned, pushed = -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]
+        r = replace(r, imu=ImuLog(ends - imu.stamps_ns[::-1], turned, pushed))
+    back = {
+        "stamps_ns": ends - r.stamps_ns[::-1],
+        "ranges": r.ranges[::-1],
+        "T_odom_base": log.odometry[::-1],
+    }
     relations = Relations(ends - pairs.stamps_a_ns, ends - pairs.stamps_b_ns, pairs.T_a_b)
-    return replace(log, recording=recording, reference=log.reference[::-1], relations=relations)
+    return replace(log, recording=replace(r, **back), reference=log.reference[::-1], relations=relations)
 
 
 Mode = Callable[[Known, np.random.Generator], Known]

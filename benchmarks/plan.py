@@ -27,7 +27,7 @@ from benchmarks.drives import INTEL, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.rows import Row, options, public, write
+from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
@@ -193,27 +193,21 @@ def figures(label: Row, rows: Sequence[Row]) -> Row:
     }  # fmt: skip
 
 
-def grouped(rows: Sequence[Row], *keys: str) -> list[Row]:
+def table(rows: Sequence[Row], *keys: str) -> list[Row]:
     """A line for each value of some columns."""
-    groups: dict[tuple, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups.items()]
+    groups = grouped(rows, *keys).items()
+    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
 
 
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     """A log for each map, robot and space."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, robot, space in dict.fromkeys((r["map"], r["robot"], r["space"]) for r in rows):
-        runs: dict[str, list[Row]] = {}
-        for r in rows:
-            if (r["map"], r["robot"], r["space"]) == (name, robot, space):
-                runs.setdefault(r["planner"], []).append(r)
+    for (name, robot, space), part in grouped(rows, "map", "robot", "space").items():
+        runs = {planner: found for (planner,), found in grouped(part, "planner").items()}
         experiment = f"{name}-{robot}".replace(":", "_")
         paths.append(folder / f"{experiment}-{space}.log")
-        count = max(map(len, runs.values()))
-        setup = f"map {name}, robot {robot}, space {space}, {count} queries"
+        setup = f"map {name}, robot {robot}, space {space}, {max(map(len, runs.values()))} queries"
         write_log(paths[-1], experiment, {"space": space}, setup, runs, version=version("ompl"), seed=7)
     return paths
 
@@ -250,9 +244,9 @@ def main() -> None:
         shown = [row for row in rows if row["space"] == args.spaces[0]]
         save_png(planner_boxes(shown), args.out / "plan.png")
     write(args.out, "plan", rows, show=False)
-    write(args.out, "planners", grouped(rows, "space", "planner"))
+    write(args.out, "planners", table(rows, "space", "planner"))
     default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
-    write(args.out, "maps", grouped(default, "space", "map", "robot"))
+    write(args.out, "maps", table(default, "space", "map", "robot"))
     refusing = [
         {"goals": kind, "refused": len(ms), "median ms": float(np.median(ms)), "longest ms": max(ms)}
         for kind, ms in refused.items()

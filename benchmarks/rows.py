@@ -137,6 +137,14 @@ def share(successes: int, n: int) -> str:
     return f"{successes} of {n} ({100 * low:.1f}..{100 * high:.1f} %)"
 
 
+def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple, list[Row]]:
+    """Rows by the values of some columns, in the order in which those come first."""
+    groups: dict[tuple, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
 def shown(value: Any) -> str:
     """A value as a table shows it."""
     if isinstance(value, float):

@@ -30,7 +30,7 @@ from benchmarks.disturb import (
     with_scans,
     with_steps,
 )
-from benchmarks.rows import Case, Row, share
+from benchmarks.rows import Case, Row, grouped, share
 from benchmarks.slam_cases import PLACES, ROBOTS, driven, mapped, world_of
 from benchmarks.slam_logs import arena, office, rooms
 from benchmarks.slam_scores import errors
@@ -203,11 +203,12 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
     A world whose undisturbed maps are fewer than three is judged by BAD_M alone.
     """
-    plains: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        if row["kind"] == "plain" and "error" not in row:
-            plains.setdefault((row["world"], row["robot"]), []).append(row["worst_m"])
-    limits = {of: min(BAD_M, TIMES * float(np.median(w))) for of, w in plains.items() if len(w) >= 3}
+    plains = [row for row in rows if row["kind"] == "plain" and "error" not in row]
+    limits = {
+        of: min(BAD_M, TIMES * float(np.median([row["worst_m"] for row in part])))
+        for of, part in grouped(plains, "world", "robot").items()
+        if len(part) >= 3
+    }
     found = []
     for row in rows:
         limit = limits.get((row["world"], row["robot"]), BAD_M)
