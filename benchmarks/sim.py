@@ -12,6 +12,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 from unittest.mock import patch
 
@@ -77,12 +78,10 @@ def shares(world: str, robot: str, sensors: Sensors, duration: float) -> Row:
 
         return patch.object(owner, method, timed)
 
-    patches = [clocked(*part) for part in PARTS]
-    for one in patches:
-        one.start()
-    _, total = drive(world, robot, sensors, duration)
-    for one in patches:
-        one.stop()
+    with ExitStack() as clocks:
+        for part in PARTS:
+            clocks.enter_context(clocked(*part))
+        _, total = drive(world, robot, sensors, duration)
     found = {part: 100.0 * spent[part] / total for part in ("physics", "rays", "bag")}
     found["rest"] = 100.0 - sum(found.values())
     return {f"{part}_%": round(share) for part, share in found.items()}

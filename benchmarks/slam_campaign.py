@@ -129,13 +129,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes")
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        default=LIMIT_MINUTES,
-        metavar="M",
-        help="a case that takes longer is an error",
-    )
+    late = "a case that takes longer is an error"
+    parser.add_argument("--minutes", type=float, default=LIMIT_MINUTES, metavar="M", help=late)
     parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
     args = parser.parse_args(argv)
     data = public() if public("radish") else None
@@ -146,9 +141,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
         parser.error("--workers, --limit and --minutes must be positive")
     if data is None:
-        print(
-            "TURTLEBAG_DATA names no folder with a folder `radish`: the public logs are left out", flush=True
-        )
+        print("TURTLEBAG_DATA names no folder with a folder `radish`: public logs are left out", flush=True)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in names:

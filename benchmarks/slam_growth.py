@@ -55,16 +55,12 @@ def map_cost(log: Path, scratch: Path) -> Row:
 
     A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
     """
-    command = [sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
+    meter = [sys.executable, "-I", "-S", "-c", METER]
+    command = [*meter, sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
     while True:
         with tempfile.TemporaryDirectory(dir=scratch) as place:
             before, out = _compiled(), Path(place) / "map"
-            done = subprocess.run(
-                [sys.executable, "-I", "-S", "-c", METER, *command, str(out)],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
+            done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=True)
             code, cpu_s, peak_kb = json.loads(done.stdout.splitlines()[-1])
             if code:
                 raise RuntimeError(done.stderr.strip() or f"exit code {code}")
