@@ -23,6 +23,8 @@ from turtlebag.sim.worlds import load_world
 
 KEPT = 15  # control steps that surely reach back to a scan's stamp
 V, W = 0.22, 0.9
+PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
+"""The tutorial's worlds, each with its robot."""
 INTEL = ("radish", "intel.clf.bz2")
 """Where the log of the Intel lab lies in the public data."""
 

@@ -23,10 +23,11 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import INTEL, Maps, Place, Sweep, built_map, kidnapped
+from benchmarks.drives import INTEL, PLACES, Maps, Place, Sweep, built_map, kidnapped
 from benchmarks.rows import Row, Rows, options, public, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
@@ -39,7 +40,6 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.stages.localise import run_amcl
 from turtlebag.sim.simulator import Sensors
 
-PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
@@ -211,7 +211,7 @@ def main() -> None:
     parts = (*TABLES, *EPISODES)
     parser = options(__doc__, "data/benchmarks/localise", "shorter drives, 10 episodes instead of 100")
     parser.add_argument("parts", nargs="*", choices=parts, metavar="PART", help=f"of {', '.join(parts)}")
-    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
+    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
     args = parser.parse_args()
     asked = args.parts or list(parts)

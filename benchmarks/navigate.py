@@ -19,6 +19,7 @@ import dataclasses
 import functools
 import time
 from pathlib import Path
+from typing import get_args
 
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
@@ -33,7 +34,7 @@ from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate_in
 from turtlebag.sim.simulator import Sensors, Simulator
 
-SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 EXPLORE_S = 1800.0
 

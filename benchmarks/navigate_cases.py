@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.drives import Maps
+from benchmarks.drives import PLACES, Maps
 from benchmarks.rows import public
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -33,7 +33,6 @@ NEW_WORLDS_FROM = 7000
 """Generated worlds of the benchmark have numbers from here on: nothing else uses those."""
 APART_M = 1.5
 """Nobody walks nearer than this to a robot that has just been put down."""
-CONTROL_PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 CONTROLLERS = {
     "pursuit": NavigateConfig(),
     "dwa": NavigateConfig(controller="dwa"),
@@ -126,6 +125,11 @@ def patrol(maps: Maps, name: str, seed: int) -> Case:
     return Case(name, seed, world, robot, Request("patrol", seed, path, initial_pose="start"))
 
 
+def house_robot(seed: int) -> str:
+    """waffle_pi and burger in turn."""
+    return ("waffle_pi", "burger")[seed % 2]
+
+
 def house_goal(maps: Maps, robot: str, name: str, seed: int) -> Case:
     """A random reachable start and goal in the house."""
     return _random_goal(maps, "turtlebot3_house", robot, name, seed)
@@ -169,20 +173,20 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
 
     Movers that do not yield walk on whoever stands in their way.
     """
-    robot_name = ("waffle_pi", "burger")[seed % 2]
-    world, robot = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3"), load_robot(robot_name)
+    robot = load_robot(house_robot(seed))
+    world = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3")
     movers = tuple(dataclasses.replace(mover, yields=yields) for mover in world.movers)
     world, rng = dataclasses.replace(world, movers=movers), stream(seed, name)
     grid, cells = floor(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     while min(np.linalg.norm(mover.path[0] - start.xy) for mover in movers) < APART_M:
         start = pose_on(grid, cells, rng)
-    return goal_case(name, seed, world, robot, maps.slam("turtlebot3_house", robot_name), start, goal)
+    return goal_case(name, seed, world, robot, maps.slam("turtlebot3_house", robot.name), start, goal)
 
 
 def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Case:
     """A random goal on the true map, the same for every controller."""
-    world, robot, grid, cells = named_floor(*CONTROL_PLACES[place])
+    world, robot, grid, cells = named_floor(*PLACES[place])
     rng = stream(seed, f"controllers {place}")
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     path, config = maps.true(place, grid), CONTROLLERS[controller]

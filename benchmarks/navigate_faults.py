@@ -11,7 +11,16 @@ import math
 import numpy as np
 
 from benchmarks.drives import Maps
-from benchmarks.navigate_cases import Case, floor, goal_case, house_goal, named_floor, patrol, pose_on
+from benchmarks.navigate_cases import (
+    Case,
+    floor,
+    goal_case,
+    house_goal,
+    house_robot,
+    named_floor,
+    patrol,
+    pose_on,
+)
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -28,11 +37,6 @@ CARRIED_M = 1.5
 DOORS = ((2.3, 0.4, 1), (2.3, 4.63, 1), (-6.3092, 0.925, 0), (6.2195, -0.175, 0))
 """Doors of the house: middle [m], and 1 for one in a wall along y. None has a way round."""
 DOOR_M, THICK_M = 0.9, 0.15
-
-
-def house_robot(seed: int) -> str:
-    """waffle_pi and burger in turn."""
-    return ("waffle_pi", "burger")[seed % 2]
 
 
 def drive_to(maps: Maps, place: str, name: str, seed: int) -> Case:

@@ -23,7 +23,7 @@ from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import INTEL, built_map
+from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
@@ -52,7 +52,7 @@ MAPS = (
     ("maze:2", "burger"),
     ("office:1", "waffle_pi"),
 )
-POSE_MAPS = (("turtlebot3_world", "burger"), ("turtlebot3_house", "waffle_pi"))
+POSE_MAPS = tuple(PLACES.values())
 SPACES = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}

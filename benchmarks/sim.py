@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
+from typing import get_args
 from unittest.mock import patch
 
 from benchmarks.rows import Row, options, write
@@ -97,7 +98,7 @@ def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: 
 
 def main() -> None:
     parser = options(__doc__, quick="three places, 20 s of each, once")
-    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
+    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
     args = parser.parse_args()
     duration, repeats = (20.0, 1) if args.quick else (60.0, 3)
     drive("turtlebot3_world", "burger", "realistic", 2.0)  # compile first

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from PIL import Image
@@ -32,7 +32,7 @@ from turtlebag.sim.teleop import script_names
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")
 ROUNDS = 5
-SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
 DOCUMENTED = (
     *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
