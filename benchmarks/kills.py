@@ -2,7 +2,7 @@
 
 python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--seed 0] [--out DIR]
 
-A small chain with every command that writes is made once undisturbed. Then each is killed with
+A small chain with every command that writes (kills.yaml) is made once undisturbed. Then each is killed with
 SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
 finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
 disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
@@ -50,31 +51,7 @@ DONE = (0, 1)
 """Exit codes of complete outputs; a drive of some seconds does not reach everything."""
 READ = ("record", "map", "navigate", "record3d")
 """Stages that others read."""
-TELEOP = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.2, -0.55]]}\n"
-WAYPOINTS = "waypoints:\n  - {x: -1.8, y: -0.5, yaw: 0.0}\n"
-SESSION = """\
-version: 1
-world: turtlebot3_world
-robot: burger
-seed: 3
-inputs:
-- {at: 0.0, do: record, name: drive}
-- {at: 0.0, do: map_start}
-- {begin: 0.2, end: 4.0, v: 0.15, w: 0.3}
-- {at: 4.0, do: map_save, name: small}
-- {at: 4.0, do: avoid}
-- {at: 8.0, do: end}
-"""
-CAMPAIGN = """\
-name: small
-question: Does it go on where it was killed?
-factors: {seed: {first: 1, last: 3}}
-stages:
-  record: "record --world turtlebot3_world --teleop TELEOP --seed {seed}"
-  map: "map {record} --truth {record}/truth"
-results: {ate_m: "map:ate_m.rmse"}
-figures: [{x: seed, y: ate_m, title: Error}]
-"""
+CHAIN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 
 
 def load_everything() -> None:
@@ -87,35 +64,10 @@ def load_everything() -> None:
                 importlib.import_module(module.name)
 
 
-def commands(chain: Path) -> dict[str, list[str]]:
-    """The stages in order, each reading its inputs from `chain`; `--out` is for the caller to add."""
-    record, built = f"{chain}/record", f"{chain}/map"
-    world, script = "--world turtlebot3_world --seed 3", f"--teleop {chain}/short.yaml"
-    grid, told = f"--map {built}/map.yaml", "--initial-pose start"
-    lines = {
-        "record": f"record {world} {script}",
-        "map": f"map {record} --truth {record}/truth --explain",
-        "navigate": f"navigate {world} --task patrol --waypoints {chain}/one.yaml --timeout 30 {grid} {told}",
-        "report": f"report {record} {built} {chain}/navigate",
-        "goal": f"navigate {world} --task goal --goal=-1.8,-0.5,0 {grid} {told}",
-        "avoid": f"navigate {world} --task avoid --duration 5",
-        "explore": f"navigate {world} --task explore --duration 5",
-        "localise": f"localise {record} {grid} --initial-pose=-2,-0.5,0",
-        "plan": f"plan {grid} --start=-2,-0.5,0 --goal=0,2,0",
-        "compare": f"compare {built} {built}",
-        "blame": f"blame {record} --replace odometry",
-        "convert": f"bag convert {record}",
-        "sqlite3": f"bag convert {record} --storage sqlite3",
-        "ros1.bag": f"bag convert {record}",
-        "recover": f"bag recover {record}",
-        "world.png": "world show turtlebot3_world",
-        "sweep": f"sweep {chain}/campaign.yaml --workers 1",
-        "studio": f"studio --replay {chain}/session.yaml",
-        "record3d": f"record {world} --robot waffle_pi_3d {script}",
-        "map3d": f"map {chain}/record3d --topic /points --truth {chain}/record3d/truth",
-    }
-    split = {name: line.split() for name, line in lines.items()}
-    return {name: [verb, "-q", *words] for name, (verb, *words) in split.items()}
+def command(chain: Path, stage: str, out: Path) -> list[str]:
+    """The command line of a stage that reads its inputs from `chain`."""
+    verb, *words = CHAIN["commands"][stage].replace("CHAIN", str(chain)).split()
+    return [verb, "-q", *words, "--out", str(out)]
 
 
 def hashes(out: Path) -> dict[str, str]:
@@ -150,18 +102,16 @@ def finish(pid: int) -> int:
 
 def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
     """Make the chain; seconds each stage of `only` (empty: all) takes, measured on a second run of it."""
-    (chain / "short.yaml").write_text(TELEOP)
-    (chain / "one.yaml").write_text(WAYPOINTS)
-    (chain / "session.yaml").write_text(SESSION)
-    (chain / "campaign.yaml").write_text(CAMPAIGN.replace("TELEOP", f"{chain}/short.yaml"))
+    for name, content in CHAIN["files"].items():
+        (chain / name).write_text(yaml.safe_dump(content, sort_keys=False).replace("CHAIN", str(chain)))
     took = {}
-    for stage, words in commands(chain).items():
+    for stage in CHAIN["commands"]:
         if only and stage not in {*only, *READ}:
             continue
         again = [chain / "again" / stage] if stage in only or not only else []
         for out in (chain / stage, *again):
             begun = time.perf_counter()
-            code = finish(start([*words, "--out", str(out)], chain / "stderr"))
+            code = finish(start(command(chain, stage, out), chain / "stderr"))
             if code not in DONE:
                 raise SystemExit(f"{stage}: exit {code}: {(chain / 'stderr').read_text().strip()}")
             took[stage] = time.perf_counter() - begun
@@ -175,7 +125,7 @@ def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
 def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     """Outcome of a stage killed after `after_s` seconds and started again."""
     out, errors = folder / stage, folder / "stderr"
-    words = [*commands(chain)[stage], "--out", str(out)]
+    words = command(chain, stage, out)
     pid = start(words, errors)
     time.sleep(after_s)
     os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
@@ -252,7 +202,7 @@ def one_hindrance(chain: Path, stage: str, what: str, parent: Path) -> str:
         parent.chmod(0o555)
     errors = chain / "stderr"
     try:
-        code = finish(start([*commands(chain)[stage], "--out", str(parent / stage)], errors, before))
+        code = finish(start(command(chain, stage, parent / stage), errors, before))
         # A campaign goes on where it stopped, when there is room again.
         left = {path.name for path in parent.iterdir()} - {"sweep.partial"}
     finally:
@@ -324,7 +274,7 @@ def main() -> int:
     parser = options(__doc__, quick="one kill each")
     parser.add_argument("--count", type=int, default=190)
     parser.add_argument(
-        "--only", nargs="+", default=[], choices=commands(Path()), metavar="STAGE", help="kill these alone"
+        "--only", nargs="+", default=[], choices=CHAIN["commands"], metavar="STAGE", help="kill these alone"
     )
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()

@@ -21,6 +21,7 @@ import numpy as np
 from benchmarks.rows import Row, as_they_come, options, write
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
 from benchmarks.slam_cases import picture
+from benchmarks.slam_parts import VARIANTS
 from turtlebag.datasets import se3
 from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.maps import load_map
@@ -33,18 +34,6 @@ from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.trajectory import ate
 
 WORLDS = (("turtlebot3_world", "tour"), ("turtlebot3_house", "tour"), ("office:3", "tour"))
-VARIANTS: dict[str, dict[str, Any]] = {
-    "everything": {},
-    "odometry only": {"sensors": "odometry"},
-    "KISS-ICP only": {"front_end": "kiss_icp", "loops": {"enabled": False}, "refine": {"rounds": 0}},
-    "front end only": {"loops": {"enabled": False}, "refine": {"rounds": 0}},
-    "no loops": {"loops": {"enabled": False}},
-    "loops by distance only": {"loops": {"appearance": False}},
-    "no joint refinement": {"refine": {"rounds": 0}},
-    "KISS-ICP, loops": {"front_end": "kiss_icp", "refine": {"rounds": 0}},
-    "no deskew": {"deskew": False},
-    "lidar only": {"sensors": "lidar"},
-}  # fmt: skip
 
 
 def timed(recording: Recording3D, settings: dict[str, Any]) -> tuple[Slam3dResult, float]:
@@ -100,7 +89,7 @@ def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> Iterator[Row]:
 
 def worth(drives: dict[str, Drive3d]) -> Iterator[Row]:
     """Each part switched off: ATE of every drive (and CPU seconds)."""
-    for label, settings in VARIANTS.items():
+    for label, settings in VARIANTS["space"].items():
         row: Row = {"variant": label}
         for name, drive in drives.items():
             result, spent = timed(drive.recording, settings)

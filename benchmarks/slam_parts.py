@@ -7,39 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, mapped
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_public import by_name
 
-OFF = {"enabled": False}
-OPEN3D = {"match": "open3d"}
-CHOICES: dict[str, dict[str, Any]] = {
-    "everything": {},
-    "KISS-ICP front end": {"front_end": "kiss_icp"},
-    "wheels front end": {"front_end": "wheels"},
-    "point ICP front end": {"front_end": "docs.examples.point_icp:PointIcp"},
-    "Open3D loops": {"loops": OPEN3D},
-    "KISS-ICP, Open3D": {"front_end": "kiss_icp", "loops": OPEN3D},
-    "libraries alone": {
-        "front_end": "kiss_icp",
-        "loops": OPEN3D,
-        "tracking": {"calibration": False},
-        "refine": {"rounds": 0},
-        "posing": OFF,
-    },
-}
-"""The exchangeable parts; `libraries alone` is KISS-ICP, Open3D and GTSAM without any alignment of ours."""
-ABLATIONS: dict[str, dict[str, Any]] = {
-    **CHOICES,
-    "no loop closure": {"loops": OFF},
-    "no joint refinement": {"refine": {"rounds": 0}},
-    "no odometry calibration": {"tracking": {"calibration": False}},
-    "no re-posing": {"posing": OFF},
-    "no deskewing": {"deskew": False},
-    "lidar only": {"sensors": "lidar"},
-    "odometry only": {"sensors": "odometry"},
-}
+Variants = dict[str, dict[str, Any]]
+"""Settings of a mapper by name."""
+VARIANTS: dict[str, Variants] = yaml.safe_load(Path(__file__).with_name("variants.yaml").read_text())
+CHOICES = VARIANTS["exchanged"]
+ABLATIONS = CHOICES | VARIANTS["switched_off"]
 ABLATED = ("mit-csail", "fr079", "intel", "posts-1", "hall-2", "office-all-1", "rooms-1", "arena-fast-1")
 PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", "aces")
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
