@@ -106,6 +106,17 @@ def around(log: Known, centres: list[int], seconds: float) -> Mask:
     return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
 
 
+def interval(log: Known, start: float, length: float) -> Mask:
+    """Scans of an interval [s since the first], (n,)."""
+    t = times(log.recording)
+    return (t >= start) & (t < start + length)
+
+
+def without(log: Known, start: float, length: float) -> Known:
+    """The log with the scans of an interval missing [s since its first scan]."""
+    return with_scans(log, ~interval(log, start, length))
+
+
 def gaps(log: Known, centres: list[int], seconds: float) -> Known:
     """Scans lost in a stretch about each centre."""
     return with_scans(log, ~around(log, centres, seconds))
@@ -232,6 +243,32 @@ def noise3(log: Known, rng: np.random.Generator) -> Known:
     ranges = log.recording.ranges
     noised = np.maximum(ranges + 0.03 * rng.standard_normal(ranges.shape), 0.05)
     return with_ranges(log, np.where(np.isfinite(ranges), noised, ranges))
+
+
+def blinded(log: Known, start: float, length: float) -> Known:
+    """The log with NaN-only scans in an interval."""
+    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
+
+
+# Time.
+
+
+def clock_back(log: Known, start: float, seconds: float) -> Known:
+    """The log whose clock was set back once."""
+    late = times(log.recording) >= start
+    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
+
+
+def shaken_stamps(log: Known, share: float, spread: float, seed: int = 1) -> Known:
+    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
+    rng = stream(seed, "stamps")
+    n = len(log.recording)
+    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
+    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
+
+
+def _stamped(log: Known, stamps: NDArray[np.int64]) -> Known:
+    return replace(log, recording=replace(log.recording, stamps_ns=stamps))
 
 
 # All of it.

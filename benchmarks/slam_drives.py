@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.disturb import Known, integrate, known, steps, times, with_ranges, with_scans
+from benchmarks.disturb import Known, integrate, known, steps
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -202,7 +201,7 @@ def measure(
     T_base_lidar = SE2(np.array(sensor.T_base_lidar))
     T_world_lidar = at_times(poses, when.ravel()) @ T_base_lidar
     angles = T_world_lidar.yaw + np.tile(spec.angles, len(times))
-    true = np.concatenate([*_rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)])
+    true = _rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)
     if person:
         true = np.minimum(true, _person(T_world_lidar, angles, when.ravel()))
     out = true.reshape(when.shape)
@@ -219,14 +218,12 @@ def measure(
     return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
 
 
-def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, ...], limit: float) -> Iterator[Array]:
-    """Ranges along the beams of each scan (n_beams,), +inf beyond `limit`."""
-    outlines = plan.outlines()
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
-    for origins, ways, bearings in zip(
-        xy.reshape(*shape, 2), directions, np.unwrap(angles.reshape(shape)), strict=True
-    ):
-        yield cast(origins, ways, bearings, outlines, limit)[0]
+def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, int], limit: float) -> Array:
+    """Ranges along the beams of each scan (n_scans * n_beams,), +inf beyond `limit`."""
+    outlines, origins, bearings = plan.outlines(), xy.reshape(*shape, 2), np.unwrap(angles.reshape(shape))
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
+    scans = zip(origins, ways, bearings, strict=True)
+    return np.concatenate([cast(*rays, outlines, limit)[0] for rays in scans])
 
 
 def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
@@ -245,37 +242,3 @@ def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
         hit = here & (inside > 0.0) & (along > 0.0)
         out[hit] = np.minimum(out[hit], along[hit] - np.sqrt(inside[hit]))
     return out
-
-
-def without(log: Known, start: float, length: float) -> Known:
-    """The log with the scans of an interval missing [s since its first scan]."""
-    return with_scans(log, ~interval(log, start, length))
-
-
-def blinded(log: Known, start: float, length: float) -> Known:
-    """The log with NaN-only scans in an interval."""
-    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
-
-
-def clock_back(log: Known, start: float, seconds: float) -> Known:
-    """The log whose clock was set back once."""
-    late = times(log.recording) >= start
-    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
-
-
-def shaken_stamps(log: Known, share: float, spread: float, seed: int = 1) -> Known:
-    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
-    rng = stream(seed, "stamps")
-    n = len(log.recording)
-    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
-    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
-
-
-def interval(log: Known, start: float, length: float) -> NDArray[np.bool_]:
-    """Scans of an interval [s since the first], (n,)."""
-    t = times(log.recording)
-    return (t >= start) & (t < start + length)
-
-
-def _stamped(log: Known, stamps: NDArray[np.int64]) -> Known:
-    return replace(log, recording=replace(log.recording, stamps_ns=stamps))

@@ -6,20 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.disturb import Known
-from benchmarks.slam_drives import (
-    Drive,
-    Lie,
-    Sensor,
-    Wheels,
-    blinded,
-    clock_back,
-    lds,
-    make_log,
-    shaken_stamps,
-    sick,
-    without,
-)
+from benchmarks.disturb import Known, blinded, clock_back, shaken_stamps, without
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream

@@ -6,20 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.disturb import Known, with_scans
+from benchmarks.disturb import Known, blinded, clock_back, shaken_stamps, with_scans, without
 from benchmarks.slam_cases import narrow
-from benchmarks.slam_drives import (
-    Drive,
-    Lie,
-    Sensor,
-    Wheels,
-    blinded,
-    clock_back,
-    make_log,
-    shaken_stamps,
-    sick,
-    without,
-)
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import hall, office_plan
 from benchmarks.slam_logs import office as made_office
 from benchmarks.slam_scores import errors

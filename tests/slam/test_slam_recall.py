@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.disturb import Known
-from benchmarks.slam_drives import Drive, Sensor, Wheels, interval, make_log, sick, without
+from benchmarks.disturb import Known, interval, without
+from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import WHEELS, office_plan
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import errors
