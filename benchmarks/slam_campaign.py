@@ -13,7 +13,7 @@ Suites:
   worlds     the drives of docs/results.md
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
-  numbers    the numbers that matter most, halved and doubled (benchmarks.slam_sensitivity)
+  numbers    the numbers that matter most, halved and doubled (benchmarks.slam_parts)
   online     the mapper that works while the robot drives, beside the offline one
   growth     CPU seconds and memory of the whole command, by size of the log
 
@@ -41,9 +41,8 @@ from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_online import COLUMNS as ONLINE
 from benchmarks.slam_online import online_cases
-from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table
+from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
 from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases
-from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
 from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
@@ -92,7 +91,7 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         "worlds": Suite(world_cases(out), (*WORLD, "near_deg", *ENDS), code=SIMULATED),
         "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
         "parts": Suite(ablation_cases(data, CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
-        "numbers": Suite(sensitivity_cases(data), (*EXACT, *ENDS), sensitivity_table, code=SYNTHETIC),
+        "numbers": Suite(number_cases(data), (*EXACT, *ENDS), number_table, code=SYNTHETIC),
         "online": Suite(online_cases(data), ONLINE, quick=8, code=SYNTHETIC),
         "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
     }

@@ -16,7 +16,7 @@ from benchmarks.numbers import counted
 from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
 from benchmarks.slam_detector import KINDS, SCORED, detection, detector_cases, judged, spread
-from benchmarks.slam_sensitivity import NUMBERS
+from benchmarks.slam_parts import NUMBERS
 from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam.slam import SlamConfig
 
