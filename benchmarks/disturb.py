@@ -1,59 +1,34 @@
-"""Logs made harder, each in one known way, together with what is known of them: relations and true poses.
-
-Each way is a function of a `Known` and a Generator. What is done to the scans of a log, to its odometry and
-to its time is done to its truth as well, so that the new log is scored as the old one was.
-"""
+"""Logs made harder, each in one known way: a function of a `Known` and a Generator."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from turtlebag.datasets.kernels import njit
+from benchmarks.known import (
+    Known,
+    Mask,
+    around,
+    mirrored_scans,
+    outside,
+    places,
+    shortened,
+    steps,
+    times,
+    with_odometry,
+    with_ranges,
+    with_scans,
+    with_steps,
+    without_returns,
+)
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import ImuLog, Recording, Trajectory
-from turtlebag.reports.metrics.relations import nearest
+from turtlebag.datasets.types import ImuLog, Trajectory
 
-Mask = NDArray[np.bool_]
-NO_RELATIONS = Relations(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), SE2.identity(0))
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """A log and what is known of it.
-
-    `reference` holds a pose for each scan (n,), NaN where nobody knows it; `which` says which of the
-    undisturbed log's relations are left.
-    """
-
-    recording: Recording
-    reference: SE2
-    relations: Relations = NO_RELATIONS
-    which: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    @property
-    def truth(self) -> Trajectory:
-        """The reference as a trajectory."""
-        return Trajectory(self.recording.stamps_ns, self.reference)
-
-    @property
-    def odometry(self) -> SE2:
-        """Odometry at each scan; ValueError when the log has none."""
-        if self.recording.T_odom_base is None:
-            raise ValueError(f"{self.recording.source}: no odometry to disturb")
-        return self.recording.T_odom_base
-
-
-def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
-    """An undisturbed log."""
-    return Known(recording, reference, relations, np.arange(len(relations)))
+Mode = Callable[[Known, np.random.Generator], Known]
 
 
 def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
@@ -61,60 +36,12 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
     return MODES[mode](log, stream(seed, mode))
 
 
+def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
+    """Scans of one stretch of the log, (n,)."""
+    return around(log, places(log, 1, rng), share * log.recording.duration())
+
+
 # Scans lost.
-
-
-def with_scans(log: Known, keep: Mask | slice) -> Known:
-    """The log with these scans only, and the relations whose two scans are left."""
-    r = log.recording
-    T_odom_base = None if r.T_odom_base is None else r.T_odom_base[keep]
-    recording = replace(r, stamps_ns=r.stamps_ns[keep], ranges=r.ranges[keep], T_odom_base=T_odom_base)
-    pairs = log.relations
-    left = np.ones(len(pairs), dtype=bool)
-    for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
-        left &= nearest(recording.stamps_ns, wanted)[1]
-    kept = {"relations": chosen(pairs, left), "which": log.which[left]}
-    return replace(log, recording=recording, reference=log.reference[keep], **kept)
-
-
-def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
-    """Some of the relations, by index or mask."""
-    return Relations(relations.stamps_a_ns[which], relations.stamps_b_ns[which], relations.T_a_b[which])
-
-
-def times(recording: Recording) -> Array:
-    """Seconds since the first scan, (n,)."""
-    return np.asarray((recording.stamps_ns - recording.stamps_ns[0]) * 1e-9)
-
-
-def places(log: Known, count: int, rng: np.random.Generator | None = None) -> list[int]:
-    """Up to `count` scans far from each other in time: where the robot turns most, or with `rng` anywhere."""
-    t, n = times(log.recording), len(log.recording)
-    turn = np.convolve(np.abs(steps(log.odometry)[:, 2]), np.ones(15), "same")
-    order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
-    margin, apart = min(60, n // 10), min(60.0, log.recording.duration() / (2 * count))
-    found: list[int] = []
-    for i in order[(order >= margin) & (order < n - margin)]:
-        if len(found) < count and all(abs(t[i] - t[j]) > apart for j in found):
-            found.append(int(i))
-    return found
-
-
-def around(log: Known, centres: list[int], seconds: float) -> Mask:
-    """Scans within a stretch of so many seconds about one of the centres, (n,)."""
-    t = times(log.recording)
-    return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
-
-
-def interval(log: Known, start: float, length: float) -> Mask:
-    """Scans of an interval [s since the first], (n,)."""
-    t = times(log.recording)
-    return (t >= start) & (t < start + length)
-
-
-def without(log: Known, start: float, length: float) -> Known:
-    """The log with the scans of an interval missing [s since its first scan]."""
-    return with_scans(log, ~interval(log, start, length))
 
 
 def gaps(log: Known, centres: list[int], seconds: float) -> Known:
@@ -122,49 +49,15 @@ def gaps(log: Known, centres: list[int], seconds: float) -> Known:
     return with_scans(log, ~around(log, centres, seconds))
 
 
+def carried(log: Known, rng: np.random.Generator) -> Known:
+    """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
+    away = stretch(log, 0.1, rng)
+    moved = steps(log.odometry)
+    moved[away[:-1]] = 0.0
+    return with_scans(with_steps(log, moved), ~away)
+
+
 # Odometry.
-
-
-def steps(T: SE2) -> Array:
-    """Each pose as seen from the one before, (n - 1, 3)."""
-    return (T[:-1].inverse() @ T[1:]).xyt
-
-
-def with_odometry(log: Known, T_odom_base: SE2) -> Known:
-    """The log with another odometry at its scans.
-
-    Between two scans the full-rate stream, where there is one, takes its share of what has changed.
-    """
-    r, old = log.recording, log.odometry
-    odometry = r.odometry
-    if odometry is not None:
-        k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
-        extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
-        spans = np.diff(r.stamps_ns)[k]
-        share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
-        within = old[k].inverse() @ odometry.poses
-        poses = T_odom_base[k] @ within @ SE2.identity(len(k)).interpolate(extra, share)
-        odometry = Trajectory(odometry.stamps_ns, poses)
-    return replace(log, recording=replace(r, T_odom_base=T_odom_base, odometry=odometry))
-
-
-@njit(cache=True)
-def integrate(start: Array, steps: Array) -> Array:
-    """Poses (n + 1, 3) from a first one (3,) and the steps (n, 3) from each to the next."""
-    out = np.empty((len(steps) + 1, 3))
-    out[0] = start
-    for k in range(len(steps)):
-        c, s = math.cos(out[k, 2]), math.sin(out[k, 2])
-        out[k + 1, 0] = out[k, 0] + c * steps[k, 0] - s * steps[k, 1]
-        out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
-        out[k + 1, 2] = out[k, 2] + steps[k, 2]
-    return out
-
-
-def with_steps(log: Known, moved: ArrayLike) -> Known:
-    """The log whose odometry makes these steps (n - 1, 3) from where it started."""
-    poses = integrate(log.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
-    return with_odometry(log, SE2.from_array(poses))
 
 
 def bias(log: Known, rng: np.random.Generator) -> Known:
@@ -210,27 +103,28 @@ def jump(log: Known, rng: np.random.Generator) -> Known:
     return with_steps(log, moved)
 
 
+def wheels_times(log: Known, rng: np.random.Generator, factor: float) -> Known:
+    """Wheels that say so many times the way for a tenth of the log: spinning, or counting the wrong way."""
+    moved = steps(log.odometry)
+    moved[stretch(log, 0.1, rng)[:-1], :2] *= factor
+    return with_steps(log, moved)
+
+
+def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
+    moved = steps(log.odometry)
+    moved[:, 2] += np.deg2rad(1.5) * np.diff(times(log.recording))
+    turned = with_steps(log, moved)
+    return replace(turned, recording=replace(turned.recording, imu=None))
+
+
+def mirrored_odometry(log: Known) -> Known:
+    """Left and right wheel exchanged, and no gyro to tell."""
+    log = replace(log, recording=replace(log.recording, imu=None))
+    return with_odometry(log, log.odometry[0] @ mirrored(log.odometry[0].inverse() @ log.odometry))
+
+
 # Ranges.
-
-
-def with_ranges(log: Known, ranges: ArrayLike) -> Known:
-    """The log with other ranges (n_scans, n_beams)."""
-    return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
-
-
-def without_returns(log: Known, lost: ArrayLike) -> Known:
-    """The log with no return on these beams."""
-    return with_ranges(log, np.where(lost, np.inf, log.recording.ranges))
-
-
-def shortened(log: Known, metres: float) -> Known:
-    """No returns from beyond a range."""
-    return without_returns(log, log.recording.ranges > metres)
-
-
-def outside(log: Known, degrees: float) -> Mask:
-    """Beams beside a view of so many degrees straight ahead of the lidar, (n_beams,)."""
-    return np.abs(wrap(log.recording.lidar.angles)) > np.deg2rad(0.5 * degrees) + 1e-9
 
 
 def drop30(log: Known, rng: np.random.Generator) -> Known:
@@ -245,30 +139,58 @@ def noise3(log: Known, rng: np.random.Generator) -> Known:
     return with_ranges(log, np.where(np.isfinite(ranges), noised, ranges))
 
 
-def blinded(log: Known, start: float, length: float) -> Known:
-    """The log with NaN-only scans in an interval."""
-    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
+def elsewhere(log: Known, rng: np.random.Generator) -> Known:
+    """A tenth of the scans were taken at another time, half a log away."""
+    there = stretch(log, 0.1, rng)
+    other = np.roll(log.recording.ranges, len(there) // 2, axis=0)
+    ranges = np.where(there[:, None], other, log.recording.ranges)
+    reference = np.where(there[:, None], np.nan, log.reference.xyt)
+    return replace(with_ranges(log, ranges), reference=SE2(reference))
+
+
+def repeated(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that says the same for 5 s, three times."""
+    index = np.arange(len(log.recording))
+    held = around(log, places(log, 3, rng), 5.0)
+    return with_ranges(log, log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
+
+
+def blocked(log: Known, rng: np.random.Generator) -> Known:
+    """Half of the view is blocked by something 0.3 m away that rides along."""
+    r = log.recording
+    hidden = wrap(r.lidar.angles - rng.uniform(-np.pi, np.pi)) > 0.0
+    return with_ranges(log, np.where(hidden, np.float32(0.3), r.ranges))
+
+
+def ghosts(log: Known, rng: np.random.Generator) -> Known:
+    """People about: a fifth of all scans have a quarter of their beams end somewhere short."""
+    ranges = log.recording.ranges.copy()
+    for scan in np.flatnonzero(rng.random(len(ranges)) < 0.2):
+        first, width = rng.integers(ranges.shape[1]), ranges.shape[1] // 4
+        beams = np.arange(first, first + width) % ranges.shape[1]
+        ranges[scan, beams] = np.fmin(ranges[scan, beams], rng.uniform(0.4, 2.0))
+    return with_ranges(log, ranges)
+
+
+def floor(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that tips forward when it brakes: a tenth of the scans see the floor 1.5 m ahead."""
+    r = log.recording
+    ahead = np.cos(r.lidar.angles)
+    strip = np.where(ahead > 0.5, 1.5 / np.maximum(ahead, 0.5), np.inf)
+    tipped = rng.random(len(r)) < 0.1
+    return with_ranges(log, np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
 
 
 # Time.
 
 
-def clock_back(log: Known, start: float, seconds: float) -> Known:
-    """The log whose clock was set back once."""
-    late = times(log.recording) >= start
-    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
-
-
-def shaken_stamps(log: Known, share: float, spread: float, seed: int = 1) -> Known:
-    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
-    rng = stream(seed, "stamps")
-    n = len(log.recording)
-    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
-    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
-
-
-def _stamped(log: Known, stamps: NDArray[np.int64]) -> Known:
-    return replace(log, recording=replace(log.recording, stamps_ns=stamps))
+def jitter(log: Known, rng: np.random.Generator) -> Known:
+    """Stamps of scans that are off by up to half the time between two."""
+    r = log.recording
+    away = rng.uniform(-0.5, 0.5, len(r)) * float(np.median(np.diff(r.stamps_ns)))
+    away[[0, -1]] = 0.0
+    stamps = np.maximum.accumulate(r.stamps_ns + away.astype(np.int64))
+    return replace(log, recording=replace(r, stamps_ns=stamps + np.arange(len(r))))
 
 
 # All of it.
@@ -277,13 +199,6 @@ def _stamped(log: Known, stamps: NDArray[np.int64]) -> Known:
 def mirrored(T: SE2) -> SE2:
     """Poses in the mirror that stands along the x axis."""
     return SE2.from_array(T.xyt * [1.0, -1.0, -1.0])
-
-
-def mirrored_scans(log: Known) -> Known:
-    """The log whose lidar hangs upside down and does not say so."""
-    lidar = log.recording.lidar
-    lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
-    return replace(log, recording=replace(log.recording, lidar=lidar))
 
 
 def mirror(log: Known, rng: np.random.Generator) -> Known:
@@ -310,16 +225,12 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
     if (imu := r.imu) is not None:
         turned, pushed = -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]
         r = replace(r, imu=ImuLog(ends - imu.stamps_ns[::-1], turned, pushed))
-    back = {
-        "stamps_ns": ends - r.stamps_ns[::-1],
-        "ranges": r.ranges[::-1],
-        "T_odom_base": log.odometry[::-1],
-    }
+    stamps, T_odom_base = ends - r.stamps_ns[::-1], log.odometry[::-1]
+    recording = replace(r, stamps_ns=stamps, ranges=r.ranges[::-1], T_odom_base=T_odom_base)
     relations = Relations(ends - pairs.stamps_a_ns, ends - pairs.stamps_b_ns, pairs.T_a_b)
-    return replace(log, recording=replace(r, **back), reference=log.reference[::-1], relations=relations)
+    return replace(log, recording=recording, reference=log.reference[::-1], relations=relations)
 
 
-Mode = Callable[[Known, np.random.Generator], Known]
 MODES: dict[str, Mode] = {
     "gap3": lambda log, rng: gaps(log, places(log, 5), 3.0),
     "gap20": lambda log, rng: gaps(log, places(log, 3, rng), 20.0),
@@ -339,3 +250,29 @@ MODES: dict[str, Mode] = {
 }
 """gap3 loses 3 s of scans in each of five turns, gap20 20 s three times; half and third keep every second
 and third scan; range8 sees 8 m far, fov120 120 degrees wide."""
+KINDS: dict[str, Mode] = {
+    **{name: MODES[name] for name in ("gap3", "half", "bias", "late", "stuck", "drop30")},
+    "short sight": lambda log, rng: shortened(log, 0.4 * log.recording.lidar.range_max),
+    "elsewhere": elsewhere,
+    "slipped": lambda log, rng: wheels_times(log, rng, 3.0),
+    "mirrored scans": lambda log, rng: mirrored_scans(log),
+    **{name: MODES[name] for name in ("gap20", "third", "noisy", "jump", "fov120", "noise3")},
+    "repeated": repeated,
+    "counted back": lambda log, rng: wheels_times(log, rng, -1.0),
+    "carried": carried,
+    "yaw bias": yaw_bias,
+    "mirrored odometry": lambda log, rng: mirrored_odometry(log),
+    "long ranges": lambda log, rng: with_ranges(log, 1.05 * log.recording.ranges),
+    "blocked": blocked,
+    "jitter": jitter,
+    "ghosts": ghosts,
+    "floor": floor,
+    "other odometry": lambda log, rng: with_odometry(log, log.odometry[::-1]),
+    "steps of 5 cm": lambda log, rng: with_ranges(log, np.round(20.0 * log.recording.ranges) / 20.0),
+}
+"""How a log is disturbed, by kind; `plain` is undisturbed, and of the half of its case's number."""
+SCORED = (
+    "gap20", "third", "noisy", "fov120", "noise3", "counted back", "carried", "yaw bias", "long ranges",
+    "blocked", "jitter", "ghosts", "floor", "other odometry", "steps of 5 cm",
+)  # fmt: skip
+"""Kinds that only tell how good the self-check is."""

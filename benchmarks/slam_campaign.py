@@ -47,7 +47,7 @@ from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
 SIMULATED = (*MAPPER, "sim")
-DISTURBED = (*MAPPER, "benchmarks/disturb.py")
+DISTURBED = (*MAPPER, "benchmarks/known.py", "benchmarks/disturb.py")
 SYNTHETIC = (*DISTURBED, "sim", *(f"benchmarks/slam_{name}.py" for name in ("logs", "drives", "plans")))
 LIMIT_MINUTES = 30.0
 BASICS = ("case", "scans", "m", "deg", "worst_m")

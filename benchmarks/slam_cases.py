@@ -13,7 +13,7 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image
 
-from benchmarks.disturb import Known, known, outside, shortened, times, with_ranges, with_scans
+from benchmarks.known import Known, known, outside, shortened, times, with_ranges, with_scans
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.disturb import Known
+from benchmarks.known import Known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import crossing, door

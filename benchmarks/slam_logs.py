@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.disturb import Known, blinded, clock_back, shaken_stamps, without
+from benchmarks.known import Known, blinded, clock_back, shaken_stamps, without
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.se2 import Array

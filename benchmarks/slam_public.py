@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.disturb import MODES, chosen, disturbed, known
+from benchmarks.disturb import MODES, disturbed
+from benchmarks.known import chosen, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, mapped, picture
 from benchmarks.slam_logs import LOGS

@@ -3,20 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.disturb import (
-    MODES,
-    Known,
-    around,
-    disturbed,
-    known,
-    mirror,
-    mirrored_scans,
-    places,
-    reverse,
-    steps,
-    with_odometry,
-    with_scans,
-)
+from benchmarks.disturb import MODES, disturbed, mirror, reverse
+from benchmarks.known import Known, around, known, mirrored_scans, places, steps, with_odometry, with_scans
 from benchmarks.slam_cases import VARIANTS
 from benchmarks.slam_detector import KINDS
 from benchmarks.slam_public import by_relations

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.disturb import Known, blinded, clock_back, shaken_stamps, with_scans, without
+from benchmarks.known import Known, blinded, clock_back, shaken_stamps, with_scans, without
 from benchmarks.slam_cases import narrow
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import hall, office_plan

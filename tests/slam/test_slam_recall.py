@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.disturb import Known, interval, without
+from benchmarks.known import Known, interval, without
 from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import WHEELS, office_plan
 from benchmarks.slam_plans import FloorPlan
