@@ -7,22 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.known import (
-    Known,
-    Mask,
-    around,
-    mirrored_scans,
-    outside,
-    places,
-    shortened,
-    steps,
-    times,
-    with_odometry,
-    with_ranges,
-    with_scans,
-    with_steps,
-    without_returns,
-)
+from benchmarks.known import Known, Mask, steps
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
@@ -38,7 +23,7 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
 
 def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
     """Scans of one stretch of the log, (n,)."""
-    return around(log, places(log, 1, rng), share * log.recording.duration())
+    return log.around(log.places(1, rng), share * log.recording.duration())
 
 
 # Scans lost.
@@ -46,7 +31,7 @@ def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
 
 def gaps(log: Known, centres: list[int], seconds: float) -> Known:
     """Scans lost in a stretch about each centre."""
-    return with_scans(log, ~around(log, centres, seconds))
+    return log.with_scans(~log.around(centres, seconds))
 
 
 def carried(log: Known, rng: np.random.Generator) -> Known:
@@ -54,7 +39,7 @@ def carried(log: Known, rng: np.random.Generator) -> Known:
     away = stretch(log, 0.1, rng)
     moved = steps(log.odometry)
     moved[away[:-1]] = 0.0
-    return with_scans(with_steps(log, moved), ~away)
+    return log.with_steps(moved).with_scans(~away)
 
 
 # Odometry.
@@ -65,7 +50,7 @@ def bias(log: Known, rng: np.random.Generator) -> Known:
     moved = steps(log.odometry)
     moved[:, 0] *= 1.05
     moved[:, 2] += np.deg2rad(1.0) * np.abs(moved[:, 0])
-    return with_steps(log, moved)
+    return log.with_steps(moved)
 
 
 def noisy(log: Known, rng: np.random.Generator) -> Known:
@@ -75,53 +60,52 @@ def noisy(log: Known, rng: np.random.Generator) -> Known:
     n = len(moved)
     moved[:, 0] += 0.05 * way * rng.standard_normal(n)
     moved[:, 2] += 0.17 * turn * rng.standard_normal(n) + 0.03 * way * rng.standard_normal(n)
-    return with_steps(log, moved)
+    return log.with_steps(moved)
 
 
 def late(log: Known, rng: np.random.Generator) -> Known:
     """Odometry 0.3 s late."""
-    t, T = times(log.recording), log.odometry
+    t, T = log.times, log.odometry
     order = np.argsort(t, kind="stable")
     yaw = np.unwrap(T.yaw[order])
     x, y, yaw = (np.interp(t - 0.3, t[order], values) for values in (T.x[order], T.y[order], yaw))
-    return with_odometry(log, SE2.from_xyt(x, y, yaw))
+    return log.with_odometry(SE2.from_xyt(x, y, yaw))
 
 
 def stuck(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that stands still for 3 s in five turns, and never makes up for it."""
     moved = steps(log.odometry)
-    moved[around(log, places(log, 5), 3.0)[:-1]] = 0.0
-    return with_steps(log, moved)
+    moved[log.around(log.places(5), 3.0)[:-1]] = 0.0
+    return log.with_steps(moved)
 
 
 def jump(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that jumps by 2 m and 60 degrees three times."""
     moved = steps(log.odometry)
-    for i in places(log, 3, rng):
+    for i in log.places(3, rng):
         way = rng.uniform(-np.pi, np.pi)
         moved[i] += [2.0 * np.cos(way), 2.0 * np.sin(way), np.deg2rad(60.0)]
-    return with_steps(log, moved)
+    return log.with_steps(moved)
 
 
 def wheels_times(log: Known, rng: np.random.Generator, factor: float) -> Known:
     """Wheels that say so many times the way for a tenth of the log: spinning, or counting the wrong way."""
     moved = steps(log.odometry)
     moved[stretch(log, 0.1, rng)[:-1], :2] *= factor
-    return with_steps(log, moved)
+    return log.with_steps(moved)
 
 
 def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
     moved = steps(log.odometry)
-    moved[:, 2] += np.deg2rad(1.5) * np.diff(times(log.recording))
-    turned = with_steps(log, moved)
-    return replace(turned, recording=replace(turned.recording, imu=None))
+    moved[:, 2] += np.deg2rad(1.5) * np.diff(log.times)
+    return log.with_steps(moved).recorded(imu=None)
 
 
 def mirrored_odometry(log: Known) -> Known:
     """Left and right wheel exchanged, and no gyro to tell."""
-    log = replace(log, recording=replace(log.recording, imu=None))
-    return with_odometry(log, log.odometry[0] @ mirrored(log.odometry[0].inverse() @ log.odometry))
+    first = log.odometry[0]
+    return log.recorded(imu=None).with_odometry(first @ mirrored(first.inverse() @ log.odometry))
 
 
 # Ranges.
@@ -129,14 +113,14 @@ def mirrored_odometry(log: Known) -> Known:
 
 def drop30(log: Known, rng: np.random.Generator) -> Known:
     """No return on 30 % of the beams."""
-    return without_returns(log, rng.random(log.recording.ranges.shape) < 0.3)
+    return log.without_returns(rng.random(log.recording.ranges.shape) < 0.3)
 
 
 def noise3(log: Known, rng: np.random.Generator) -> Known:
     """Noise of 3 cm on every range."""
     ranges = log.recording.ranges
     noised = np.maximum(ranges + 0.03 * rng.standard_normal(ranges.shape), 0.05)
-    return with_ranges(log, np.where(np.isfinite(ranges), noised, ranges))
+    return log.with_ranges(np.where(np.isfinite(ranges), noised, ranges))
 
 
 def elsewhere(log: Known, rng: np.random.Generator) -> Known:
@@ -145,21 +129,21 @@ def elsewhere(log: Known, rng: np.random.Generator) -> Known:
     other = np.roll(log.recording.ranges, len(there) // 2, axis=0)
     ranges = np.where(there[:, None], other, log.recording.ranges)
     reference = np.where(there[:, None], np.nan, log.reference.xyt)
-    return replace(with_ranges(log, ranges), reference=SE2(reference))
+    return replace(log.with_ranges(ranges), reference=SE2(reference))
 
 
 def repeated(log: Known, rng: np.random.Generator) -> Known:
     """A lidar that says the same for 5 s, three times."""
     index = np.arange(len(log.recording))
-    held = around(log, places(log, 3, rng), 5.0)
-    return with_ranges(log, log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
+    held = log.around(log.places(3, rng), 5.0)
+    return log.with_ranges(log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
 
 
 def blocked(log: Known, rng: np.random.Generator) -> Known:
     """Half of the view is blocked by something 0.3 m away that rides along."""
     r = log.recording
     hidden = wrap(r.lidar.angles - rng.uniform(-np.pi, np.pi)) > 0.0
-    return with_ranges(log, np.where(hidden, np.float32(0.3), r.ranges))
+    return log.with_ranges(np.where(hidden, np.float32(0.3), r.ranges))
 
 
 def ghosts(log: Known, rng: np.random.Generator) -> Known:
@@ -169,7 +153,7 @@ def ghosts(log: Known, rng: np.random.Generator) -> Known:
         first, width = rng.integers(ranges.shape[1]), ranges.shape[1] // 4
         beams = np.arange(first, first + width) % ranges.shape[1]
         ranges[scan, beams] = np.fmin(ranges[scan, beams], rng.uniform(0.4, 2.0))
-    return with_ranges(log, ranges)
+    return log.with_ranges(ranges)
 
 
 def floor(log: Known, rng: np.random.Generator) -> Known:
@@ -178,7 +162,7 @@ def floor(log: Known, rng: np.random.Generator) -> Known:
     ahead = np.cos(r.lidar.angles)
     strip = np.where(ahead > 0.5, 1.5 / np.maximum(ahead, 0.5), np.inf)
     tipped = rng.random(len(r)) < 0.1
-    return with_ranges(log, np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
+    return log.with_ranges(np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
 
 
 # Time.
@@ -190,7 +174,7 @@ def jitter(log: Known, rng: np.random.Generator) -> Known:
     away = rng.uniform(-0.5, 0.5, len(r)) * float(np.median(np.diff(r.stamps_ns)))
     away[[0, -1]] = 0.0
     stamps = np.maximum.accumulate(r.stamps_ns + away.astype(np.int64))
-    return replace(log, recording=replace(r, stamps_ns=stamps + np.arange(len(r))))
+    return log.recorded(stamps_ns=stamps + np.arange(len(r)))
 
 
 # All of it.
@@ -203,7 +187,7 @@ def mirrored(T: SE2) -> SE2:
 
 def mirror(log: Known, rng: np.random.Generator) -> Known:
     """The world in a mirror: left is right for scans, odometry, gyro and truth."""
-    r, imu, pairs = mirrored_scans(log).recording, log.recording.imu, log.relations
+    r, imu, pairs = log.mirrored_scans().recording, log.recording.imu, log.relations
     if r.odometry is not None:
         r = replace(r, odometry=replace(r.odometry, poses=mirrored(r.odometry.poses)))
     if imu is not None:
@@ -232,17 +216,17 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
 
 
 MODES: dict[str, Mode] = {
-    "gap3": lambda log, rng: gaps(log, places(log, 5), 3.0),
-    "gap20": lambda log, rng: gaps(log, places(log, 3, rng), 20.0),
-    "half": lambda log, rng: with_scans(log, slice(None, None, 2)),
-    "third": lambda log, rng: with_scans(log, slice(None, None, 3)),
+    "gap3": lambda log, rng: gaps(log, log.places(5), 3.0),
+    "gap20": lambda log, rng: gaps(log, log.places(3, rng), 20.0),
+    "half": lambda log, rng: log.with_scans(slice(None, None, 2)),
+    "third": lambda log, rng: log.with_scans(slice(None, None, 3)),
     "bias": bias,
     "noisy": noisy,
     "late": late,
     "stuck": stuck,
     "jump": jump,
-    "range8": lambda log, rng: shortened(log, 8.0),
-    "fov120": lambda log, rng: without_returns(log, outside(log, 120.0)),
+    "range8": lambda log, rng: log.shortened(8.0),
+    "fov120": lambda log, rng: log.without_returns(log.outside(120.0)),
     "drop30": drop30,
     "noise3": noise3,
     "mirror": mirror,
@@ -252,23 +236,23 @@ MODES: dict[str, Mode] = {
 and third scan; range8 sees 8 m far, fov120 120 degrees wide."""
 KINDS: dict[str, Mode] = {
     **{name: MODES[name] for name in ("gap3", "half", "bias", "late", "stuck", "drop30")},
-    "short sight": lambda log, rng: shortened(log, 0.4 * log.recording.lidar.range_max),
+    "short sight": lambda log, rng: log.shortened(0.4 * log.recording.lidar.range_max),
     "elsewhere": elsewhere,
     "slipped": lambda log, rng: wheels_times(log, rng, 3.0),
-    "mirrored scans": lambda log, rng: mirrored_scans(log),
+    "mirrored scans": lambda log, rng: log.mirrored_scans(),
     **{name: MODES[name] for name in ("gap20", "third", "noisy", "jump", "fov120", "noise3")},
     "repeated": repeated,
     "counted back": lambda log, rng: wheels_times(log, rng, -1.0),
     "carried": carried,
     "yaw bias": yaw_bias,
     "mirrored odometry": lambda log, rng: mirrored_odometry(log),
-    "long ranges": lambda log, rng: with_ranges(log, 1.05 * log.recording.ranges),
+    "long ranges": lambda log, rng: log.with_ranges(1.05 * log.recording.ranges),
     "blocked": blocked,
     "jitter": jitter,
     "ghosts": ghosts,
     "floor": floor,
-    "other odometry": lambda log, rng: with_odometry(log, log.odometry[::-1]),
-    "steps of 5 cm": lambda log, rng: with_ranges(log, np.round(20.0 * log.recording.ranges) / 20.0),
+    "other odometry": lambda log, rng: log.with_odometry(log.odometry[::-1]),
+    "steps of 5 cm": lambda log, rng: log.with_ranges(np.round(20.0 * log.recording.ranges) / 20.0),
 }
 """How a log is disturbed, by kind; `plain` is undisturbed, and of the half of its case's number."""
 SCORED = (

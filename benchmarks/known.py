@@ -49,26 +49,119 @@ class Known:
             raise ValueError(f"{self.recording.source}: no odometry to disturb")
         return self.recording.T_odom_base
 
+    @property
+    def times(self) -> Array:
+        """Seconds since the first scan, (n,)."""
+        stamps = self.recording.stamps_ns
+        return np.asarray((stamps - stamps[0]) * 1e-9)
+
+    def recorded(self, **changes: Any) -> Known:
+        """The log with something else in its recording."""
+        return replace(self, recording=replace(self.recording, **changes))
+
+    def with_scans(self, keep: Mask | slice) -> Known:
+        """The log with these scans only, and the relations whose two scans are left."""
+        r = self.recording
+        T_odom_base = None if r.T_odom_base is None else r.T_odom_base[keep]
+        recording = replace(r, stamps_ns=r.stamps_ns[keep], ranges=r.ranges[keep], T_odom_base=T_odom_base)
+        pairs = self.relations
+        left = np.ones(len(pairs), dtype=bool)
+        for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
+            left &= nearest(recording.stamps_ns, wanted)[1]
+        kept = {"relations": chosen(pairs, left), "which": self.which[left]}
+        return replace(self, recording=recording, reference=self.reference[keep], **kept)
+
+    def places(self, count: int, rng: np.random.Generator | None = None) -> list[int]:
+        """Up to `count` scans far apart in time: where the robot turns most, or with `rng` anywhere."""
+        t, n = self.times, len(self.recording)
+        turn = np.convolve(np.abs(steps(self.odometry)[:, 2]), np.ones(15), "same")
+        order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
+        margin, apart = min(60, n // 10), min(60.0, self.recording.duration() / (2 * count))
+        found: list[int] = []
+        for i in order[(order >= margin) & (order < n - margin)]:
+            if len(found) < count and all(abs(t[i] - t[j]) > apart for j in found):
+                found.append(int(i))
+        return found
+
+    def around(self, centres: list[int], seconds: float) -> Mask:
+        """Scans within a stretch of so many seconds about one of the centres, (n,)."""
+        t = self.times
+        return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
+
+    def interval(self, start: float, length: float) -> Mask:
+        """Scans of an interval [s since the first], (n,)."""
+        t = self.times
+        return (t >= start) & (t < start + length)
+
+    def without(self, start: float, length: float) -> Known:
+        """The log with the scans of an interval missing [s since its first scan]."""
+        return self.with_scans(~self.interval(start, length))
+
+    def with_odometry(self, T_odom_base: SE2) -> Known:
+        """The log with another odometry at its scans.
+
+        Between two scans the full-rate stream, where there is one, takes its share of what has changed.
+        """
+        r, old = self.recording, self.odometry
+        odometry = r.odometry
+        if odometry is not None:
+            k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
+            extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
+            spans = np.diff(r.stamps_ns)[k]
+            share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
+            within = old[k].inverse() @ odometry.poses
+            poses = T_odom_base[k] @ within @ SE2.identity(len(k)).interpolate(extra, share)
+            odometry = Trajectory(odometry.stamps_ns, poses)
+        return self.recorded(T_odom_base=T_odom_base, odometry=odometry)
+
+    def with_steps(self, moved: ArrayLike) -> Known:
+        """The log whose odometry makes these steps (n - 1, 3) from where it started."""
+        poses = integrate(self.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
+        return self.with_odometry(SE2.from_array(poses))
+
+    def with_ranges(self, ranges: ArrayLike) -> Known:
+        """The log with other ranges (n_scans, n_beams)."""
+        return self.recorded(ranges=np.asarray(ranges, dtype=np.float32))
+
+    def blinded(self, start: float, length: float) -> Known:
+        """The log with NaN-only scans in an interval."""
+        blind = self.interval(start, length)[:, None]
+        return self.with_ranges(np.where(blind, np.nan, self.recording.ranges))
+
+    def without_returns(self, lost: ArrayLike) -> Known:
+        """The log with no return on these beams."""
+        return self.with_ranges(np.where(lost, np.inf, self.recording.ranges))
+
+    def shortened(self, metres: float) -> Known:
+        """No returns from beyond a range."""
+        return self.without_returns(self.recording.ranges > metres)
+
+    def outside(self, degrees: float) -> Mask:
+        """Beams beside a view of so many degrees straight ahead of the lidar, (n_beams,)."""
+        return np.abs(wrap(self.recording.lidar.angles)) > np.deg2rad(0.5 * degrees) + 1e-9
+
+    def mirrored_scans(self) -> Known:
+        """The log whose lidar hangs upside down and does not say so."""
+        lidar = self.recording.lidar
+        lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
+        return self.recorded(lidar=lidar)
+
+    def clock_back(self, start: float, seconds: float) -> Known:
+        """The log whose clock was set back once."""
+        late = self.times >= start
+        return self.recorded(stamps_ns=self.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
+
+    def shaken_stamps(self, share: float, spread: float, seed: int = 1) -> Known:
+        """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
+        rng = stream(seed, "stamps")
+        n = len(self.recording)
+        wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
+        return self.recorded(stamps_ns=self.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
+
 
 def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
     """An undisturbed log."""
     return Known(recording, reference, relations, np.arange(len(relations)))
-
-
-# Scans.
-
-
-def with_scans(log: Known, keep: Mask | slice) -> Known:
-    """The log with these scans only, and the relations whose two scans are left."""
-    r = log.recording
-    T_odom_base = None if r.T_odom_base is None else r.T_odom_base[keep]
-    recording = replace(r, stamps_ns=r.stamps_ns[keep], ranges=r.ranges[keep], T_odom_base=T_odom_base)
-    pairs = log.relations
-    left = np.ones(len(pairs), dtype=bool)
-    for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
-        left &= nearest(recording.stamps_ns, wanted)[1]
-    kept = {"relations": chosen(pairs, left), "which": log.which[left]}
-    return replace(log, recording=recording, reference=log.reference[keep], **kept)
 
 
 def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
@@ -76,65 +169,9 @@ def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
     return Relations(relations.stamps_a_ns[which], relations.stamps_b_ns[which], relations.T_a_b[which])
 
 
-def times(recording: Recording) -> Array:
-    """Seconds since the first scan, (n,)."""
-    return np.asarray((recording.stamps_ns - recording.stamps_ns[0]) * 1e-9)
-
-
-def places(log: Known, count: int, rng: np.random.Generator | None = None) -> list[int]:
-    """Up to `count` scans far from each other in time: where the robot turns most, or with `rng` anywhere."""
-    t, n = times(log.recording), len(log.recording)
-    turn = np.convolve(np.abs(steps(log.odometry)[:, 2]), np.ones(15), "same")
-    order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
-    margin, apart = min(60, n // 10), min(60.0, log.recording.duration() / (2 * count))
-    found: list[int] = []
-    for i in order[(order >= margin) & (order < n - margin)]:
-        if len(found) < count and all(abs(t[i] - t[j]) > apart for j in found):
-            found.append(int(i))
-    return found
-
-
-def around(log: Known, centres: list[int], seconds: float) -> Mask:
-    """Scans within a stretch of so many seconds about one of the centres, (n,)."""
-    t = times(log.recording)
-    return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
-
-
-def interval(log: Known, start: float, length: float) -> Mask:
-    """Scans of an interval [s since the first], (n,)."""
-    t = times(log.recording)
-    return (t >= start) & (t < start + length)
-
-
-def without(log: Known, start: float, length: float) -> Known:
-    """The log with the scans of an interval missing [s since its first scan]."""
-    return with_scans(log, ~interval(log, start, length))
-
-
-# Odometry.
-
-
 def steps(T: SE2) -> Array:
     """Each pose as seen from the one before, (n - 1, 3)."""
     return (T[:-1].inverse() @ T[1:]).xyt
-
-
-def with_odometry(log: Known, T_odom_base: SE2) -> Known:
-    """The log with another odometry at its scans.
-
-    Between two scans the full-rate stream, where there is one, takes its share of what has changed.
-    """
-    r, old = log.recording, log.odometry
-    odometry = r.odometry
-    if odometry is not None:
-        k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
-        extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
-        spans = np.diff(r.stamps_ns)[k]
-        share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
-        within = old[k].inverse() @ odometry.poses
-        poses = T_odom_base[k] @ within @ SE2.identity(len(k)).interpolate(extra, share)
-        odometry = Trajectory(odometry.stamps_ns, poses)
-    return replace(log, recording=replace(r, T_odom_base=T_odom_base, odometry=odometry))
 
 
 @njit(cache=True)
@@ -148,65 +185,3 @@ def integrate(start: Array, steps: Array) -> Array:
         out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
         out[k + 1, 2] = out[k, 2] + steps[k, 2]
     return out
-
-
-def with_steps(log: Known, moved: ArrayLike) -> Known:
-    """The log whose odometry makes these steps (n - 1, 3) from where it started."""
-    poses = integrate(log.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
-    return with_odometry(log, SE2.from_array(poses))
-
-
-# Ranges.
-
-
-def with_ranges(log: Known, ranges: ArrayLike) -> Known:
-    """The log with other ranges (n_scans, n_beams)."""
-    return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
-
-
-def blinded(log: Known, start: float, length: float) -> Known:
-    """The log with NaN-only scans in an interval."""
-    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
-
-
-def without_returns(log: Known, lost: ArrayLike) -> Known:
-    """The log with no return on these beams."""
-    return with_ranges(log, np.where(lost, np.inf, log.recording.ranges))
-
-
-def shortened(log: Known, metres: float) -> Known:
-    """No returns from beyond a range."""
-    return without_returns(log, log.recording.ranges > metres)
-
-
-def outside(log: Known, degrees: float) -> Mask:
-    """Beams beside a view of so many degrees straight ahead of the lidar, (n_beams,)."""
-    return np.abs(wrap(log.recording.lidar.angles)) > np.deg2rad(0.5 * degrees) + 1e-9
-
-
-def mirrored_scans(log: Known) -> Known:
-    """The log whose lidar hangs upside down and does not say so."""
-    lidar = log.recording.lidar
-    lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
-    return replace(log, recording=replace(log.recording, lidar=lidar))
-
-
-# Time.
-
-
-def clock_back(log: Known, start: float, seconds: float) -> Known:
-    """The log whose clock was set back once."""
-    late = times(log.recording) >= start
-    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
-
-
-def shaken_stamps(log: Known, share: float, spread: float, seed: int = 1) -> Known:
-    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
-    rng = stream(seed, "stamps")
-    n = len(log.recording)
-    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
-    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
-
-
-def _stamped(log: Known, stamps: NDArray[np.int64]) -> Known:
-    return replace(log, recording=replace(log.recording, stamps_ns=stamps))

@@ -13,7 +13,7 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image
 
-from benchmarks.known import Known, known, outside, shortened, times, with_ranges, with_scans
+from benchmarks.known import Known, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
@@ -68,7 +68,7 @@ def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tupl
 def warm_up() -> None:
     """Compile the kernels and load the libraries, so that no row pays for it."""
     for name in ("posts-1", "arena-slow-1"):
-        run_slam(with_scans(LOGS[name](), slice(60)).recording, SlamConfig())
+        run_slam(LOGS[name]().with_scans(slice(60)).recording, SlamConfig())
 
 
 def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
@@ -152,26 +152,26 @@ def world_cases(out: Path) -> list[Case]:
 
 def lidar_of(log: Known, metres: float) -> Known:
     """The log of a lidar that reaches so far."""
-    short = shortened(log, metres).recording
-    reach = min(metres, short.lidar.range_max)
-    return replace(log, recording=replace(short, lidar=replace(short.lidar, range_max=reach)))
+    lidar = log.recording.lidar
+    reach = min(metres, lidar.range_max)
+    return log.shortened(metres).recorded(lidar=replace(lidar, range_max=reach))
 
 
 def slower(log: Known, period: float) -> Known:
     """The log of a lidar that takes a scan every so many seconds."""
-    every = round(period / float(np.median(np.diff(times(log.recording)))))
-    return with_scans(log, slice(None, None, max(1, every)))
+    every = round(period / float(np.median(np.diff(log.times))))
+    return log.with_scans(slice(None, None, max(1, every)))
 
 
 def at_range_max(log: Known) -> Known:
     """The log of a driver that says range_max where nothing came back."""
     ranges = log.recording.ranges
-    return with_ranges(log, np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
+    return log.with_ranges(np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
 
 
 def narrow(log: Known) -> Known:
     """The log of a lidar that sees 120 degrees."""
-    return with_ranges(log, np.where(outside(log, 120.0), np.nan, log.recording.ranges))
+    return log.with_ranges(np.where(log.outside(120.0), np.nan, log.recording.ranges))
 
 
 VARIANTS: dict[str, Callable[[Known], Known]] = {

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.known import Known, blinded, clock_back, shaken_stamps, without
+from benchmarks.known import Known
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.se2 import Array
@@ -190,7 +190,7 @@ def _same(log: Known) -> Known:
 
 
 def _gaps(log: Known) -> Known:
-    return without(without(log, 35.0, 3.0), 120.0, 3.0)
+    return log.without(35.0, 3.0).without(120.0, 3.0)
 
 
 MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
@@ -200,9 +200,9 @@ MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
     "slip": ((Lie("slip", 25.0, 5.0), Lie("spin", 110.0, 5.0)), _same, False),
     "jump": ((Lie("jump", 40.0, 0.1), Lie("jump", 150.0, 0.1)), _same, False),
     "gaps": ((), _gaps, False),
-    "blind": ((), lambda log: blinded(blinded(log, 30.0, 2.0), 130.0, 4.0), False),
-    "backwards": ((), lambda log: clock_back(log, 100.0, 40.0), False),
-    "shaken": ((), lambda log: shaken_stamps(log, 0.1, 0.5), False),
+    "blind": ((), lambda log: log.blinded(30.0, 2.0).blinded(130.0, 4.0), False),
+    "backwards": ((), lambda log: log.clock_back(100.0, 40.0), False),
+    "shaken": ((), lambda log: log.shaken_stamps(0.1, 0.5), False),
     "person": ((), _same, True),
     "all": (
         (

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from benchmarks.known import Known, blinded, clock_back, shaken_stamps, with_scans, without
+from benchmarks.known import Known
 from benchmarks.slam_cases import narrow
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import hall, office_plan
@@ -72,10 +72,10 @@ def test_odometry_that_lies_is_found_out(lies):
 
 
 DAMAGES = {
-    "three seconds of scans missing, twice": lambda log: without(without(log, 25.0, 3.0), 70.0, 3.0),
-    "scans of nothing but NaN": lambda log: blinded(blinded(log, 20.0, 2.0), 75.0, 3.0),
-    "clock set back": lambda log: clock_back(log, 50.0, 30.0),
-    "stamps out of order": lambda log: shaken_stamps(log, 0.1, 0.5),
+    "three seconds of scans missing, twice": lambda log: log.without(25.0, 3.0).without(70.0, 3.0),
+    "scans of nothing but NaN": lambda log: log.blinded(20.0, 2.0).blinded(75.0, 3.0),
+    "clock set back": lambda log: log.clock_back(50.0, 30.0),
+    "stamps out of order": lambda log: log.shaken_stamps(0.1, 0.5),
 }
 
 
@@ -226,13 +226,13 @@ def test_log_without_a_single_surface_follows_the_odometry(value):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_wheels_that_suddenly_count_backwards_are_outvoted_by_what_the_scans_see(seed):
     # they do so from the 100th scan on
-    assert worst_tracked(with_scans(made_office(seed, "reverse"), slice(0, 200))) < 0.1
+    assert worst_tracked(made_office(seed, "reverse").with_scans(slice(0, 200))) < 0.1
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_wheels_that_jump_out_of_what_was_seen_are_outvoted_by_what_is_seen_again(seed):
     # they do so at the 750th scan
-    assert worst_tracked(narrow(with_scans(made_office(seed, "jump"), slice(550, 760)))) < 0.1
+    assert worst_tracked(narrow(made_office(seed, "jump").with_scans(slice(550, 760)))) < 0.1
 
 
 def worst_tracked(log: Known) -> float:

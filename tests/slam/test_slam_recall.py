@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.known import Known, interval, without
+from benchmarks.known import Known
 from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import WHEELS, office_plan
 from benchmarks.slam_plans import FloorPlan
@@ -62,22 +62,22 @@ def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
 def displaced(log: Known, start: float, offset: tuple[float, float, float]) -> Known:
     """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
     T = log.odometry
-    first = int(np.argmax(interval(log, start, np.inf)))
+    first = int(np.argmax(log.interval(start, np.inf)))
     moved = (T[first] @ SE2(np.array(offset)) @ T[first].inverse()) @ T[first:]
     xyt = np.concatenate([T.xyt[:first], moved.xyt])
-    return replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt)))
+    return log.recorded(T_odom_base=SE2(xyt))
 
 
 def carried(log: Known, start: float, length: float) -> Known:
     """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
-    away, T = np.flatnonzero(interval(log, start, length)), log.odometry
+    away, T = np.flatnonzero(log.interval(start, length)), log.odometry
     late = (T[away[0]] @ T[away[-1] + 1].inverse() @ T[away[-1] + 1 :]).xyt
     xyt = np.concatenate([T.xyt[: away[-1] + 1], late])
-    return without(replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt))), start, length)
+    return log.recorded(T_odom_base=SE2(xyt)).without(start, length)
 
 
 BREAKS = {
-    "gap in which odometry jumps": lambda log: displaced(without(log, 40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
+    "gap in which odometry jumps": lambda log: displaced(log.without(40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
     "robot carried away": lambda log: carried(log, 55.0, 14.0),
 }
 
@@ -121,7 +121,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
 @pytest.mark.parametrize("there_and_back", [False, True])
 def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
     log = twins(2, rooms=6, there_and_back=there_and_back)
-    log = displaced(without(log, 45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
+    log = displaced(log.without(45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
     assert any("breaks" in reason for reason in result.check.reasons)
