@@ -17,15 +17,15 @@ import numpy as np
 from benchmarks.rows import options, write
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.recover import recover
-from turtlebag.datasets.bags.source import Bag, open_bag
+from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 
 Messages = list[tuple[str, int, bytes]]
 
 
-def messages_of(bag: Bag) -> Messages:
-    return [(m.topic.name, m.log_time_ns, m.data) for m in bag.messages()]
+def messages_of(path: Path) -> Messages:
+    return [(m.topic.name, m.log_time_ns, m.data) for m in open_bag(path).messages()]
 
 
 def judged(judge: Callable[[], str]) -> str:
@@ -39,7 +39,7 @@ def judged(judge: Callable[[], str]) -> str:
 def read(path: Path, whole: Messages) -> str:
     """What reading a damaged mcap came to."""
     bag = open_bag(path)
-    got = messages_of(bag)
+    got = [(message.topic.name, message.log_time_ns, message.data) for message in bag.messages()]
     if got != whole[: len(got)]:
         return "BAD: wrong data"
     if bag.notes:
@@ -59,7 +59,7 @@ def recovered(path: Path, folder: Path, whole: Messages) -> str:
     """Recovery gives a whole bag whose messages are all genuine and in their order."""
     recover(path, folder)
     rest = iter(whole)
-    if not all(any(message == other for other in rest) for message in messages_of(open_bag(folder))):
+    if not all(any(message == other for other in rest) for message in messages_of(folder)):
         return "BAD: recovered a message that was never written"
     return "recovered"
 
@@ -89,7 +89,7 @@ def campaign(bag: Path, count: int, seed: int, scratch: Path) -> Iterator[tuple[
     to_ros1_bag(bag, scratch / "a.bag")
     to_sqlite3(bag, scratch / "a")
     for file in (next(bag.glob("*.mcap")), scratch / "a.bag", next((scratch / "a").glob("*.db3"))):
-        content, whole = file.read_bytes(), messages_of(open_bag(file))
+        content, whole = file.read_bytes(), messages_of(file)
         kind, path = file.suffix[1:], scratch / f"damaged{file.suffix}"
         for name, damages in (("cut", cuts), ("flip", flips)):
             for k, damaged in enumerate(damages(content, count, np.random.default_rng(seed))):

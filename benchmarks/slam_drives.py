@@ -125,11 +125,15 @@ def at_times(poses: Array, times: Array) -> SE2:
 
 def follow(route: Array, drive: Drive, pace: float = 0.0) -> Array:
     """True poses (n, 3) at steps of DT along a polyline, by pure pursuit."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
-    s = np.arange(0.0, length[-1], 0.02)
-    dense = np.stack([np.interp(s, length, route[:, 0]), np.interp(s, length, route[:, 1])], axis=1)
-    driven = _pursue(dense, drive.v, drive.w, drive.dv, drive.dw, drive.ahead)
+    driven = _pursue(points_along(route, 0.02), drive.v, drive.w, drive.dv, drive.dw, drive.ahead)
     return np.concatenate([np.repeat(driven[:1], round(pace / DT), axis=0), driven])
+
+
+def points_along(route: Array, step: float) -> Array:
+    """Points (m, 2) every so many metres along a polyline (n, 2)."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
+    s = np.arange(0.0, length[-1], step)
+    return np.stack([np.interp(s, length, route[:, 0]), np.interp(s, length, route[:, 1])], axis=1)
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from benchmarks.known import Known
-from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, points_along, sick
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
@@ -278,9 +278,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
     a, b = 6.0, size - 4.0
     lap = [(b, a), (b, b), (a, b), (a, a)]
     route = np.array([(a + 2.0, a), *lap, *lap, (a + 4.0, a)])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
-    along = np.arange(0.0, length[-1], 0.1)
-    driven = np.stack([np.interp(along, length, route[:, k]) for k in (0, 1)], axis=1)
+    driven = points_along(route, 0.1)
     placed = np.empty((0, 2))
     for xy in rng.uniform(1.3, size + 0.7, (20 * round(density * size * size), 2)):
         apart = np.linalg.norm(placed - xy, axis=1).min(initial=np.inf)

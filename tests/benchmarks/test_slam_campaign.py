@@ -12,10 +12,11 @@ import pytest
 
 from benchmarks import rows as frame
 from benchmarks import slam_campaign
+from benchmarks.disturb import KINDS, SCORED
 from benchmarks.numbers import counted
 from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
-from benchmarks.slam_detector import KINDS, SCORED, detection, detector_cases, judged, spread
+from benchmarks.slam_detector import detection, detector_cases, judged, spread
 from benchmarks.slam_parts import NUMBERS
 from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam.slam import SlamConfig

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.disturb import MODES, disturbed, mirror, reverse
+from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
 from benchmarks.known import Known, known, steps
 from benchmarks.slam_cases import VARIANTS
-from benchmarks.slam_detector import KINDS
 from benchmarks.slam_public import by_relations
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.relations import Relations
