@@ -28,7 +28,7 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.drives import INTEL, PLACES, Maps, Place, Sweep, built_map, kidnapped
-from benchmarks.rows import Row, Rows, options, public, share, write
+from benchmarks.rows import Row, Rows, options, parts_of, public, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
@@ -208,18 +208,16 @@ TABLES: dict[str, Callable[[Session], Iterator[Row]]] = {
 
 def main() -> None:
     """Print and write the tables."""
-    parts = (*TABLES, *EPISODES)
     parser = options(__doc__, "data/benchmarks/localise", "shorter drives, 10 episodes instead of 100")
-    parser.add_argument("parts", nargs="*", choices=parts, metavar="PART", help=f"of {', '.join(parts)}")
+    parts_of(parser, (*TABLES, *EPISODES))
     parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
     args = parser.parse_args()
-    asked = args.parts or list(parts)
     for sensors in args.sensors:
         session = Session(sensors, args.out / sensors, args.quick)
-        for name in [name for name in TABLES if name in asked]:
+        for name in [name for name in TABLES if name in args.parts]:
             write(session.out, name, list(TABLES[name](session)))
-        if kinds := [part for part in EPISODES if part in asked]:
+        if kinds := [part for part in EPISODES if part in args.parts]:
             count = args.episodes or (10 if args.quick else 100)
             write(session.out, "finding", list(finding(kinds, session.places["house"], count, session.out)))
 

@@ -8,7 +8,7 @@ import csv
 import json
 import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -27,6 +27,18 @@ def options(doc: str, out: str = "data/benchmarks", quick: str = "") -> argparse
         parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
     return parser
+
+
+def parts_of(parser: argparse.ArgumentParser, parts: Collection[str]) -> None:
+    """Words of the command line that say which parts of a benchmark are wanted: without any, all."""
+
+    def known(word: str) -> str:
+        if word not in parts:
+            raise argparse.ArgumentTypeError(f"no {word!r}: there are {', '.join(parts)}")
+        return word
+
+    told = f"of {', '.join(parts)} (default: all)"
+    parser.add_argument("parts", nargs="*", type=known, default=list(parts), metavar="PART", help=told)
 
 
 def public(*names: str) -> Path | None:

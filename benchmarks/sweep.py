@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.rows import Row, held_mb, options, write
+from benchmarks.rows import Row, held_mb, options, parts_of, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Run, Where
 from turtlebag.pipeline.campaign.cases import cases
@@ -177,12 +177,12 @@ PARTS: dict[str, Callable[[Namespace, Path], list[Row]]] = {
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
     parser = options(__doc__, "data/benchmarks/sweep")
-    parser.add_argument("parts", nargs="*", choices=PARTS, metavar="PART", help="these (default: all)")
+    parts_of(parser, PARTS)
     parser.add_argument("--cases", type=int, default=10_000, metavar="N", help="empty cases")
     parser.add_argument("--rows", type=int, default=1_000_000, metavar="N", help="rows of the table")
     args = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
-        for name in args.parts or PARTS:
+        for name in args.parts:
             write(args.out, name, PARTS[name](args, Path(scratch)))
 
 

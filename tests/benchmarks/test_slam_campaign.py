@@ -130,6 +130,17 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
     assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
 
 
+def test_parts_that_are_not_named_are_all_of_them_and_an_unknown_one_is_an_error(capsys):
+    parser = frame.options("Some tables.")
+    frame.parts_of(parser, {"a": 1, "b": 2})
+    assert parser.parse_args([]).parts == ["a", "b"]
+    assert parser.parse_args(["b"]).parts == ["b"]
+    with pytest.raises(SystemExit) as ended:
+        parser.parse_args(["c"])
+    assert ended.value.code == 2
+    assert "no 'c': there are a, b" in capsys.readouterr().err
+
+
 def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):
     monkeypatch.setattr(frame, "ROOT", tmp_path)
     file, found = tmp_path / "a.py", []
