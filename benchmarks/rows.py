@@ -1,4 +1,4 @@
-"""The frame of the benchmarks: cases, their rows (one JSON line each, kept), shares, and tables of them."""
+"""The frame of the benchmarks: command line, cases, their rows (one JSON line each, kept), shares, and tables."""
 
 from __future__ import annotations
 
