@@ -1,4 +1,4 @@
-"""The frame of the benchmarks: command line, cases, their rows (one JSON line each, kept), shares, and tables."""
+"""The frame of the benchmarks: command lines, cases, their rows (one JSON line each, kept), and tables."""
 
 from __future__ import annotations
 
