@@ -5,7 +5,6 @@ python -m benchmarks.bags_damage [--count 500] [--quick] [--seed 0] [--out DIR]
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections import Counter
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import write
+from benchmarks.rows import options, write
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
@@ -110,17 +109,14 @@ def main() -> int:
     sys.path.append(str(Path(__file__).parents[1] / "tests"))
     from bag_samples import write_drive
 
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options(__doc__, quick="40 of each kind")
     parser.add_argument("--count", type=int, default=500)
-    parser.add_argument("--quick", action="store_true", help="40 of each kind")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         write_drive(scratch / "bag", seconds=20)
         counts = Counter(campaign(scratch / "bag", 40 if args.quick else args.count, args.seed, scratch))
-    args.out.mkdir(parents=True, exist_ok=True)
     rows = [{"what": what, "outcome": outcome, "count": n} for (what, outcome), n in sorted(counts.items())]
     write(args.out, "bags_damage", rows)
     return int(any(outcome.startswith("BAD") for _, outcome in counts))

@@ -1,62 +1,19 @@
-"""Logs made harder, each in one known way, together with what is known of them: relations and true poses.
-
-Each way is a function of a `Known` and a Generator. What is done to the scans of a log, to its odometry and
-to its time is done to its truth as well, so that the new log is scored as the old one was.
-"""
+"""Logs made harder, each in one known way: a function of a `Known` and a Generator."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from turtlebag.datasets.kernels import njit
+from benchmarks.known import Known, Mask, steps
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import ImuLog, Recording, Trajectory
-from turtlebag.reports.metrics.relations import nearest
+from turtlebag.datasets.types import ImuLog, Trajectory
 
-Mask = NDArray[np.bool_]
-NO_RELATIONS = Relations(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), SE2.identity(0))
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """A log and what is known of it.
-
-    `reference` holds a pose for each scan (n,), NaN where nobody knows it; `which` says which of the
-    undisturbed log's relations are left.
-    """
-
-    recording: Recording
-    reference: SE2
-    relations: Relations = NO_RELATIONS
-    which: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    @property
-    def truth(self) -> Trajectory:
-        """The reference as a trajectory."""
-        return Trajectory(self.recording.stamps_ns, self.reference)
-
-    @property
-    def odometry(self) -> SE2:
-        """Odometry at each scan; ValueError when the log has none."""
-        if self.recording.T_odom_base is None:
-            raise ValueError(f"{self.recording.source}: no odometry to disturb")
-        return self.recording.T_odom_base
-
-
-Kind = TypeVar("Kind", bound=Known)
-
-
-def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATIONS) -> Known:
-    """An undisturbed log."""
-    return Known(recording, reference, relations, np.arange(len(relations)))
+Mode = Callable[[Known, np.random.Generator], Known]
 
 
 def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
@@ -64,103 +21,28 @@ def disturbed(log: Known, mode: str, seed: int = 1) -> Known:
     return MODES[mode](log, stream(seed, mode))
 
 
+def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
+    """Scans of one stretch of the log, (n,)."""
+    return log.around(log.places(1, rng), share * log.recording.duration())
+
+
 # Scans lost.
-
-
-def with_scans(log: Kind, keep: Mask | slice) -> Kind:
-    """The log with these scans only, and the relations whose two scans are left."""
-    r = log.recording
-    recording = replace(
-        r,
-        stamps_ns=r.stamps_ns[keep],
-        ranges=r.ranges[keep],
-        T_odom_base=None if r.T_odom_base is None else r.T_odom_base[keep],
-    )
-    pairs = log.relations
-    left = np.ones(len(pairs), dtype=bool)
-    for wanted in (pairs.stamps_a_ns, pairs.stamps_b_ns):
-        left &= nearest(recording.stamps_ns, wanted)[1]
-    kept = {"relations": chosen(pairs, left), "which": log.which[left]}
-    return replace(log, recording=recording, reference=log.reference[keep], **kept)
-
-
-def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
-    """Some of the relations, by index or mask."""
-    return Relations(relations.stamps_a_ns[which], relations.stamps_b_ns[which], relations.T_a_b[which])
-
-
-def times(recording: Recording) -> Array:
-    """Seconds since the first scan, (n,)."""
-    return np.asarray((recording.stamps_ns - recording.stamps_ns[0]) * 1e-9)
-
-
-def places(log: Known, count: int, rng: np.random.Generator | None = None) -> list[int]:
-    """Up to `count` scans far from each other in time: where the robot turns most, or with `rng` anywhere."""
-    t, n = times(log.recording), len(log.recording)
-    turn = np.convolve(np.abs(steps(log.odometry)[:, 2]), np.ones(15), "same")
-    order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
-    margin, apart = min(60, n // 10), min(60.0, log.recording.duration() / (2 * count))
-    found: list[int] = []
-    for i in order[(order >= margin) & (order < n - margin)]:
-        if len(found) < count and all(abs(t[i] - t[j]) > apart for j in found):
-            found.append(int(i))
-    return found
-
-
-def around(log: Known, centres: list[int], seconds: float) -> Mask:
-    """Scans within a stretch of so many seconds about one of the centres, (n,)."""
-    t = times(log.recording)
-    return (np.abs(t[:, None] - t[centres]) <= 0.5 * seconds).any(axis=1)
 
 
 def gaps(log: Known, centres: list[int], seconds: float) -> Known:
     """Scans lost in a stretch about each centre."""
-    return with_scans(log, ~around(log, centres, seconds))
+    return log.with_scans(~log.around(centres, seconds))
+
+
+def carried(log: Known, rng: np.random.Generator) -> Known:
+    """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
+    away = stretch(log, 0.1, rng)
+    moved = steps(log.odometry)
+    moved[away[:-1]] = 0.0
+    return log.with_steps(moved).with_scans(~away)
 
 
 # Odometry.
-
-
-def steps(T: SE2) -> Array:
-    """Each pose as seen from the one before, (n - 1, 3)."""
-    return (T[:-1].inverse() @ T[1:]).xyt
-
-
-def with_odometry(log: Known, T_odom_base: SE2) -> Known:
-    """The log with another odometry at its scans.
-
-    Between two scans the full-rate stream, where there is one, takes its share of what has changed.
-    """
-    r, old = log.recording, log.odometry
-    odometry = r.odometry
-    if odometry is not None:
-        k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
-        extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
-        spans = np.diff(r.stamps_ns)[k]
-        share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
-        within = old[k].inverse() @ odometry.poses
-        poses = T_odom_base[k] @ within @ SE2.identity(len(k)).interpolate(extra, share)
-        odometry = Trajectory(odometry.stamps_ns, poses)
-    return replace(log, recording=replace(r, T_odom_base=T_odom_base, odometry=odometry))
-
-
-@njit(cache=True)
-def integrate(start: Array, steps: Array) -> Array:
-    """Poses (n + 1, 3) from a first one (3,) and the steps (n, 3) from each to the next."""
-    out = np.empty((len(steps) + 1, 3))
-    out[0] = start
-    for k in range(len(steps)):
-        c, s = math.cos(out[k, 2]), math.sin(out[k, 2])
-        out[k + 1, 0] = out[k, 0] + c * steps[k, 0] - s * steps[k, 1]
-        out[k + 1, 1] = out[k, 1] + s * steps[k, 0] + c * steps[k, 1]
-        out[k + 1, 2] = out[k, 2] + steps[k, 2]
-    return out
-
-
-def with_steps(log: Known, moved: ArrayLike) -> Known:
-    """The log whose odometry makes these steps (n - 1, 3) from where it started."""
-    poses = integrate(log.odometry.xyt[0], np.asarray(moved, dtype=np.float64))
-    return with_odometry(log, SE2.from_array(poses))
 
 
 def bias(log: Known, rng: np.random.Generator) -> Known:
@@ -168,78 +50,131 @@ def bias(log: Known, rng: np.random.Generator) -> Known:
     moved = steps(log.odometry)
     moved[:, 0] *= 1.05
     moved[:, 2] += np.deg2rad(1.0) * np.abs(moved[:, 0])
-    return with_steps(log, moved)
+    return log.with_steps(moved)
 
 
 def noisy(log: Known, rng: np.random.Generator) -> Known:
     """Wheel noise of 5 % of the way, and of 10 degrees a radian turned."""
     moved = steps(log.odometry)
     way, turn = np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2])
-    moved[:, 0] += 0.05 * way * rng.standard_normal(len(moved))
-    moved[:, 2] += 0.17 * turn * rng.standard_normal(len(moved)) + 0.03 * way * rng.standard_normal(
-        len(moved)
-    )
-    return with_steps(log, moved)
+    n = len(moved)
+    moved[:, 0] += 0.05 * way * rng.standard_normal(n)
+    moved[:, 2] += 0.17 * turn * rng.standard_normal(n) + 0.03 * way * rng.standard_normal(n)
+    return log.with_steps(moved)
 
 
 def late(log: Known, rng: np.random.Generator) -> Known:
     """Odometry 0.3 s late."""
-    t, T = times(log.recording), log.odometry
+    t, T = log.times, log.odometry
     order = np.argsort(t, kind="stable")
     yaw = np.unwrap(T.yaw[order])
     x, y, yaw = (np.interp(t - 0.3, t[order], values) for values in (T.x[order], T.y[order], yaw))
-    return with_odometry(log, SE2.from_xyt(x, y, yaw))
+    return log.with_odometry(SE2.from_xyt(x, y, yaw))
 
 
 def stuck(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that stands still for 3 s in five turns, and never makes up for it."""
     moved = steps(log.odometry)
-    moved[around(log, places(log, 5), 3.0)[:-1]] = 0.0
-    return with_steps(log, moved)
+    moved[log.around(log.places(5), 3.0)[:-1]] = 0.0
+    return log.with_steps(moved)
 
 
 def jump(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that jumps by 2 m and 60 degrees three times."""
     moved = steps(log.odometry)
-    for i in places(log, 3, rng):
+    for i in log.places(3, rng):
         way = rng.uniform(-np.pi, np.pi)
         moved[i] += [2.0 * np.cos(way), 2.0 * np.sin(way), np.deg2rad(60.0)]
-    return with_steps(log, moved)
+    return log.with_steps(moved)
+
+
+def wheels_times(log: Known, rng: np.random.Generator, factor: float) -> Known:
+    """Wheels that say so many times the way for a tenth of the log: spinning, or counting the wrong way."""
+    moved = steps(log.odometry)
+    moved[stretch(log, 0.1, rng)[:-1], :2] *= factor
+    return log.with_steps(moved)
+
+
+def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
+    """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
+    moved = steps(log.odometry)
+    moved[:, 2] += np.deg2rad(1.5) * np.diff(log.times)
+    return log.with_steps(moved).recorded(imu=None)
+
+
+def mirrored_odometry(log: Known) -> Known:
+    """Left and right wheel exchanged, and no gyro to tell."""
+    first = log.odometry[0]
+    return log.recorded(imu=None).with_odometry(first @ mirrored(first.inverse() @ log.odometry))
 
 
 # Ranges.
 
 
-def with_ranges(log: Kind, ranges: ArrayLike) -> Kind:
-    """The log with other ranges (n_scans, n_beams)."""
-    return replace(log, recording=replace(log.recording, ranges=np.asarray(ranges, dtype=np.float32)))
-
-
-def without_returns(log: Known, lost: ArrayLike) -> Known:
-    """The log with no return on these beams."""
-    return with_ranges(log, np.where(lost, np.inf, log.recording.ranges))
-
-
-def shortened(log: Known, metres: float) -> Known:
-    """No returns from beyond a range."""
-    return without_returns(log, log.recording.ranges > metres)
-
-
-def outside(log: Known, degrees: float) -> Mask:
-    """Beams beside a view of so many degrees straight ahead of the lidar, (n_beams,)."""
-    return np.abs(wrap(log.recording.lidar.angles)) > np.deg2rad(0.5 * degrees) + 1e-9
-
-
 def drop30(log: Known, rng: np.random.Generator) -> Known:
     """No return on 30 % of the beams."""
-    return without_returns(log, rng.random(log.recording.ranges.shape) < 0.3)
+    return log.without_returns(rng.random(log.recording.ranges.shape) < 0.3)
 
 
 def noise3(log: Known, rng: np.random.Generator) -> Known:
     """Noise of 3 cm on every range."""
     ranges = log.recording.ranges
     noised = np.maximum(ranges + 0.03 * rng.standard_normal(ranges.shape), 0.05)
-    return with_ranges(log, np.where(np.isfinite(ranges), noised, ranges))
+    return log.with_ranges(np.where(np.isfinite(ranges), noised, ranges))
+
+
+def elsewhere(log: Known, rng: np.random.Generator) -> Known:
+    """A tenth of the scans were taken at another time, half a log away."""
+    there = stretch(log, 0.1, rng)
+    other = np.roll(log.recording.ranges, len(there) // 2, axis=0)
+    ranges = np.where(there[:, None], other, log.recording.ranges)
+    reference = np.where(there[:, None], np.nan, log.reference.xyt)
+    return replace(log.with_ranges(ranges), reference=SE2(reference))
+
+
+def repeated(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that says the same for 5 s, three times."""
+    index = np.arange(len(log.recording))
+    held = log.around(log.places(3, rng), 5.0)
+    return log.with_ranges(log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
+
+
+def blocked(log: Known, rng: np.random.Generator) -> Known:
+    """Half of the view is blocked by something 0.3 m away that rides along."""
+    r = log.recording
+    hidden = wrap(r.lidar.angles - rng.uniform(-np.pi, np.pi)) > 0.0
+    return log.with_ranges(np.where(hidden, np.float32(0.3), r.ranges))
+
+
+def ghosts(log: Known, rng: np.random.Generator) -> Known:
+    """People about: a fifth of all scans have a quarter of their beams end somewhere short."""
+    ranges = log.recording.ranges.copy()
+    for scan in np.flatnonzero(rng.random(len(ranges)) < 0.2):
+        first, width = rng.integers(ranges.shape[1]), ranges.shape[1] // 4
+        beams = np.arange(first, first + width) % ranges.shape[1]
+        ranges[scan, beams] = np.fmin(ranges[scan, beams], rng.uniform(0.4, 2.0))
+    return log.with_ranges(ranges)
+
+
+def floor(log: Known, rng: np.random.Generator) -> Known:
+    """A lidar that tips forward when it brakes: a tenth of the scans see the floor 1.5 m ahead."""
+    r = log.recording
+    ahead = np.cos(r.lidar.angles)
+    strip = np.where(ahead > 0.5, 1.5 / np.maximum(ahead, 0.5), np.inf)
+    tipped = rng.random(len(r)) < 0.1
+    return log.with_ranges(np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
+
+
+# Time.
+
+
+def jitter(log: Known, rng: np.random.Generator) -> Known:
+    """Stamps of scans that are off by up to half the time between two."""
+    r = log.recording
+    away = rng.uniform(-0.5, 0.5, len(r)) * float(np.median(np.diff(r.stamps_ns)))
+    away[[0, -1]] = 0.0
+    stamps = np.maximum.accumulate(r.stamps_ns + away.astype(np.int64))
+    return log.recorded(stamps_ns=stamps + np.arange(len(r)))
 
 
 # All of it.
@@ -250,30 +185,15 @@ def mirrored(T: SE2) -> SE2:
     return SE2.from_array(T.xyt * [1.0, -1.0, -1.0])
 
 
-def mirrored_scans(log: Known) -> Known:
-    """The log whose lidar hangs upside down and does not say so."""
-    lidar = log.recording.lidar
-    lidar = replace(lidar, angle_min=-lidar.angle_min, angle_increment=-lidar.angle_increment)
-    return replace(log, recording=replace(log.recording, lidar=lidar))
-
-
 def mirror(log: Known, rng: np.random.Generator) -> Known:
     """The world in a mirror: left is right for scans, odometry, gyro and truth."""
-    r, pairs = mirrored_scans(log).recording, log.relations
-    imu, odometry = r.imu, r.odometry
-    recording = replace(
-        r,
-        T_base_lidar=mirrored(r.T_base_lidar),
-        T_odom_base=mirrored(log.odometry),
-        odometry=None if odometry is None else replace(odometry, poses=mirrored(odometry.poses)),
-        imu=None
-        if imu is None
-        else ImuLog(
-            imu.stamps_ns,
-            imu.angular_velocity * [-1.0, 1.0, -1.0],
-            imu.linear_acceleration * [1.0, -1.0, 1.0],
-        ),
-    )
+    r, imu, pairs = log.mirrored_scans().recording, log.recording.imu, log.relations
+    if r.odometry is not None:
+        r = replace(r, odometry=replace(r.odometry, poses=mirrored(r.odometry.poses)))
+    if imu is not None:
+        turned, pushed = imu.angular_velocity * [-1.0, 1.0, -1.0], imu.linear_acceleration * [1.0, -1.0, 1.0]
+        r = replace(r, imu=ImuLog(imu.stamps_ns, turned, pushed))
+    recording = replace(r, T_base_lidar=mirrored(r.T_base_lidar), T_odom_base=mirrored(log.odometry))
     relations = replace(pairs, T_a_b=mirrored(pairs.T_a_b))
     return replace(log, recording=recording, reference=mirrored(log.reference), relations=relations)
 
@@ -284,36 +204,29 @@ def reverse(log: Known, rng: np.random.Generator) -> Known:
     if r.lidar.time_increment != 0.0:
         raise ValueError(f"{r.source}: a turning lidar cannot be played backwards")
     ends = r.stamps_ns[0] + r.stamps_ns[-1]
-    odometry, imu = r.odometry, r.imu
-    recording = replace(
-        r,
-        stamps_ns=ends - r.stamps_ns[::-1],
-        ranges=r.ranges[::-1],
-        T_odom_base=log.odometry[::-1],
-        odometry=None
-        if odometry is None
-        else Trajectory(ends - odometry.stamps_ns[::-1], odometry.poses[::-1]),
-        imu=None
-        if imu is None
-        else ImuLog(ends - imu.stamps_ns[::-1], -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]),
-    )
+    if (driven := r.odometry) is not None:
+        r = replace(r, odometry=Trajectory(ends - driven.stamps_ns[::-1], driven.poses[::-1]))
+    if (imu := r.imu) is not None:
+        turned, pushed = -imu.angular_velocity[::-1], imu.linear_acceleration[::-1]
+        r = replace(r, imu=ImuLog(ends - imu.stamps_ns[::-1], turned, pushed))
+    stamps, T_odom_base = ends - r.stamps_ns[::-1], log.odometry[::-1]
+    recording = replace(r, stamps_ns=stamps, ranges=r.ranges[::-1], T_odom_base=T_odom_base)
     relations = Relations(ends - pairs.stamps_a_ns, ends - pairs.stamps_b_ns, pairs.T_a_b)
     return replace(log, recording=recording, reference=log.reference[::-1], relations=relations)
 
 
-Mode = Callable[[Known, np.random.Generator], Known]
 MODES: dict[str, Mode] = {
-    "gap3": lambda log, rng: gaps(log, places(log, 5), 3.0),
-    "gap20": lambda log, rng: gaps(log, places(log, 3, rng), 20.0),
-    "half": lambda log, rng: with_scans(log, slice(None, None, 2)),
-    "third": lambda log, rng: with_scans(log, slice(None, None, 3)),
+    "gap3": lambda log, rng: gaps(log, log.places(5), 3.0),
+    "gap20": lambda log, rng: gaps(log, log.places(3, rng), 20.0),
+    "half": lambda log, rng: log.with_scans(slice(None, None, 2)),
+    "third": lambda log, rng: log.with_scans(slice(None, None, 3)),
     "bias": bias,
     "noisy": noisy,
     "late": late,
     "stuck": stuck,
     "jump": jump,
-    "range8": lambda log, rng: shortened(log, 8.0),
-    "fov120": lambda log, rng: without_returns(log, outside(log, 120.0)),
+    "range8": lambda log, rng: log.shortened(8.0),
+    "fov120": lambda log, rng: log.without_returns(log.outside(120.0)),
     "drop30": drop30,
     "noise3": noise3,
     "mirror": mirror,
@@ -321,3 +234,29 @@ MODES: dict[str, Mode] = {
 }
 """gap3 loses 3 s of scans in each of five turns, gap20 20 s three times; half and third keep every second
 and third scan; range8 sees 8 m far, fov120 120 degrees wide."""
+KINDS: dict[str, Mode] = {
+    **{name: MODES[name] for name in ("gap3", "half", "bias", "late", "stuck", "drop30")},
+    "short sight": lambda log, rng: log.shortened(0.4 * log.recording.lidar.range_max),
+    "elsewhere": elsewhere,
+    "slipped": lambda log, rng: wheels_times(log, rng, 3.0),
+    "mirrored scans": lambda log, rng: log.mirrored_scans(),
+    **{name: MODES[name] for name in ("gap20", "third", "noisy", "jump", "fov120", "noise3")},
+    "repeated": repeated,
+    "counted back": lambda log, rng: wheels_times(log, rng, -1.0),
+    "carried": carried,
+    "yaw bias": yaw_bias,
+    "mirrored odometry": lambda log, rng: mirrored_odometry(log),
+    "long ranges": lambda log, rng: log.with_ranges(1.05 * log.recording.ranges),
+    "blocked": blocked,
+    "jitter": jitter,
+    "ghosts": ghosts,
+    "floor": floor,
+    "other odometry": lambda log, rng: log.with_odometry(log.odometry[::-1]),
+    "steps of 5 cm": lambda log, rng: log.with_ranges(np.round(20.0 * log.recording.ranges) / 20.0),
+}
+"""How a log is disturbed, by kind; `plain` is undisturbed, and of the half of its case's number."""
+SCORED = (
+    "gap20", "third", "noisy", "fov120", "noise3", "counted back", "carried", "yaw bias", "long ranges",
+    "blocked", "jitter", "ghosts", "floor", "other odometry", "steps of 5 cm",
+)  # fmt: skip
+"""Kinds that only tell how good the self-check is."""

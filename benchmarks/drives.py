@@ -23,6 +23,10 @@ from turtlebag.sim.worlds import load_world
 
 KEPT = 15  # control steps that surely reach back to a scan's stamp
 V, W = 0.22, 0.9
+PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
+"""The tutorial's worlds, each with its robot."""
+INTEL = ("radish", "intel.clf.bz2")
+"""Where the log of the Intel lab lies in the public data."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,13 @@ def kidnapped(before: list[Sweep], after: list[Sweep]) -> list[Sweep]:
     return before + carried
 
 
+def built_map(source: Path, folder: Path) -> Path:
+    """Our map of a log, made once: its folder."""
+    if not (folder / "manifest.json").exists():
+        build_map(source, folder, force=True)
+    return folder
+
+
 class Maps:
     """Maps made by our own SLAM from a recorded tour, kept below a folder by world, robot and sensors."""
 
@@ -92,8 +103,7 @@ class Maps:
         if not (place / "map" / "manifest.json").exists():
             sim = SimConfig(sensors=self._sensors)
             record(world, robot, "tour", 1, place / "record", sim=sim, force=True)
-            build_map(place / "record", place / "map", force=True)
-        return place / "map" / "map.yaml"
+        return built_map(place / "record", place / "map") / "map.yaml"
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:
         """map.yaml of a world as it is."""

@@ -9,7 +9,6 @@ an empty folder, twice: the first time compiles the numeric kernels.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -19,10 +18,9 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.rows import write
+from benchmarks.rows import ROOT, Row, options, write
 from turtlebag.pipeline.setup.short_chain import SCRIPT
 
-ROOT = Path(__file__).parents[1]
 NOT_COPIED = (".*", "__pycache__", "*.egg-info", "build", "data", "dist", "docs", "tests")
 CHAIN = {
     "record": "--world turtlebot3_world --teleop trial.yaml --seed 1 --out rec",
@@ -39,14 +37,7 @@ def built(folder: Path) -> Path:
     with tempfile.TemporaryDirectory() as name:
         copy = Path(name) / "checkout"
         shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*NOT_COPIED))
-        done = subprocess.run(
-            [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, copy],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    if done.returncode:
-        raise RuntimeError(f"the wheel was not built:\n{done.stdout}{done.stderr}")
+        run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder.absolute(), copy], copy)
     (wheel,) = folder.glob("*.whl")
     return wheel
 
@@ -73,7 +64,7 @@ def run(command: Sequence[str | Path], folder: Path, **variables: str) -> tuple[
     return done.stdout, time.monotonic() - begin
 
 
-def measure(python: str, folder: Path) -> Iterator[dict[str, object]]:
+def measure(python: str, folder: Path) -> Iterator[Row]:
     """A row for each step, with its wall time."""
     environment, beside = folder / "environment", folder / "beside"
     beside.mkdir()
@@ -96,9 +87,8 @@ def measure(python: str, folder: Path) -> Iterator[dict[str, object]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--python", default=sys.executable, help="Python to install for")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         rows = list(measure(args.python, Path(name)))

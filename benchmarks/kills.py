@@ -2,7 +2,7 @@
 
 python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--seed 0] [--out DIR]
 
-A small chain with every command that writes is made once undisturbed. Then each is killed with
+A small chain with every command that writes (kills.yaml) is made once undisturbed. Then each is killed with
 SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
 finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
 disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
@@ -13,8 +13,6 @@ the imports, so that the moments fall into the stage's work and not into its sta
 
 from __future__ import annotations
 
-import argparse
-import csv
 import ctypes
 import importlib
 import mmap
@@ -28,14 +26,15 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from benchmarks.rows import write
+from benchmarks.rows import options, write
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter
@@ -46,35 +45,13 @@ from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.cli.main import main as turtlebag
 from turtlebag.pipeline.stages.record import record
 
+Outcome = tuple[str, str, str]
+"""Stage, moment of the kill [s] or hindrance, and what came of it."""
 DONE = (0, 1)
 """Exit codes of complete outputs; a drive of some seconds does not reach everything."""
 READ = ("record", "map", "navigate", "record3d")
 """Stages that others read."""
-TELEOP = "name: short\nv: 0.2\nw: 0.8\nsteps:\n  - {through: [[-1.2, -0.55]]}\n"
-WAYPOINTS = "waypoints:\n  - {x: -1.8, y: -0.5, yaw: 0.0}\n"
-SESSION = """\
-version: 1
-world: turtlebot3_world
-robot: burger
-seed: 3
-inputs:
-- {at: 0.0, do: record, name: drive}
-- {at: 0.0, do: map_start}
-- {begin: 0.2, end: 4.0, v: 0.15, w: 0.3}
-- {at: 4.0, do: map_save, name: small}
-- {at: 4.0, do: avoid}
-- {at: 8.0, do: end}
-"""
-CAMPAIGN = """\
-name: small
-question: Does it go on where it was killed?
-factors: {seed: {first: 1, last: 3}}
-stages:
-  record: "record --world turtlebot3_world --teleop TELEOP --seed {seed}"
-  map: "map {record} --truth {record}/truth"
-results: {ate_m: "map:ate_m.rmse"}
-figures: [{x: seed, y: ate_m, title: Error}]
-"""
+CHAIN = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 
 
 def load_everything() -> None:
@@ -82,39 +59,15 @@ def load_everything() -> None:
     for name in ("datasets", "sim", "planners", "reports", "pipeline"):
         package = importlib.import_module(f"turtlebag.{name}")
         for module in pkgutil.walk_packages(package.__path__, f"turtlebag.{name}."):
-            if not module.name.endswith("__main__"):
+            # Of what `turtlebag` itself lies in, `envs` needs a package that is not always there.
+            if not module.name.endswith(("__main__", ".envs")):
                 importlib.import_module(module.name)
 
 
-def commands(chain: Path) -> dict[str, list[str]]:
-    """The stages in order, each reading its inputs from `chain`; `--out` is for the caller to add."""
-    record, built = f"{chain}/record", f"{chain}/map"
-    world, script = "--world turtlebot3_world --seed 3", f"--teleop {chain}/short.yaml"
-    grid, told = f"--map {built}/map.yaml", "--initial-pose start"
-    lines = {
-        "record": f"record {world} {script}",
-        "map": f"map {record} --truth {record}/truth --explain",
-        "navigate": f"navigate {world} --task patrol --waypoints {chain}/one.yaml --timeout 30 {grid} {told}",
-        "report": f"report {record} {built} {chain}/navigate",
-        "goal": f"navigate {world} --task goal --goal=-1.8,-0.5,0 {grid} {told}",
-        "avoid": f"navigate {world} --task avoid --duration 5",
-        "explore": f"navigate {world} --task explore --duration 5",
-        "localise": f"localise {record} {grid} --initial-pose=-2,-0.5,0",
-        "plan": f"plan {grid} --start=-2,-0.5,0 --goal=0,2,0",
-        "compare": f"compare {built} {built}",
-        "blame": f"blame {record} --replace odometry",
-        "convert": f"bag convert {record}",
-        "sqlite3": f"bag convert {record} --storage sqlite3",
-        "ros1.bag": f"bag convert {record}",
-        "recover": f"bag recover {record}",
-        "world.png": "world show turtlebot3_world",
-        "sweep": f"sweep {chain}/campaign.yaml --workers 1",
-        "studio": f"studio --replay {chain}/session.yaml",
-        "record3d": f"record {world} --robot waffle_pi_3d {script}",
-        "map3d": f"map {chain}/record3d --topic /points --truth {chain}/record3d/truth",
-    }
-    split = {name: line.split() for name, line in lines.items()}
-    return {name: [verb, "-q", *words] for name, (verb, *words) in split.items()}
+def command(chain: Path, stage: str, out: Path) -> list[str]:
+    """The command line of a stage that reads its inputs from `chain`."""
+    verb, *words = CHAIN["commands"][stage].replace("CHAIN", str(chain)).split()
+    return [verb, "-q", *words, "--out", str(out)]
 
 
 def hashes(out: Path) -> dict[str, str]:
@@ -149,18 +102,16 @@ def finish(pid: int) -> int:
 
 def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
     """Make the chain; seconds each stage of `only` (empty: all) takes, measured on a second run of it."""
-    (chain / "short.yaml").write_text(TELEOP)
-    (chain / "one.yaml").write_text(WAYPOINTS)
-    (chain / "session.yaml").write_text(SESSION)
-    (chain / "campaign.yaml").write_text(CAMPAIGN.replace("TELEOP", f"{chain}/short.yaml"))
+    for name, content in CHAIN["files"].items():
+        (chain / name).write_text(yaml.safe_dump(content, sort_keys=False).replace("CHAIN", str(chain)))
     took = {}
-    for stage, words in commands(chain).items():
+    for stage in CHAIN["commands"]:
         if only and stage not in {*only, *READ}:
             continue
         again = [chain / "again" / stage] if stage in only or not only else []
         for out in (chain / stage, *again):
             begun = time.perf_counter()
-            code = finish(start([*words, "--out", str(out)], chain / "stderr"))
+            code = finish(start(command(chain, stage, out), chain / "stderr"))
             if code not in DONE:
                 raise SystemExit(f"{stage}: exit {code}: {(chain / 'stderr').read_text().strip()}")
             took[stage] = time.perf_counter() - begun
@@ -174,7 +125,7 @@ def undisturbed(chain: Path, only: Sequence[str]) -> dict[str, float]:
 def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     """Outcome of a stage killed after `after_s` seconds and started again."""
     out, errors = folder / stage, folder / "stderr"
-    words = [*commands(chain)[stage], "--out", str(out)]
+    words = command(chain, stage, out)
     pid = start(words, errors)
     time.sleep(after_s)
     os.killpg(pid, signal.SIGKILL) if os.getpgid(pid) == pid else os.kill(pid, signal.SIGKILL)
@@ -195,47 +146,26 @@ def one_kill(chain: Path, stage: str, after_s: float, folder: Path) -> str:
     return "killed after the last step, whole" if whole else "killed, started again: same bytes"
 
 
-def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> list[tuple[str, str, str]]:
-    """(stage, moment [s], outcome) of `count` real kills; runs that were quicker than the kill are extra."""
+def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> Iterator[Outcome]:
+    """`count` real kills; runs that were quicker than the kill are extra."""
     rng = np.random.default_rng(seed)
-    rows = []
     for number, stage in enumerate(took):
         wanted = (count + number) // len(took)
         while wanted:
             after_s = float(rng.uniform(0.0, took[stage]))
             with tempfile.TemporaryDirectory() as name:
                 outcome = one_kill(chain, stage, after_s, Path(name))
-            rows.append((stage, f"{after_s:.3f}", outcome))
+            yield stage, f"{after_s:.3f}", outcome
             if outcome == "finished before the kill":
                 took[stage] *= 0.95  # the machine is less busy than it was
             else:
                 wanted -= 1
-    return rows
 
 
-def hindered(chain: Path, stage: str, words: list[str], before: Callable[[], object], parent: Path) -> str:
-    """Outcome of a stage that cannot write below `parent`."""
-    errors = chain / "stderr"
-    present = set(parent.iterdir())
-    code = finish(start([*words, "--out", str(parent / stage)], errors, before))
-    said = errors.read_text().strip()
-    # A campaign goes on where it stopped, when there is room again.
-    left = {path.name for path in set(parent.iterdir()) - present} - {"sweep.partial"}
-    if code != 2 or "\n" in said or not said.startswith("turtlebag: "):
-        return f"BAD: exit {code}: {said[-200:]}"
-    return f"BAD: left behind {', '.join(sorted(left))}" if left else f"exit 2: {said}"
-
-
-def mounted(folder: Path, options: str) -> bool:
-    """Whether a tmpfs could be mounted there."""
-    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
-    return subprocess.run(command, capture_output=True).returncode == 0
-
-
-def no_files_beyond(size: int) -> None:
-    """Files of this process may not grow beyond `size` bytes; writing more is an error, not a signal."""
+def small_files_only() -> None:
+    """Files of this process may not grow beyond 1000 bytes; writing more is an error, not a signal."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
 
 def without_privileges() -> None:
@@ -245,42 +175,52 @@ def without_privileges() -> None:
         raise OSError(ctypes.get_errno(), "capset")
 
 
-def hindrances(chain: Path, stages: Iterable[str]) -> list[tuple[str, str, str]]:
-    """(stage, hindrance, outcome) of the stages with every hindrance."""
-    rows = []
+HINDRANCES: dict[str, tuple[str, Callable[[], object]]] = {
+    "disk full": ("size=4k", int),
+    "file size limit": ("", small_files_only),
+    "read-only": ("ro", int),
+    "no permission": ("", without_privileges),
+}
+"""How the folder is mounted, if it is, and what the process does to itself before."""
+
+
+def hindrances(chain: Path, stages: Iterable[str]) -> Iterator[Outcome]:
+    """The stages with every hindrance."""
     for stage in stages:
-        words = commands(chain)[stage]
-        for what in ("disk full", "file size limit", "read-only", "no permission"):
+        for what in HINDRANCES:
             with tempfile.TemporaryDirectory() as name:
-                parent = Path(name)
-                rows.append((stage, what, one_hindrance(chain, stage, words, what, parent)))
-    return rows
+                yield stage, what, one_hindrance(chain, stage, what, Path(name))
 
 
-def one_hindrance(chain: Path, stage: str, words: list[str], what: str, parent: Path) -> str:
-    """Outcome of one stage with one hindrance, or why it could not be tried."""
-    if what == "file size limit":
-        return hindered(chain, stage, words, lambda: no_files_beyond(1000), parent)
+def one_hindrance(chain: Path, stage: str, what: str, parent: Path) -> str:
+    """Outcome of a stage that cannot write below `parent`, or why it could not be tried."""
+    options, before = HINDRANCES[what]
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(parent)]
+    if options and subprocess.run(mount, capture_output=True).returncode:
+        return "not tried: no tmpfs can be mounted here"
     if what == "no permission":
         parent.chmod(0o555)
-        return hindered(chain, stage, words, without_privileges, parent)
-    if not mounted(parent, "size=4k" if what == "disk full" else "ro"):
-        return "not tried: no tmpfs can be mounted here"
+    errors = chain / "stderr"
     try:
-        return hindered(chain, stage, words, lambda: None, parent)
+        code = finish(start(command(chain, stage, parent / stage), errors, before))
+        # A campaign goes on where it stopped, when there is room again.
+        left = {path.name for path in parent.iterdir()} - {"sweep.partial"}
     finally:
-        subprocess.run(["umount", str(parent)], check=True)
+        if options:
+            subprocess.run(["umount", str(parent)], check=True)
+    said = errors.read_text().strip()
+    if code != 2 or "\n" in said or not said.startswith("turtlebag: "):
+        return f"BAD: exit {code}: {said[-200:]}"
+    return f"BAD: left behind {', '.join(sorted(left))}" if left else f"exit 2: {said}"
 
 
-def recoveries(folder: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
-    """("recover", moment [s], outcome) of recordings killed at a moment of their data and recovered."""
+def recoveries(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
+    """Recordings killed at a moment of their data and recovered."""
     folder.mkdir()
     record("turtlebot3_world", None, "tour", 1, folder / "whole")
     full_s = max(m.log_time_ns for m in open_bag(folder / "whole").messages()) * 1e-9
-    moments = np.random.default_rng(seed).uniform(0.0, full_s, count)
-    return [
-        ("recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)) for k, at in enumerate(moments)
-    ]
+    for k, at in enumerate(np.random.default_rng(seed).uniform(0.0, full_s, count)):
+        yield "recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)
 
 
 def one_recovery(out: Path, kill_s: float, full_s: float) -> str:
@@ -296,19 +236,8 @@ def one_recovery(out: Path, kill_s: float, full_s: float) -> str:
 
         BagWriter.observation = told  # type: ignore[method-assign]
 
-    words = [
-        "record",
-        "-q",
-        "--world",
-        "turtlebot3_world",
-        "--teleop",
-        "tour",
-        "--seed",
-        "1",
-        "--out",
-        str(out),
-    ]
-    pid = start(words, out.with_name("stderr"), tell)
+    words = ["record", "-q", "--world", "turtlebot3_world", "--teleop", "tour", "--seed", "1", "--out"]
+    pid = start([*words, str(out)], out.with_name("stderr"), tell)
     while int.from_bytes(progress[:8], "little") * 1e-9 < kill_s and not out.exists():
         time.sleep(0.0005)
     os.kill(pid, signal.SIGKILL)
@@ -342,30 +271,27 @@ def looks_whole(bag: Path) -> bool:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, quick="one kill each")
     parser.add_argument("--count", type=int, default=190)
-    parser.add_argument("--quick", action="store_true", help="one kill each")
     parser.add_argument(
-        "--only", nargs="+", default=[], choices=commands(Path()), metavar="STAGE", help="kill these alone"
+        "--only", nargs="+", default=[], choices=CHAIN["commands"], metavar="STAGE", help="kill these alone"
     )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     load_everything()
     with tempfile.TemporaryDirectory() as name:
         chain = Path(name)
         took = undisturbed(chain, args.only)
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
-        rows = kills(chain, took, len(took) if args.quick else args.count, args.seed)
-        rows += hindrances(chain, took)
+        found = [*kills(chain, took, len(took) if args.quick else args.count, args.seed)]
+        found += hindrances(chain, took)
         if "record" in took:
-            rows += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
-    args.out.mkdir(parents=True, exist_ok=True)
-    with (args.out / "kills.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([("stage", "after_s_or_hindrance", "outcome"), *rows])
-    counts = Counter((stage, outcome.partition(";")[0]) for stage, _, outcome in rows)
+            found += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
+    names = ("stage", "after_s_or_hindrance", "outcome")
+    write(args.out, "kills", [dict(zip(names, one, strict=True)) for one in found], show=False)
+    counts = Counter((stage, outcome.partition(";")[0]) for stage, _, outcome in found)
     write(args.out, "kills-summary", [{"n": n, "stage": s, "outcome": o} for (s, o), n in counts.items()])
-    return int(any(outcome.startswith("BAD") for _, _, outcome in rows))
+    return int(any(outcome.startswith("BAD") for _, _, outcome in found))
 
 
 if __name__ == "__main__":

@@ -18,18 +18,17 @@ where it was stopped. Times are CPU times.
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
-from benchmarks.drives import Maps, Place, Sweep, kidnapped
-from benchmarks.rows import Row, Rows, share, write
+from benchmarks.drives import INTEL, PLACES, Maps, Place, Sweep, built_map, kidnapped
+from benchmarks.rows import Row, Rows, options, parts_of, public, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
@@ -39,10 +38,8 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.stages.localise import run_amcl
-from turtlebag.pipeline.stages.map import build_map
 from turtlebag.sim.simulator import Sensors
 
-PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
@@ -118,13 +115,10 @@ def models(session: Session) -> Iterator[Row]:
 
 def intel(session: Session) -> Iterator[Row]:
     """AMCL along a real log on our map of it, against the SLAM trajectory, by where it was told to start."""
-    source = Path(os.environ.get("TURTLEBAG_DATA", "")) / "radish" / "intel.clf.bz2"
-    if not source.is_file():
+    if (source := public(*INTEL)) is None:
         print("log: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         return
-    built = session.out / "intel_map"
-    if not (built / "manifest.json").is_file():
-        build_map(source, built, force=True)
+    built = built_map(source, session.out / "intel_map")
     recording, grid = load_recording(source), load_map(built / "map.yaml")
     slam = load_tum(built / "trajectory.tum").poses
     for label, start in (("told", slam[0]), ("global", "global")):
@@ -214,23 +208,16 @@ TABLES: dict[str, Callable[[Session], Iterator[Row]]] = {
 
 def main() -> None:
     """Print and write the tables."""
-    parts = (*TABLES, *EPISODES)
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}")
-    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
-    parser.add_argument("--quick", action="store_true", help="shorter drives, 10 episodes instead of 100")
+    parser = options(__doc__, "data/benchmarks/localise", "shorter drives, 10 episodes instead of 100")
+    parts_of(parser, (*TABLES, *EPISODES))
+    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each kind (default: 100)")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/localise"))
     args = parser.parse_args()
-    asked = args.parts or list(parts)
-    if unknown := set(asked) - set(parts):
-        parser.error(f"unknown part {', '.join(sorted(unknown))}")
     for sensors in args.sensors:
         session = Session(sensors, args.out / sensors, args.quick)
-        session.out.mkdir(parents=True, exist_ok=True)
-        for name in [name for name in TABLES if name in asked]:
+        for name in [name for name in TABLES if name in args.parts]:
             write(session.out, name, list(TABLES[name](session)))
-        if kinds := [part for part in EPISODES if part in asked]:
+        if kinds := [part for part in EPISODES if part in args.parts]:
             count = args.episodes or (10 if args.quick else 100)
             write(session.out, "finding", list(finding(kinds, session.places["house"], count, session.out)))
 

@@ -10,7 +10,6 @@ nothing that matters are listed in mutants_equivalent.yaml with the reason, and 
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import resource
@@ -26,9 +25,8 @@ from typing import Any
 import yaml
 
 from benchmarks.mutants_draw import FOLDERS, Mutant, draw
-from benchmarks.rows import Rows, interval
+from benchmarks.rows import ROOT, Rows, interval, options
 
-ROOT = Path(__file__).parents[1]
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.yaml")
 CAUGHT = ("failed", "timeout")
 GRACE_S, COMPILE_S = 20.0, 150.0
@@ -51,14 +49,8 @@ class Tree:
         }  # fmt: skip
         self._usual: dict[str, float] = {}
         shutil.rmtree(self.path, ignore_errors=True)
-        listed = subprocess.run(
-            ["git", "ls-files", "-co", "--exclude-standard"],
-            cwd=root,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        for name in listed.stdout.splitlines():
+        listing = ["git", "ls-files", "-co", "--exclude-standard"]
+        for name in subprocess.check_output(listing, cwd=root, text=True).splitlines():
             if (root / name).is_file():
                 (self.path / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(root / name, self.path / name)
@@ -78,18 +70,8 @@ class Tree:
     def run(self, tests: Tests, cpu_s: float) -> tuple[str, str]:
         """How a run of tests ended (survived, failed, timeout), and the first test that failed."""
         files, mark = tests
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-x",
-            "-rfE",
-            "--tb=no",
-            "--assert=plain",
-            "-m",
-            mark,
-            *files,
-        ]
+        options = ("-x", "-rfE", "--tb=no", "--assert=plain", "-m", mark)
+        command = [sys.executable, "-m", "pytest", *options, *files]
         with self._log.open("w") as log:
             child = subprocess.Popen(
                 command, cwd=self.path, env=self._environment, stdout=log, stderr=log,
@@ -162,15 +144,11 @@ def report(rows: list[dict[str, Any]], equivalent: dict[str, str]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = options(__doc__, "data/benchmarks/mutants")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--survivors", action="store_true", help="try those again that nothing noticed")
-    parser.add_argument("--out", type=Path, default=ROOT / "data/benchmarks/mutants")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     equivalent = yaml.safe_load(EQUIVALENT.read_text()) or {}
     rows = Rows(args.out / f"seed-{args.seed}.jsonl")
     tree = Tree(ROOT, args.out.resolve())

@@ -15,18 +15,18 @@ ones, as scenarios "patrol, clean" and so on. Rows are written as they come: sta
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import time
 from pathlib import Path
+from typing import get_args
 
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
 from benchmarks.drives import Maps
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_rows import failures, refused_row, row_of, summary
-from benchmarks.rows import Row, Rows, write
+from benchmarks.rows import Row, Rows, options, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.recorder import NoBag
@@ -34,7 +34,7 @@ from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate_in
 from turtlebag.sim.simulator import Sensors, Simulator
 
-SENSORS: tuple[Sensors, ...] = ("realistic", "clean")
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 AVOID_S, QUICK_AVOID_S = 600.0, 120.0
 EXPLORE_S = 1800.0
 
@@ -44,9 +44,7 @@ def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
     name = scenario.name if sensors == "realistic" else f"{scenario.name}, {sensors}"
 
     def make(seed: int) -> Case:
-        case = scenario.make(seed)
-        sim = case.config.sim.model_copy(update={"sensors": sensors})
-        return dataclasses.replace(case, name=name, config=case.config.model_copy(update={"sim": sim}))
+        return dataclasses.replace(scenario.make(seed).simulated(sensors=sensors), name=name)
 
     return dataclasses.replace(scenario, name=name, make=make)
 
@@ -116,8 +114,7 @@ def campaign(chosen: list[Scenario], rows: Rows, first: int, episodes: int | Non
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a few short episodes of each")
+    parser = options(__doc__, quick="a few short episodes of each")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these scenarios")
     parser.add_argument("--sensors", choices=SENSORS, default="realistic", help="without --only: which set")
     parser.add_argument("--episodes", type=int, metavar="N", help="episodes of each scenario")
@@ -126,7 +123,6 @@ def main() -> None:
     parser.add_argument(
         "--maps", type=Path, default=Path("data/benchmarks/maps"), help="folder that keeps the maps"
     )
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
     args = parser.parse_args()
     sets = {
         sensors: [with_sensors(s, sensors) for s in scenarios(Maps(args.maps, sensors), args.quick)]
@@ -139,7 +135,6 @@ def main() -> None:
     chosen = [scenario for scenario in known if scenario.name in names]
     if args.replay:
         raise SystemExit(replay(chosen[0], int(args.replay[1]), args.out))
-    args.out.mkdir(parents=True, exist_ok=True)
     rows = Rows(args.out / "navigate.jsonl")
     campaign(chosen, rows, args.first, args.episodes, args.quick)
     found = {s.name: [row for row in rows.all if row["scenario"] == s.name] for s in known}

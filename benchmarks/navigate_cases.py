@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.drives import Maps
+from benchmarks.drives import PLACES, Maps
+from benchmarks.rows import public
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -30,11 +31,8 @@ ROOM_M = 0.05
 GOALS_PER_WORLD = 5
 NEW_WORLDS_FROM = 7000
 """Generated worlds of the benchmark have numbers from here on: nothing else uses those."""
-
-
 APART_M = 1.5
 """Nobody walks nearer than this to a robot that has just been put down."""
-CONTROL_PLACES = {"arena": ("turtlebot3_world", "burger"), "house": ("turtlebot3_house", "waffle_pi")}
 CONTROLLERS = {
     "pursuit": NavigateConfig(),
     "dwa": NavigateConfig(controller="dwa"),
@@ -63,6 +61,20 @@ class Case:
     wanted: str = "reached"
     within: tuple[float, float] = (0.05, math.radians(5.0))
     seen: float = 0.0
+
+    @property
+    def start(self) -> SE2:
+        """Where the robot is put down."""
+        return self.world.spawn if self.request.start is None else self.request.start
+
+    def asked(self, **changes: Any) -> Case:
+        """The case with another request."""
+        return dataclasses.replace(self, request=dataclasses.replace(self.request, **changes))
+
+    def simulated(self, **changes: Any) -> Case:
+        """The case with other settings of the simulator, which the driver is not told of."""
+        sim = self.config.sim.model_copy(update=changes)
+        return dataclasses.replace(self, config=self.config.model_copy(update={"sim": sim}))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,17 +110,12 @@ def pose_on(grid: OccupancyGrid, cells: np.ndarray, rng: np.random.Generator) ->
     return SE2.from_xyt(x, y, rng.uniform(-math.pi, math.pi))
 
 
-def goal_request(seed: int, map_path: Path, start: SE2, goal: SE2) -> Request:
-    """From a start that the robot is told to a goal, with five minutes for it."""
-    return Request(
-        task="goal",
-        seed=seed,
-        map_path=map_path,
-        initial_pose="start",
-        start=start,
-        goal=goal,
-        timeout_s=300.0,
-    )
+def goal_case(
+    name: str, seed: int, world: World, robot: RobotSpec, path: Path, start: SE2, goal: SE2, **more: Any
+) -> Case:
+    """From a start that the robot is told to a goal on a map, with five minutes for it."""
+    request = Request("goal", seed, path, initial_pose="start", start=start, goal=goal, timeout_s=300.0)
+    return Case(name, seed, world, robot, request, **more)
 
 
 def patrol(maps: Maps, name: str, seed: int) -> Case:
@@ -118,25 +125,28 @@ def patrol(maps: Maps, name: str, seed: int) -> Case:
     return Case(name, seed, world, robot, Request("patrol", seed, path, initial_pose="start"))
 
 
+def house_robot(seed: int) -> str:
+    """waffle_pi and burger in turn."""
+    return ("waffle_pi", "burger")[seed % 2]
+
+
 def house_goal(maps: Maps, robot: str, name: str, seed: int) -> Case:
     """A random reachable start and goal in the house."""
-    world, spec, grid, cells = named_floor("turtlebot3_house", robot)
-    rng = stream(seed, name)
-    start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
-    path = maps.slam("turtlebot3_house", robot)
-    return Case(name, seed, world, spec, goal_request(seed, path, start, goal))
+    return _random_goal(maps, "turtlebot3_house", robot, name, seed)
 
 
 def new_world_goal(maps: Maps, name: str, seed: int) -> Case:
     """A random reachable start and goal in an office or a maze that is used for a few goals only."""
     number = seed // GOALS_PER_WORLD
-    world_name = f"{('office', 'maze')[number % 2]}:{NEW_WORLDS_FROM + number}"
-    robot = ("burger", "waffle_pi")[number // 2 % 2]
-    world, spec, grid, cells = named_floor(world_name, robot)
-    rng = stream(seed, name)
+    world = f"{('office', 'maze')[number % 2]}:{NEW_WORLDS_FROM + number}"
+    return _random_goal(maps, world, ("burger", "waffle_pi")[number // 2 % 2], name, seed)
+
+
+def _random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Case:
+    loaded, spec, grid, cells = named_floor(world, robot)
+    rng, path = stream(seed, name), maps.slam(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
-    path = maps.slam(world_name, robot)
-    return Case(name, seed, world, spec, goal_request(seed, path, start, goal))
+    return goal_case(name, seed, loaded, spec, path, start, goal)
 
 
 def avoid(mode: str, duration: float, name: str, seed: int) -> Case:
@@ -163,31 +173,30 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
 
     Movers that do not yield walk on whoever stands in their way.
     """
-    robot_name = ("waffle_pi", "burger")[seed % 2]
-    world, robot = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3"), load_robot(robot_name)
+    robot = load_robot(house_robot(seed))
+    world = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3")
     movers = tuple(dataclasses.replace(mover, yields=yields) for mover in world.movers)
     world, rng = dataclasses.replace(world, movers=movers), stream(seed, name)
     grid, cells = floor(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     while min(np.linalg.norm(mover.path[0] - start.xy) for mover in movers) < APART_M:
         start = pose_on(grid, cells, rng)
-    path = maps.slam("turtlebot3_house", robot_name)
-    return Case(name, seed, world, robot, goal_request(seed, path, start, goal))
+    return goal_case(name, seed, world, robot, maps.slam("turtlebot3_house", robot.name), start, goal)
 
 
 def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Case:
     """A random goal on the true map, the same for every controller."""
-    world, robot, grid, cells = named_floor(*CONTROL_PLACES[place])
+    world, robot, grid, cells = named_floor(*PLACES[place])
     rng = stream(seed, f"controllers {place}")
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
-    request = goal_request(seed, maps.true(place, grid), start, goal)
-    return Case(name, seed, world, robot, request, CONTROLLERS[controller])
+    path, config = maps.true(place, grid), CONTROLLERS[controller]
+    return goal_case(name, seed, world, robot, path, start, goal, config=config)
 
 
 def barn_worlds() -> list[Path]:
     """The BARN worlds in TURTLEBAG_DATA/barn; none when that is not set."""
-    folder = Path(os.environ.get("TURTLEBAG_DATA", "")) / "barn"
-    found = folder.glob("world_*.world") if os.environ.get("TURTLEBAG_DATA") else ()
+    folder = public("barn")
+    found = folder.glob("world_*.world") if folder else ()
     return sorted(found, key=lambda p: int(p.stem.split("_")[1]))
 
 

@@ -11,7 +11,16 @@ import math
 import numpy as np
 
 from benchmarks.drives import Maps
-from benchmarks.navigate_cases import Case, floor, goal_request, house_goal, named_floor, patrol, pose_on
+from benchmarks.navigate_cases import (
+    Case,
+    floor,
+    goal_case,
+    house_goal,
+    house_robot,
+    named_floor,
+    patrol,
+    pose_on,
+)
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -30,40 +39,25 @@ DOORS = ((2.3, 0.4, 1), (2.3, 4.63, 1), (-6.3092, 0.925, 0), (6.2195, -0.175, 0)
 DOOR_M, THICK_M = 0.9, 0.15
 
 
-def house_robot(seed: int) -> str:
-    """waffle_pi and burger in turn."""
-    return ("waffle_pi", "burger")[seed % 2]
-
-
 def drive_to(maps: Maps, place: str, name: str, seed: int) -> Case:
     """What is done while the fault happens: the patrol in the arena, a far goal in the house."""
     if place == "arena":
         return patrol(maps, name, seed)
     for attempt in range(1000):
         case = house_goal(maps, house_robot(seed), name, seed + 100_000 * attempt)
-        start, goal = case.request.start, case.request.goal
-        assert start is not None
-        assert goal is not None
-        if np.linalg.norm(start.xy - goal.xy) > FAR_M:
-            request = dataclasses.replace(case.request, seed=seed)
-            return dataclasses.replace(case, seed=seed, request=request)
+        assert case.request.goal is not None
+        if np.linalg.norm(case.start.xy - case.request.goal.xy) > FAR_M:
+            return dataclasses.replace(case.asked(seed=seed), seed=seed)
     raise ValueError("no two places so far apart")
-
-
-def with_faults(case: Case, faults: FaultConfig) -> Case:
-    """The case with faults of the simulator, which the driver is not told of."""
-    sim = case.config.sim.model_copy(update={"faults": faults})
-    return dataclasses.replace(case, config=case.config.model_copy(update={"sim": sim}))
 
 
 def offset(maps: Maps, place: str, name: str, seed: int) -> Case:
     """The robot is told a pose that is wrong by 0.5 m and 30 degrees."""
     case = drive_to(maps, place, name, seed)
     rng = stream(seed, "offset")
-    start = case.world.spawn if case.request.start is None else case.request.start
     angle, sign = rng.uniform(-math.pi, math.pi), rng.choice([-1.0, 1.0])
-    wrong = start @ SE2.from_xyt(OFF_M * math.cos(angle), OFF_M * math.sin(angle), sign * OFF_RAD)
-    return dataclasses.replace(case, request=dataclasses.replace(case.request, initial_pose=wrong))
+    wrong = case.start @ SE2.from_xyt(OFF_M * math.cos(angle), OFF_M * math.sin(angle), sign * OFF_RAD)
+    return case.asked(initial_pose=wrong)
 
 
 def kidnap(maps: Maps, place: str, name: str, seed: int) -> Case:
@@ -71,13 +65,10 @@ def kidnap(maps: Maps, place: str, name: str, seed: int) -> Case:
     case = drive_to(maps, place, name, seed)
     rng = stream(seed, "kidnap")
     grid, cells = allowed_floor(case, place)
-    start = case.world.spawn if case.request.start is None else case.request.start
-    while True:
-        pose = pose_on(grid, cells, rng)
-        if np.linalg.norm(pose.xy - start.xy) > CARRIED_M:
-            break
+    while np.linalg.norm((pose := pose_on(grid, cells, rng)).xy - case.start.xy) <= CARRIED_M:
+        pass
     when = rng.uniform(20.0, 60.0) if place == "arena" else rng.uniform(6.0, 14.0)
-    return with_faults(case, FaultConfig(kidnap=((when, *pose.xyt.tolist()),)))
+    return case.simulated(faults=FaultConfig(kidnap=((when, *pose.xyt.tolist()),)))
 
 
 def allowed_floor(case: Case, place: str) -> tuple[OccupancyGrid, np.ndarray]:
@@ -95,7 +86,7 @@ def slip(maps: Maps, place: str, name: str, seed: int) -> Case:
     first, second = rng.uniform(5.0, 10.0), rng.uniform(14.0, 20.0)
     one = (0.6, 0.0) if rng.random() < 0.5 else (0.0, 0.6)
     spans = ((first, first + 2.0, 0.7, 0.7), (second, second + 2.0, *one))
-    return with_faults(drive_to(maps, place, name, seed), FaultConfig(slip=spans))
+    return drive_to(maps, place, name, seed).simulated(faults=FaultConfig(slip=spans))
 
 
 def dropout(maps: Maps, place: str, name: str, seed: int) -> Case:
@@ -103,16 +94,17 @@ def dropout(maps: Maps, place: str, name: str, seed: int) -> Case:
     rng = stream(seed, "dropout")
     first, second = rng.uniform(4.0, 10.0), rng.uniform(14.0, 20.0)
     spans = ((first, first + 2.0), (second, second + 2.0))
-    return with_faults(drive_to(maps, place, name, seed), FaultConfig(scan_silent=spans))
+    return drive_to(maps, place, name, seed).simulated(faults=FaultConfig(scan_silent=spans))
 
 
 def closed_ring(maps: Maps, name: str, seed: int) -> Case:
     """The arena's ring is shut between two waypoints: the patrol must find the other way round."""
-    case = patrol(maps, name, seed)
+    rng = stream(seed, "door")
     # The patrol's minute for a waypoint is not enough for the long way.
-    request = dataclasses.replace(case.request, timeout_s=150.0)
-    world = with_solids(case.world, _wall_across_the_ring(stream(seed, "door")))
-    return dataclasses.replace(case, world=world, request=request)
+    case = patrol(maps, name, seed).asked(timeout_s=150.0)
+    x, y = (float(rng.choice([-1.0, 1.0])) * part for part in (0.75, 1.8))
+    wall = box("shut_ring", (x, y), (0.1, 1.5), 0.0, (0.0, 0.5))  # from the pillars to the arena's wall
+    return dataclasses.replace(case, world=with_solid(case.world, wall))
 
 
 def closed_door(maps: Maps, name: str, seed: int) -> Case:
@@ -121,23 +113,16 @@ def closed_door(maps: Maps, name: str, seed: int) -> Case:
     world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
     x, y, along_y = DOORS[seed // 2 % len(DOORS)]
     size = (THICK_M, DOOR_M) if along_y else (DOOR_M, THICK_M)
-    shut = with_solids(world, box("shut_door", (x, y), size, 0.0, (0.0, 2.0)))
+    shut = with_solid(world, box("shut_door", (x, y), size, 0.0, (0.0, 2.0)))
     _, outside = floor(shut, spec)
     inside = np.array(sorted({tuple(c) for c in cells.tolist()} - {tuple(c) for c in outside.tolist()}))
     # Not in the doorway itself.
     room = inside[np.hypot(*(grid.center_of(inside) - (x, y)).T) > 1.0]
     start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
     path = maps.slam("turtlebot3_house", spec.name)
-    case = Case(name, seed, shut, spec, goal_request(seed, path, start, goal))
-    return dataclasses.replace(case, wanted="unreachable")
+    return goal_case(name, seed, shut, spec, path, start, goal, wanted="unreachable")
 
 
-def with_solids(world: World, *solids: Solid) -> World:
-    """The world with more in it than its map shows."""
-    return dataclasses.replace(world, shapes=(*world.shapes, *solids))
-
-
-def _wall_across_the_ring(rng: np.random.Generator) -> Solid:
-    """From the pillars to the arena's wall, between two waypoints: the other way round is left."""
-    x, y = (float(rng.choice([-1.0, 1.0])) * part for part in (0.75, 1.8))
-    return box("shut_ring", (x, y), (0.1, 1.5), 0.0, (0.0, 0.5))
+def with_solid(world: World, solid: Solid) -> World:
+    """The world with something in it that its map does not show."""
+    return dataclasses.replace(world, shapes=(*world.shapes, solid))

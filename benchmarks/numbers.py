@@ -13,7 +13,7 @@ import argparse
 import ast
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from benchmarks.rows import ROOT
 
 
 def counted(source: str) -> tuple[list[str], list[str]]:

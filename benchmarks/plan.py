@@ -13,9 +13,7 @@ OMPL's format with their database (plan.db) for Planner Arena.
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,15 +23,15 @@ from typing import get_args
 
 import numpy as np
 
+from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
-from benchmarks.rows import Row, write
+from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.pipeline.stages.map import build_map
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_free, path_clearance, sample_footprint
 from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, plan_path
@@ -54,7 +52,7 @@ MAPS = (
     ("maze:2", "burger"),
     ("office:1", "waffle_pi"),
 )
-POSE_MAPS = (("turtlebot3_world", "burger"), ("turtlebot3_house", "waffle_pi"))
+POSE_MAPS = tuple(PLACES.values())
 SPACES = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
@@ -77,7 +75,9 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
     """A map and random queries between poses that one floor joins."""
     robot = load_robot(robot_name)
     if name == "intel":
-        grid = intel_map(out)
+        log = public(*INTEL)
+        assert log is not None
+        grid = load_map(built_map(log, out / "intel_map") / "map.yaml")
         regions = costmap_from_grid(grid, CostmapConfig()).regions(robot.model.circumscribed_radius + ROOM_M)
         cells = np.argwhere(regions == np.argmax(np.bincount(regions[regions > 0])))
     else:
@@ -90,18 +90,6 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
         if np.linalg.norm(a.xy - b.xy) >= LEAST_APART_M:
             queries.append((a, b, lattice.shortest(a, b)))
     return Place(name, robot, costmap, grid, cells, tuple(queries))
-
-
-def intel_log() -> Path:
-    """Where the public log should be."""
-    return Path(os.environ.get("TURTLEBAG_DATA", "")) / "radish" / "intel.clf.bz2"
-
-
-def intel_map(out: Path) -> OccupancyGrid:
-    """Our map of the Intel lab, made once."""
-    if not (out / "intel_map" / "manifest.json").is_file():
-        build_map(intel_log(), out / "intel_map", force=True)
-    return load_map(out / "intel_map" / "map.yaml")
 
 
 def config_of(planner: str, space: str) -> PlanConfig:
@@ -205,44 +193,34 @@ def figures(label: Row, rows: Sequence[Row]) -> Row:
     }  # fmt: skip
 
 
-def grouped(rows: Sequence[Row], *keys: str) -> list[Row]:
+def table(rows: Sequence[Row], *keys: str) -> list[Row]:
     """A line for each value of some columns."""
-    groups: dict[tuple, list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups.items()]
+    groups = grouped(rows, *keys).items()
+    return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
 
 
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     """A log for each map, robot and space."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, robot, space in dict.fromkeys((r["map"], r["robot"], r["space"]) for r in rows):
-        runs: dict[str, list[Row]] = {}
-        for r in rows:
-            if (r["map"], r["robot"], r["space"]) == (name, robot, space):
-                runs.setdefault(r["planner"], []).append(r)
+    for (name, robot, space), part in grouped(rows, "map", "robot", "space").items():
+        runs = {planner: found for (planner,), found in grouped(part, "planner").items()}
         experiment = f"{name}-{robot}".replace(":", "_")
         paths.append(folder / f"{experiment}-{space}.log")
-        count = max(map(len, runs.values()))
-        setup = f"map {name}, robot {robot}, space {space}, {count} queries"
+        setup = f"map {name}, robot {robot}, space {space}, {max(map(len, runs.values()))} queries"
         write_log(paths[-1], experiment, {"space": space}, setup, runs, version=version("ompl"), seed=7)
     return paths
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--quick", action="store_true", help="few planners, maps and queries")
+    parser = options(__doc__, "data/benchmarks/plan", "few planners, maps and queries")
     parser.add_argument("--queries", type=int, metavar="N", help="queries of each map (default: 10)")
     parser.add_argument("--spaces", nargs="+", choices=("disc", *SPACES), default=["disc", *SPACES])
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/plan"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     queries = args.queries or (4 if args.quick else 10)
     maps = MAPS[:2] if args.quick else MAPS
-    if not intel_log().is_file():
+    if public(*INTEL) is None:
         print("intel: left out (set TURTLEBAG_DATA to the folder that holds radish/intel.clf.bz2)")
         maps = tuple(m for m in maps if m[0] != "intel")
     rows: list[Row] = []
@@ -266,9 +244,9 @@ def main() -> None:
         shown = [row for row in rows if row["space"] == args.spaces[0]]
         save_png(planner_boxes(shown), args.out / "plan.png")
     write(args.out, "plan", rows, show=False)
-    write(args.out, "planners", grouped(rows, "space", "planner"))
+    write(args.out, "planners", table(rows, "space", "planner"))
     default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
-    write(args.out, "maps", grouped(default, "space", "map", "robot"))
+    write(args.out, "maps", table(default, "space", "map", "robot"))
     refusing = [
         {"goals": kind, "refused": len(ms), "median ms": float(np.median(ms)), "longest ms": max(ms)}
         for kind, ms in refused.items()

@@ -1,12 +1,14 @@
-"""The frame of the benchmarks: cases, their rows (one JSON line each, kept), shares, and tables of them."""
+"""The frame of the benchmarks: command lines, cases, their rows (one JSON line each, kept), and tables."""
 
 from __future__ import annotations
 
+import argparse
 import ast
 import csv
 import json
 import math
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -16,6 +18,40 @@ from turtlebag.datasets.fingerprints import fingerprint
 
 Row = dict[str, Any]
 ROOT = Path(__file__).parents[1]
+
+
+def options(doc: str, out: str = "data/benchmarks", quick: str = "") -> argparse.ArgumentParser:
+    """The command line of a benchmark: `--out`, and `--quick` where it has a sample of itself."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
+    if quick:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, default=Path(out), metavar="DIR", help=f"default: {out}")
+    return parser
+
+
+def parts_of(parser: argparse.ArgumentParser, parts: Collection[str]) -> None:
+    """Words of the command line that say which parts of a benchmark are wanted: without any, all."""
+
+    def known(word: str) -> str:
+        if word not in parts:
+            raise argparse.ArgumentTypeError(f"no {word!r}: there are {', '.join(parts)}")
+        return word
+
+    told = f"of {', '.join(parts)} (default: all)"
+    parser.add_argument("parts", nargs="*", type=known, default=list(parts), metavar="PART", help=told)
+
+
+def public(*names: str) -> Path | None:
+    """A file or folder of the public data, below TURTLEBAG_DATA; None when it is not there."""
+    root = os.environ.get("TURTLEBAG_DATA")
+    path = Path(root, *names) if root else None
+    return path if path is not None and path.exists() else None
+
+
+def held_mb(process: int | str = "self") -> float:
+    """Memory that a process holds now [MB]."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 @dataclass(frozen=True)
@@ -113,6 +149,14 @@ def share(successes: int, n: int) -> str:
     return f"{successes} of {n} ({100 * low:.1f}..{100 * high:.1f} %)"
 
 
+def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple, list[Row]]:
+    """Rows by the values of some columns, in the order in which those come first."""
+    groups: dict[tuple, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
 def shown(value: Any) -> str:
     """A value as a table shows it."""
     if isinstance(value, float):
@@ -130,11 +174,21 @@ def markdown(rows: list[Row], columns: Iterable[str] = ()) -> str:
     return "\n".join(lines) + "\n"
 
 
+def as_they_come(rows: Iterable[Row]) -> list[Row]:
+    """The rows, each of them printed as soon as it is there."""
+    found = []
+    for row in rows:
+        print("  ", row, flush=True)
+        found.append(row)
+    return found
+
+
 def write(out: Path, name: str, rows: list[Row], columns: Iterable[str] = (), *, show: bool = True) -> None:
     """A CSV file with all of the rows and, with `show`, `columns` of it as a markdown table, printed too."""
     if not rows:
         return
     everything = list(dict.fromkeys(key for row in rows for key in row))
+    out.mkdir(parents=True, exist_ok=True)
     with (out / f"{name}.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, everything, lineterminator="\n")
         writer.writeheader()

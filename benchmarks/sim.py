@@ -9,14 +9,15 @@ rest is odometry, IMU, contacts, the driver and Python between them.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
+from typing import get_args
 from unittest.mock import patch
 
-from benchmarks.rows import Row, write
+from benchmarks.rows import Row, options, write
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.sim.lidar import Lidar
 from turtlebag.sim.physics import Physics
@@ -78,12 +79,10 @@ def shares(world: str, robot: str, sensors: Sensors, duration: float) -> Row:
 
         return patch.object(owner, method, timed)
 
-    patches = [clocked(*part) for part in PARTS]
-    for one in patches:
-        one.start()
-    _, total = drive(world, robot, sensors, duration)
-    for one in patches:
-        one.stop()
+    with ExitStack() as clocks:
+        for part in PARTS:
+            clocks.enter_context(clocked(*part))
+        _, total = drive(world, robot, sensors, duration)
     found = {part: 100.0 * spent[part] / total for part in ("physics", "rays", "bag")}
     found["rest"] = 100.0 - sum(found.values())
     return {f"{part}_%": round(share) for part, share in found.items()}
@@ -98,14 +97,11 @@ def measure(world: str, robot: str, sensors: Sensors, duration: float, repeats: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--sensors", nargs="+", choices=["realistic", "clean"], default=["realistic"])
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
+    parser = options(__doc__, quick="three places, 20 s of each, once")
+    parser.add_argument("--sensors", nargs="+", choices=get_args(Sensors), default=["realistic"])
     args = parser.parse_args()
     duration, repeats = (20.0, 1) if args.quick else (60.0, 3)
     drive("turtlebot3_world", "burger", "realistic", 2.0)  # compile first
-    args.out.mkdir(parents=True, exist_ok=True)
     cases = [(*case, sensors) for case in (CASES[:3] if args.quick else CASES) for sensors in args.sensors]
     write(args.out, "sim", [measure(*case, duration, repeats) for case in cases])
 

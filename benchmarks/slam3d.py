@@ -9,22 +9,22 @@ damaged. Times are CPU seconds of one process, reading included.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from benchmarks.rows import write
+from benchmarks.rows import Row, as_they_come, options, write
 from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
+from benchmarks.slam_cases import picture
+from benchmarks.slam_parts import VARIANTS
 from turtlebag.datasets import se3
 from turtlebag.datasets.bags.clouds import load_clouds
-from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
@@ -34,22 +34,6 @@ from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.trajectory import ate
 
 WORLDS = (("turtlebot3_world", "tour"), ("turtlebot3_house", "tour"), ("office:3", "tour"))
-VARIANTS: dict[str, dict[str, Any]] = {
-    "everything": {},
-    "odometry only": {"sensors": "odometry"},
-    "KISS-ICP only": {
-        "front_end": "kiss_icp",
-        "loops": {"enabled": False},
-        "refine": {"rounds": 0},
-    },
-    "front end only": {"loops": {"enabled": False}, "refine": {"rounds": 0}},
-    "no loops": {"loops": {"enabled": False}},
-    "loops by distance only": {"loops": {"appearance": False}},
-    "no joint refinement": {"refine": {"rounds": 0}},
-    "KISS-ICP, loops": {"front_end": "kiss_icp", "refine": {"rounds": 0}},
-    "no deskew": {"deskew": False},
-    "lidar only": {"sensors": "lidar"},
-}  # fmt: skip
 
 
 def timed(recording: Recording3D, settings: dict[str, Any]) -> tuple[Slam3dResult, float]:
@@ -67,9 +51,8 @@ def placed(result: Slam3dResult, truth: Trajectory, *, from_nothing: bool) -> Tr
     return Trajectory(result.trajectory.stamps_ns, se3.planar(T))
 
 
-def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
+def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> Iterator[Row]:
     """One row a drive in a simulated world, with wheels and without."""
-    rows = []
     with tempfile.TemporaryDirectory() as scratch:
         for world, teleop in cases:
             name = f"{world.replace(':', '_')}-{teleop}"
@@ -85,65 +68,46 @@ def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
                 errors: Any = found["occupied_error_m"]
                 trajectory = placed(result, truth, from_nothing=sensors == "lidar")
                 flat = ate(trajectory, truth, align=False)
-                rows.append(
-                    {
-                        "world": world,
-                        "sensors": sensors,
-                        "clouds": len(recording),
-                        "ATE rmse [m]": f"{flat['rmse']:.4f}",
-                        "max": f"{flat['max']:.4f}",
-                        "fitted": f"{ate(trajectory, truth, align=True)['rmse']:.4f}",
-                        "height rms [m]": f"{np.sqrt(np.mean(result.T_map_base[:, 2, 3] ** 2)):.4f}",
-                        "within one cell": f"{errors['within_one_cell']:.4f}" if sensors == "both" else "-",
-                        "coverage": f"{found['coverage']:.3f}" if sensors == "both" else "-",
-                        "loops": sum(loop.accepted for loop in result.loops),
-                        "check": "good" if result.check.good else "doubtful",
-                        "clouds/CPU s": f"{len(recording) / spent:.0f}",
-                    }
-                )
-                print("  ", rows[-1], flush=True)
+                yield {
+                    "world": world,
+                    "sensors": sensors,
+                    "clouds": len(recording),
+                    "ATE rmse [m]": f"{flat['rmse']:.4f}",
+                    "max": f"{flat['max']:.4f}",
+                    "fitted": f"{ate(trajectory, truth, align=True)['rmse']:.4f}",
+                    "height rms [m]": f"{np.sqrt(np.mean(result.T_map_base[:, 2, 3] ** 2)):.4f}",
+                    "within one cell": f"{errors['within_one_cell']:.4f}" if sensors == "both" else "-",
+                    "coverage": f"{found['coverage']:.3f}" if sensors == "both" else "-",
+                    "loops": sum(loop.accepted for loop in result.loops),
+                    "check": "good" if result.check.good else "doubtful",
+                    "clouds/CPU s": f"{len(recording) / spent:.0f}",
+                }
                 if sensors == "both":
-                    picture(result, out, name)
-    return rows
+                    picture(result.grid, out, name)
+                    save_ply(out / f"{name}.ply", result.points)
 
 
-def picture(result: Slam3dResult, out: Path, name: str) -> None:
-    """The slice as pgm, yaml and png, and the cloud."""
-    save_map(result.grid, out, name)
-    Image.open(out / f"{name}.pgm").save(out / f"{name}.png")
-    save_ply(out / f"{name}.ply", result.points)
-
-
-def worth(drives: dict[str, Drive3d]) -> list[dict[str, Any]]:
+def worth(drives: dict[str, Drive3d]) -> Iterator[Row]:
     """Each part switched off: ATE of every drive (and CPU seconds)."""
-    rows = []
-    for label, settings in VARIANTS.items():
-        row: dict[str, Any] = {"variant": label}
+    for label, settings in VARIANTS["space"].items():
+        row: Row = {"variant": label}
         for name, drive in drives.items():
-            if label == "odometry only" and drive.recording.T_odom_base is None:
-                row[name] = "-"
-                continue
             result, spent = timed(drive.recording, settings)
             found = ate(result.trajectory, drive.truth, align=False)["rmse"]
             row[name] = f"{found:.4f} ({spent:.0f} s{'' if result.check.good else ', doubtful'})"
-        rows.append(row)
-        print("  ", row, flush=True)
-    return rows
+        yield row
 
 
-def hostile(drive: Drive3d) -> list[dict[str, Any]]:
+def hostile(drive: Drive3d) -> Iterator[Row]:
     """The same drive damaged, with wheels and without."""
-    rows = []
     for label, damaged in _damages(drive).items():
-        row: dict[str, Any] = {"damage": label}
+        row: Row = {"damage": label}
         for name, one in (("with wheels", damaged), ("lidar only", without_wheels(damaged))):
             result, _ = timed(one.recording, {})
             found = Trajectory(one.truth.stamps_ns, result.trajectory.poses)
             error = ate(found, one.truth, align=False)["rmse"]
             row[name] = f"{error:.4f}{'' if result.check.good else ', doubtful'}"
-        rows.append(row)
-        print("  ", row, flush=True)
-    return rows
+        yield row
 
 
 def _damages(drive: Drive3d) -> dict[str, Drive3d]:
@@ -175,20 +139,16 @@ def _damages(drive: Drive3d) -> dict[str, Drive3d]:
 
 def main() -> None:
     """Print and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="the made room only")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam3d"))
-    args = parser.parse_args()
+    args = options(__doc__, "data/benchmarks/slam3d", "the made room only").parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     around = make_drive(room(), ROUND, v=0.6, w=1.2)
     timed(changed(around, lambda k, cloud: cloud if k < 20 else None).recording, {})
-    if not args.quick:
-        write(args.out, "worlds", worlds(args.out, WORLDS))
     drives = {"room": around}
     if not args.quick:
         drives["corridors"] = make_drive(*corridors(), v=0.6, w=1.2)
-    write(args.out, "worth", worth(drives))
-    write(args.out, "hostile", hostile(around))
+        write(args.out, "worlds", as_they_come(worlds(args.out, WORLDS)))
+    write(args.out, "worth", as_they_come(worth(drives)))
+    write(args.out, "hostile", as_they_come(hostile(around)))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
 from turtlebag.sim.lidar3d import Lidar3d
@@ -118,14 +117,6 @@ def changed(drive: Drive3d, change: Callable[[int, Cloud], Cloud | None]) -> Dri
 def without_wheels(drive: Drive3d) -> Drive3d:
     """The clouds alone."""
     return Drive3d(replace(drive.recording, T_odom_base=None, odometry=None), drive.truth)
-
-
-def hung_elsewhere(drive: Drive3d, T_base_lidar: Array) -> Drive3d:
-    """The log of a lidar mounted at `T_base_lidar` (4, 4) in a bag that does not say so."""
-    T_new_old = se3.inverse(T_base_lidar) @ drive.recording.T_base_lidar
-    moved = changed(drive, lambda _, cloud: Cloud(se3.moved(T_new_old, cloud.points), cloud.times))
-    recording = replace(moved.recording, T_base_lidar=np.eye(4), mounted=False)
-    return Drive3d(recording, drive.truth)
 
 
 def room() -> list[Solid]:

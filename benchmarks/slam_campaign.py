@@ -13,7 +13,7 @@ Suites:
   worlds     the drives of docs/results.md
   ablation   each part of the mapper switched off or exchanged
   parts      the exchangeable parts on public logs and drives
-  numbers    the numbers that matter most, halved and doubled (benchmarks.slam_sensitivity)
+  numbers    the numbers that matter most, halved and doubled (benchmarks.slam_parts)
   online     the mapper that works while the robot drives, beside the offline one
   growth     CPU seconds and memory of the whole command, by size of the log
 
@@ -27,7 +27,6 @@ the only anchor). CPU seconds are those of mapping alone.
 
 from __future__ import annotations
 
-import argparse
 import fnmatch
 import os
 import sys
@@ -36,20 +35,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.rows import Case, Row, Rows, code_of, shown, write
+from benchmarks.rows import Case, Row, Rows, code_of, options, public, shown, write
 from benchmarks.slam_cases import drive_cases, fast_cases, synthetic_cases, world_cases
 from benchmarks.slam_detector import by, detection, detector_cases, judged
 from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_online import COLUMNS as ONLINE
 from benchmarks.slam_online import online_cases
-from benchmarks.slam_parts import ablation_cases, ablation_table, parts_cases
-from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases, public_data
-from benchmarks.slam_sensitivity import sensitivity_cases, sensitivity_table
+from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
+from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases
 from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
 SIMULATED = (*MAPPER, "sim")
-DISTURBED = (*MAPPER, "benchmarks/disturb.py")
+DISTURBED = (*MAPPER, "benchmarks/known.py", "benchmarks/disturb.py")
 SYNTHETIC = (*DISTURBED, "sim", *(f"benchmarks/slam_{name}.py" for name in ("logs", "drives", "plans")))
 LIMIT_MINUTES = 30.0
 BASICS = ("case", "scans", "m", "deg", "worst_m")
@@ -92,8 +90,8 @@ def suites(out: Path, data: Path | None) -> dict[str, Suite]:
         ),
         "worlds": Suite(world_cases(out), (*WORLD, "near_deg", *ENDS), code=SIMULATED),
         "ablation": Suite(ablation_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
-        "parts": Suite(parts_cases(data), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
-        "numbers": Suite(sensitivity_cases(data), (*EXACT, *ENDS), sensitivity_table, code=SYNTHETIC),
+        "parts": Suite(ablation_cases(data, CHOICES, PARTS), (*EXACT, *ENDS), ablation_table, code=SYNTHETIC),
+        "numbers": Suite(number_cases(data), (*EXACT, *ENDS), number_table, code=SYNTHETIC),
         "online": Suite(online_cases(data), ONLINE, quick=8, code=SYNTHETIC),
         "growth": Suite(growth_cases(data), ("case", *COSTS, "error"), code=grown),
     }
@@ -125,23 +123,16 @@ def tables(out: Path, name: str, suite: Suite, rows: list[Row]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = options(__doc__, "data/benchmarks/slam", "a sample that takes less than 20 minutes")
     parser.add_argument("suites", nargs="*", metavar="SUITE", help="these suites (default: all)")
-    parser.add_argument("--quick", action="store_true", help="a sample that takes less than 20 minutes")
     parser.add_argument("--limit", type=int, metavar="N", help="the first N cases of each suite")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases whose names fit, say 'intel-*'")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="processes")
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        default=LIMIT_MINUTES,
-        metavar="M",
-        help="a case that takes longer is an error",
-    )
+    late = "a case that takes longer is an error"
+    parser.add_argument("--minutes", type=float, default=LIMIT_MINUTES, metavar="M", help=late)
     parser.add_argument("--keep", action="store_true", help="rows of other code count, too")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/slam"))
     args = parser.parse_args(argv)
-    data = public_data()
+    data = public() if public("radish") else None
     known = suites(args.out.absolute(), data)
     names = args.suites or [name for name, suite in known.items() if suite.quick or not args.quick]
     if wrong := [name for name in names if name not in known]:
@@ -149,10 +140,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if args.workers < 1 or (args.limit is not None and args.limit < 1) or args.minutes <= 0.0:
         parser.error("--workers, --limit and --minutes must be positive")
     if data is None:
-        print(
-            "TURTLEBAG_DATA names no folder with a folder `radish`: the public logs are left out", flush=True
-        )
-    args.out.mkdir(parents=True, exist_ok=True)
+        print("TURTLEBAG_DATA names no folder with a folder `radish`: public logs are left out", flush=True)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
         os.environ["TMPDIR"] = scratch  # of the workers: what one that is killed leaves goes with it
         for name in names:

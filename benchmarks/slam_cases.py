@@ -8,30 +8,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from PIL import Image
 
-from benchmarks.disturb import (
-    Known,
-    known,
-    outside,
-    shortened,
-    times,
-    with_ranges,
-    with_scans,
-)
+from benchmarks.known import Known, known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_scores import score
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
 from turtlebag.pipeline.stages.record import record
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
@@ -41,6 +32,7 @@ from turtlebag.sim.teleop import script_names
 PLACES = ("turtlebot3_house", "office", "maze", "forest", "turtlebot3_world")
 ROBOTS = ("burger", "waffle_pi")
 ROUNDS = 5
+SENSORS: tuple[Sensors, ...] = get_args(Sensors)
 TUTORIAL = [(world, robot) for world in (PLACES[4], PLACES[0]) for robot in ROBOTS]
 DOCUMENTED = (
     *((world, robot, teleop, 1) for world, robot in TUTORIAL for teleop in ("tour", "fast", "spiral")),
@@ -76,38 +68,14 @@ def mapped(recording: Recording, settings: dict[str, Any] | None = None) -> tupl
 def warm_up() -> None:
     """Compile the kernels and load the libraries, so that no row pays for it."""
     for name in ("posts-1", "arena-slow-1"):
-        run_slam(with_scans(LOGS[name](), slice(60)).recording, SlamConfig())
+        run_slam(LOGS[name]().with_scans(slice(60)).recording, SlamConfig())
 
 
-def errors(poses: SE2, reference: SE2) -> Row:
-    """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
-
-    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
-    cannot tell that of its lidar; `anchored_*` with the first pose as the only
-    anchor; `near_deg` that of poses near each other; `folded` as in `Score`.
-    """
-    sure = np.isfinite(reference.xyt).all(axis=1)
-    stamps = np.arange(int(sure.sum()))
-    found = score(poses[sure], Trajectory(stamps, reference[sure]))
-    return {
-        "m": found.ate_aligned,
-        "deg": found.yaw_deg,
-        "worst_m": found.ate_max,
-        "scaled_m": found.ate_scaled,
-        "scale": found.scale,
-        "anchored_m": found.ate,
-        "anchored_worst_m": found.ate_worst,
-        "near_deg": found.relation_deg,
-        "folded": found.folded,
-    }
-
-
-def picture(result: SlamResult, out: Path, name: str) -> None:
-    """The map as pgm, yaml and png."""
-    folder = out / "maps"
+def picture(grid: OccupancyGrid, folder: Path, name: str) -> None:
+    """A map as pgm, yaml and png."""
     folder.mkdir(parents=True, exist_ok=True)
     name = name.replace(":", "_").replace("/", "_")
-    save_map(result.grid, folder, name)
+    save_map(grid, folder, name)
     Image.open(folder / f"{name}.pgm").save(folder / f"{name}.png")
 
 
@@ -126,14 +94,12 @@ def driven(
     return known(recording, truth.at(recording.stamps_ns)), true_map, code
 
 
-def drive_row(
-    world: str, robot: str, teleop: str, seed: int, sensors: Sensors, pictures: Path | None = None
-) -> Row:
+def drive_row(drive: Row, pictures: Path | None) -> Row:
     """A simulated drive, its trajectory and its map against the exact truth."""
-    log, true_map, code = driven(world, robot, teleop, seed, sensors)
+    log, true_map, code = driven(**drive)
     result, row = mapped(log.recording)
     if pictures is not None:
-        picture(result, pictures, f"{world}-{robot}-{teleop}-{seed}-{sensors}")
+        picture(result.grid, pictures / "maps", "-".join(map(str, drive.values())))
     found: Any = map_metrics(result.grid, true_map)
     row |= errors(result.trajectory.poses, log.reference)
     seen = max(int(visible_surface(true_map, result.grid).sum()), 1)
@@ -150,8 +116,7 @@ def drive_case(
 ) -> Case:
     """The case of a simulated drive."""
     about = {"world": world, "robot": robot, "teleop": teleop, "seed": seed, "sensors": sensors}
-    name = "-".join(map(str, about.values()))
-    return Case(name, partial(drive_row, world, robot, teleop, seed, sensors, pictures), about)
+    return Case("-".join(map(str, about.values())), partial(drive_row, about, pictures), about)
 
 
 def drive_cases() -> list[Case]:
@@ -161,11 +126,9 @@ def drive_cases() -> list[Case]:
     """
     scripts, cases = script_names(), []
     for number in range(ROUNDS * len(PLACES) * len(ROBOTS) * len(scripts)):
-        turn, place = divmod(number, len(PLACES))
+        (turn, place), seed = divmod(number, len(PLACES)), 5001 + number
         robot, teleop = ROBOTS[(turn + place) % 2], scripts[(turn // 2 + place) % len(scripts)]
-        cases.append(
-            drive_case(world_of(PLACES[place], 5001 + number), robot, teleop, 5001 + number, "realistic")
-        )
+        cases.append(drive_case(world_of(PLACES[place], seed), robot, teleop, seed, "realistic"))
     return cases
 
 
@@ -176,14 +139,12 @@ def world_of(place: str, seed: int) -> str:
 
 def fast_cases() -> list[Case]:
     """Fifty fast drives through the house, with either set of sensors."""
-    sets: tuple[Sensors, ...] = ("realistic", "clean")
-    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in sets]
+    return [drive_case(PLACES[0], "burger", "fast", seed, s) for seed in range(1001, 1051) for s in SENSORS]
 
 
 def world_cases(out: Path) -> list[Case]:
     """The drives of the documentation, with either set of sensors."""
-    sets: tuple[Sensors, ...] = ("realistic", "clean")
-    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in sets]
+    return [drive_case(*drive, sensors, out) for drive in DOCUMENTED for sensors in SENSORS]
 
 
 # Synthetic logs.
@@ -191,26 +152,26 @@ def world_cases(out: Path) -> list[Case]:
 
 def lidar_of(log: Known, metres: float) -> Known:
     """The log of a lidar that reaches so far."""
-    short = shortened(log, metres).recording
-    reach = min(metres, short.lidar.range_max)
-    return replace(log, recording=replace(short, lidar=replace(short.lidar, range_max=reach)))
+    lidar = log.recording.lidar
+    reach = min(metres, lidar.range_max)
+    return log.shortened(metres).recorded(lidar=replace(lidar, range_max=reach))
 
 
 def slower(log: Known, period: float) -> Known:
     """The log of a lidar that takes a scan every so many seconds."""
-    every = round(period / float(np.median(np.diff(times(log.recording)))))
-    return with_scans(log, slice(None, None, max(1, every)))
+    every = round(period / float(np.median(np.diff(log.times))))
+    return log.with_scans(slice(None, None, max(1, every)))
 
 
 def at_range_max(log: Known) -> Known:
     """The log of a driver that says range_max where nothing came back."""
     ranges = log.recording.ranges
-    return with_ranges(log, np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
+    return log.with_ranges(np.where(np.isposinf(ranges), log.recording.lidar.range_max, ranges))
 
 
 def narrow(log: Known) -> Known:
     """The log of a lidar that sees 120 degrees."""
-    return with_ranges(log, np.where(outside(log, 120.0), np.nan, log.recording.ranges))
+    return log.with_ranges(np.where(log.outside(120.0), np.nan, log.recording.ranges))
 
 
 VARIANTS: dict[str, Callable[[Known], Known]] = {
@@ -222,25 +183,21 @@ VARIANTS: dict[str, Callable[[Known], Known]] = {
 }
 
 
-def synthetic_row(name: str, variant: str, pictures: Path) -> Row:
+def synthetic_row(log: str, lidar: str, pictures: Path) -> Row:
     """A synthetic log with one of VARIANTS of its lidar, against the exact truth."""
-    made = LOGS[name]()
-    log = VARIANTS[variant](made)
-    result, row = mapped(log.recording)
-    picture(result, pictures, f"{name}-{variant}".replace(" ", "_"))
-    wheels = errors(log.odometry, log.reference)["m"]
-    return row | errors(result.trajectory.poses, log.reference) | {
-        "driven_m": made.truth.length(), "odometry_m": wheels
-    }  # fmt: skip
+    made = LOGS[log]()
+    heard = VARIANTS[lidar](made)
+    result, row = mapped(heard.recording)
+    picture(result.grid, pictures / "maps", f"{log}-{lidar}".replace(" ", "_"))
+    wheels = {"driven_m": made.truth.length(), "odometry_m": errors(heard.odometry, heard.reference)["m"]}
+    return row | errors(result.trajectory.poses, heard.reference) | wheels
 
 
 def synthetic_cases(out: Path) -> list[Case]:
     """Every synthetic log in every variant, in an order drawn once and for all."""
-    pairs = [(name, variant) for name in LOGS for variant in VARIANTS]
+    pairs = [{"log": log, "lidar": lidar} for log in LOGS for lidar in VARIANTS]
+    order = stream(1, "synthetic cases").permutation(len(pairs))
     return [
-        Case(
-            f"{name}, {variant}", partial(synthetic_row, name, variant, out), {"log": name, "lidar": variant}
-        )
-        for k in stream(1, "synthetic cases").permutation(len(pairs))
-        for name, variant in [pairs[k]]
+        Case("{log}, {lidar}".format(**pairs[k]), partial(synthetic_row, pictures=out, **pairs[k]), pairs[k])
+        for k in order
     ]

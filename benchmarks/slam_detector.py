@@ -1,179 +1,36 @@
 """The self-check as a detector of bad maps: maps of unseen seeds, with scans and wheels disturbed.
 
-Kinds of disturbance marked `build` may be looked at while the self-check is made; those marked `score`
-only tell how good it is. A map is bad when a scan lies more than BAD_M off, or TIMES the median worst of
+Kinds of disturbance of the half `build` may be looked at while the self-check is made; those of `score` only
+tell how good it is. A map is bad when a scan lies more than BAD_M off, or TIMES the median worst of
 the undisturbed maps of its own world and robot; all after a rigid fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from benchmarks.disturb import (
-    MODES,
-    Known,
-    Mask,
-    Mode,
-    around,
-    mirrored,
-    mirrored_scans,
-    places,
-    shortened,
-    steps,
-    times,
-    with_odometry,
-    with_ranges,
-    with_scans,
-    with_steps,
-)
-from benchmarks.rows import Case, Row, share
-from benchmarks.slam_cases import PLACES, ROBOTS, driven, errors, mapped, world_of
-from benchmarks.slam_drives import Log
+from benchmarks.disturb import KINDS, SCORED
+from benchmarks.known import Known
+from benchmarks.rows import Case, Row, grouped, share
+from benchmarks.slam_cases import PLACES, ROBOTS, driven, mapped, world_of
 from benchmarks.slam_logs import arena, office, rooms
-from turtlebag.datasets.se2 import SE2, wrap
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.seeds import stream
 
 BAD_M, TIMES = 0.2, 5.0
 PLAINS, TURNS = 4, 2
 """Undisturbed maps for one of each kind, and how often each kind comes in a world."""
+HALVES = {kind: "score" if kind in SCORED else "build" for kind in KINDS}
+"""The half that a kind belongs to; `plain` ones are of that of their case's number."""
 SCRIPTS = ("fast", "random_walk", "wall_follow")
-SYNTHETIC: dict[str, Callable[[int], Log]] = {
+SYNTHETIC: dict[str, Callable[[int], Known]] = {
     "synthetic arena": lambda seed: arena(seed, ("slow", "fast", "spiral")[seed % 3]),
     "synthetic rooms": rooms,
     "synthetic office": office,
 }
-
-
-def stretch(log: Known, share: float, rng: np.random.Generator) -> Mask:
-    """Scans of one stretch of the log, (n,)."""
-    return around(log, places(log, 1, rng), share * log.recording.duration())
-
-
-def elsewhere(log: Known, rng: np.random.Generator) -> Known:
-    """A tenth of the scans were taken at another time, half a log away."""
-    there = stretch(log, 0.1, rng)
-    other = np.roll(log.recording.ranges, len(there) // 2, axis=0)
-    ranges = np.where(there[:, None], other, log.recording.ranges)
-    reference = np.where(there[:, None], np.nan, log.reference.xyt)
-    return replace(with_ranges(log, ranges), reference=SE2(reference))
-
-
-def repeated(log: Known, rng: np.random.Generator) -> Known:
-    """A lidar that says the same for 5 s, three times."""
-    index = np.arange(len(log.recording))
-    held = around(log, places(log, 3, rng), 5.0)
-    return with_ranges(log, log.recording.ranges[np.maximum.accumulate(np.where(held, 0, index))])
-
-
-def slipped(log: Known, rng: np.random.Generator) -> Known:
-    """Wheels that spin for a tenth of the log: three times the way."""
-    moved = steps(log.odometry)
-    moved[stretch(log, 0.1, rng)[:-1], :2] *= 3.0
-    return with_steps(log, moved)
-
-
-def counted_back(log: Known, rng: np.random.Generator) -> Known:
-    """Wheels that count the wrong way for a tenth of the log."""
-    moved = steps(log.odometry)
-    moved[stretch(log, 0.1, rng)[:-1], :2] *= -1.0
-    return with_steps(log, moved)
-
-
-def carried(log: Known, rng: np.random.Generator) -> Known:
-    """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
-    away = stretch(log, 0.1, rng)
-    moved = steps(log.odometry)
-    moved[away[:-1]] = 0.0
-    return with_scans(with_steps(log, moved), ~away)
-
-
-def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
-    """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
-    moved = steps(log.odometry)
-    moved[:, 2] += np.deg2rad(1.5) * np.diff(times(log.recording))
-    turned = with_steps(log, moved)
-    return replace(turned, recording=replace(turned.recording, imu=None))
-
-
-def mirrored_odometry(log: Known) -> Known:
-    """Left and right wheel exchanged, and no gyro to tell."""
-    log = replace(log, recording=replace(log.recording, imu=None))
-    return with_odometry(log, log.odometry[0] @ mirrored(log.odometry[0].inverse() @ log.odometry))
-
-
-def blocked(log: Known, rng: np.random.Generator) -> Known:
-    """Half of the view is blocked by something 0.3 m away that rides along."""
-    r = log.recording
-    hidden = wrap(r.lidar.angles - rng.uniform(-np.pi, np.pi)) > 0.0
-    return with_ranges(log, np.where(hidden, np.float32(0.3), r.ranges))
-
-
-def jitter(log: Known, rng: np.random.Generator) -> Known:
-    """Stamps of scans that are off by up to half the time between two."""
-    r = log.recording
-    away = rng.uniform(-0.5, 0.5, len(r)) * float(np.median(np.diff(r.stamps_ns)))
-    away[[0, -1]] = 0.0
-    stamps = np.maximum.accumulate(r.stamps_ns + away.astype(np.int64))
-    return replace(log, recording=replace(r, stamps_ns=stamps + np.arange(len(r))))
-
-
-def ghosts(log: Known, rng: np.random.Generator) -> Known:
-    """People about: a fifth of all scans have a quarter of their beams end somewhere short."""
-    ranges = log.recording.ranges.copy()
-    for scan in np.flatnonzero(rng.random(len(ranges)) < 0.2):
-        first, width = rng.integers(ranges.shape[1]), ranges.shape[1] // 4
-        beams = np.arange(first, first + width) % ranges.shape[1]
-        ranges[scan, beams] = np.fmin(ranges[scan, beams], rng.uniform(0.4, 2.0))
-    return with_ranges(log, ranges)
-
-
-def floor(log: Known, rng: np.random.Generator) -> Known:
-    """A lidar that tips forward when it brakes: a tenth of the scans see the floor 1.5 m ahead."""
-    r = log.recording
-    ahead = np.cos(r.lidar.angles)
-    strip = np.where(ahead > 0.5, 1.5 / np.maximum(ahead, 0.5), np.inf)
-    tipped = rng.random(len(r)) < 0.1
-    return with_ranges(log, np.where(tipped[:, None], np.fmin(r.ranges, strip), r.ranges))
-
-
-KINDS: dict[str, tuple[str, Mode]] = {
-    "gap3": ("build", MODES["gap3"]),
-    "half": ("build", MODES["half"]),
-    "bias": ("build", MODES["bias"]),
-    "late": ("build", MODES["late"]),
-    "stuck": ("build", MODES["stuck"]),
-    "drop30": ("build", MODES["drop30"]),
-    "short sight": ("build", lambda log, rng: shortened(log, 0.4 * log.recording.lidar.range_max)),
-    "elsewhere": ("build", elsewhere),
-    "slipped": ("build", slipped),
-    "mirrored scans": ("build", lambda log, rng: mirrored_scans(log)),
-    "gap20": ("score", MODES["gap20"]),
-    "third": ("score", MODES["third"]),
-    "noisy": ("score", MODES["noisy"]),
-    "jump": ("build", MODES["jump"]),
-    "fov120": ("score", MODES["fov120"]),
-    "noise3": ("score", MODES["noise3"]),
-    "repeated": ("build", repeated),
-    "counted back": ("score", counted_back),
-    "carried": ("score", carried),
-    "yaw bias": ("score", yaw_bias),
-    "mirrored odometry": ("build", lambda log, rng: mirrored_odometry(log)),
-    "long ranges": ("score", lambda log, rng: with_ranges(log, 1.05 * log.recording.ranges)),
-    "blocked": ("score", blocked),
-    "jitter": ("score", jitter),
-    "ghosts": ("score", ghosts),
-    "floor": ("score", floor),
-    "other odometry": ("score", lambda log, rng: with_odometry(log, log.odometry[::-1])),
-    "steps of 5 cm": (
-        "score",
-        lambda log, rng: with_ranges(log, np.round(20.0 * log.recording.ranges) / 20.0),
-    ),
-}
-"""Half and function of each kind; `plain` is undisturbed, and of the half of its case's number."""
 
 
 def source(place: str, robot: str, seed: int) -> Known:
@@ -187,7 +44,7 @@ def detector_row(place: str, robot: str, seed: int, kind: str) -> Row:
     """A log with one kind of disturbance, against its truth."""
     log = source(place, robot, seed)
     if kind != "plain":
-        log = KINDS[kind][1](log, stream(seed, kind))
+        log = KINDS[kind](log, stream(seed, kind))
     result, row = mapped(log.recording)
     return row | errors(result.trajectory.poses, log.reference)
 
@@ -201,7 +58,7 @@ def detector_cases() -> list[Case]:
     for turn in range(len(kinds)):
         for number, (place, robot) in enumerate(groups):
             kind, seed = kinds[orders[number][turn]], 7001 + turn * len(groups) + number
-            half = KINDS[kind][0] if kind in KINDS else ("build", "score")[turn % 2]
+            half = HALVES.get(kind) or ("build", "score")[turn % 2]
             about = {"world": place, "robot": robot, "seed": seed, "kind": kind, "half": half}
             name = "-".join(str(part) for part in (place, robot, seed, kind) if part)
             cases.append(Case(name, partial(detector_row, place, robot, seed, kind), about))
@@ -213,11 +70,12 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
     A world whose undisturbed maps are fewer than three is judged by BAD_M alone.
     """
-    plains: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        if row["kind"] == "plain" and "error" not in row:
-            plains.setdefault((row["world"], row["robot"]), []).append(row["worst_m"])
-    limits = {of: min(BAD_M, TIMES * float(np.median(w))) for of, w in plains.items() if len(w) >= 3}
+    plains = [row for row in rows if row["kind"] == "plain" and "error" not in row]
+    limits = {
+        of: min(BAD_M, TIMES * float(np.median([row["worst_m"] for row in part])))
+        for of, part in grouped(plains, "world", "robot").items()
+        if len(part) >= 3
+    }
     found = []
     for row in rows:
         limit = limits.get((row["world"], row["robot"]), BAD_M)
@@ -238,7 +96,7 @@ def detection(rows: Sequence[Row]) -> list[Row]:
     for half in ("build", "score"):
         parts[half] = [row for row in found if row["half"] == half]
     for kind in ("plain", *KINDS):
-        half = f"{KINDS[kind][0]}: " if kind in KINDS else ""
+        half = f"{HALVES[kind]}: " if kind in KINDS else ""
         parts[f"{half}{kind}"] = [row for row in found if row["kind"] == kind]
     return [
         {

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.disturb import Known, integrate, times, with_ranges, with_scans
+from benchmarks.known import Known, integrate, known, steps
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -64,13 +63,6 @@ class Sensor:
     mixed: float = 0.3
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Log(Known):
-    """A made log; its reference is the base pose at each scan's stamp, in the frame of the floor plan."""
-
-    plan: FloorPlan
-
-
 def sick(beams: int = 180, range_max: float = 80.0) -> LidarSpec:
     """Half a circle, as the public CARMEN logs have it."""
     step = math.pi / (180 if beams in (180, 181) else 360)
@@ -95,8 +87,11 @@ def make_log(
     seed: int = 1,
     person: bool = False,
     pace: float = 0.0,
-) -> Log:
-    """Drive the route (n, 2) and record it. `pace` > 0 stops for that many seconds at the route's start."""
+) -> Known:
+    """Drive the route (n, 2) and record it; the reference is in the frame of the floor plan.
+
+    `pace` > 0 stops for that many seconds at the route's start.
+    """
     poses = follow(np.asarray(route, dtype=float), drive, pace)
     room = plan.clearance(poses[::10, :2])
     if room.min() < 0.15:
@@ -119,7 +114,7 @@ def make_log(
         source=name, stamps_ns=stamps, ranges=ranges, lidar=sensor.spec,
         T_base_lidar=SE2(np.array(sensor.T_base_lidar)), T_odom_base=T_odom_base, odometry=stream_30hz,
     )  # fmt: skip
-    return Log(recording=recording, reference=T_world_base, plan=plan)
+    return known(recording, T_world_base)
 
 
 def at_times(poses: Array, times: Array) -> SE2:
@@ -130,11 +125,15 @@ def at_times(poses: Array, times: Array) -> SE2:
 
 def follow(route: Array, drive: Drive, pace: float = 0.0) -> Array:
     """True poses (n, 3) at steps of DT along a polyline, by pure pursuit."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
-    s = np.arange(0.0, length[-1], 0.02)
-    dense = np.stack([np.interp(s, length, route[:, 0]), np.interp(s, length, route[:, 1])], axis=1)
-    driven = _pursue(dense, drive.v, drive.w, drive.dv, drive.dw, drive.ahead)
+    driven = _pursue(points_along(route, 0.02), drive.v, drive.w, drive.dv, drive.dw, drive.ahead)
     return np.concatenate([np.repeat(driven[:1], round(pace / DT), axis=0), driven])
+
+
+def points_along(route: Array, step: float) -> Array:
+    """Points (m, 2) every so many metres along a polyline (n, 2)."""
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
+    s = np.arange(0.0, length[-1], step)
+    return np.stack([np.interp(s, length, route[:, 0]), np.interp(s, length, route[:, 1])], axis=1)
 
 
 @njit(cache=True)
@@ -168,15 +167,15 @@ def _pursue(path: Array, v_max: float, w_max: float, dv: float, dw: float, ahead
 
 def drifted(poses: Array, wheels: Wheels, lies: tuple[Lie, ...], rng: np.random.Generator) -> Array:
     """Odometry (n, 3) of true poses (n, 3), starting at the first of them."""
-    steps = (SE2.from_array(poses[:-1]).inverse() @ SE2.from_array(poses[1:])).xyt
-    distance = np.hypot(steps[:, 0], steps[:, 1])
-    root = np.sqrt(distance + 0.2 * np.abs(steps[:, 2]))
-    seen = steps.copy()
+    moved = steps(SE2.from_array(poses))
+    distance = np.hypot(moved[:, 0], moved[:, 1])
+    root = np.sqrt(distance + 0.2 * np.abs(moved[:, 2]))
+    seen = moved.copy()
     seen[:, :2] *= 1.0 + wheels.scale
-    seen[:, 0] += wheels.noise_m * root * rng.standard_normal(len(steps))
+    seen[:, 0] += wheels.noise_m * root * rng.standard_normal(len(moved))
     seen[:, 2] = seen[:, 2] * (1.0 + wheels.turn) + wheels.bias * distance
-    seen[:, 2] += wheels.noise_rad * root * rng.standard_normal(len(steps))
-    held = np.zeros(len(steps), dtype=bool)
+    seen[:, 2] += wheels.noise_rad * root * rng.standard_normal(len(moved))
+    held = np.zeros(len(moved), dtype=bool)
     for lie in lies:
         part = slice(round(lie.start / DT), round((lie.start + lie.length) / DT))
         if lie.kind == "reverse":
@@ -206,7 +205,7 @@ def measure(
     T_base_lidar = SE2(np.array(sensor.T_base_lidar))
     T_world_lidar = at_times(poses, when.ravel()) @ T_base_lidar
     angles = T_world_lidar.yaw + np.tile(spec.angles, len(times))
-    true = np.concatenate([*_rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)])
+    true = _rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)
     if person:
         true = np.minimum(true, _person(T_world_lidar, angles, when.ravel()))
     out = true.reshape(when.shape)
@@ -223,14 +222,12 @@ def measure(
     return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
 
 
-def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, ...], limit: float) -> Iterator[Array]:
-    """Ranges along the beams of each scan (n_beams,), +inf beyond `limit`."""
-    outlines = plan.outlines()
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
-    for origins, ways, bearings in zip(
-        xy.reshape(*shape, 2), directions, np.unwrap(angles.reshape(shape)), strict=True
-    ):
-        yield cast(origins, ways, bearings, outlines, limit)[0]
+def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, int], limit: float) -> Array:
+    """Ranges along the beams of each scan (n_scans * n_beams,), +inf beyond `limit`."""
+    outlines, origins, bearings = plan.outlines(), xy.reshape(*shape, 2), np.unwrap(angles.reshape(shape))
+    ways = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
+    scans = zip(origins, ways, bearings, strict=True)
+    return np.concatenate([cast(*rays, outlines, limit)[0] for rays in scans])
 
 
 def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
@@ -249,37 +246,3 @@ def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
         hit = here & (inside > 0.0) & (along > 0.0)
         out[hit] = np.minimum(out[hit], along[hit] - np.sqrt(inside[hit]))
     return out
-
-
-def without(log: Log, start: float, length: float) -> Log:
-    """The log with the scans of an interval missing [s since its first scan]."""
-    return with_scans(log, ~interval(log, start, length))
-
-
-def blinded(log: Log, start: float, length: float) -> Log:
-    """The log with NaN-only scans in an interval."""
-    return with_ranges(log, np.where(interval(log, start, length)[:, None], np.nan, log.recording.ranges))
-
-
-def clock_back(log: Log, start: float, seconds: float) -> Log:
-    """The log whose clock was set back once."""
-    late = times(log.recording) >= start
-    return _stamped(log, log.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
-
-
-def shaken_stamps(log: Log, share: float, spread: float, seed: int = 1) -> Log:
-    """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
-    rng = stream(seed, "stamps")
-    n = len(log.recording)
-    wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
-    return _stamped(log, log.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
-
-
-def interval(log: Log, start: float, length: float) -> NDArray[np.bool_]:
-    """Scans of an interval [s since the first], (n,)."""
-    t = times(log.recording)
-    return (t >= start) & (t < start + length)
-
-
-def _stamped(log: Log, stamps: NDArray[np.int64]) -> Log:
-    return replace(log, recording=replace(log.recording, stamps_ns=stamps))

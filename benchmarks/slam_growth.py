@@ -11,17 +11,18 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import yaml
 
+from benchmarks.known import Known
 from benchmarks.rows import Case, Row
-from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import door
+from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
+from benchmarks.slam_logs import crossing, door
 from benchmarks.slam_plans import FloorPlan
+from benchmarks.slam_public import public_log
 from turtlebag.datasets.grid import UNKNOWN
 from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
@@ -30,6 +31,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.stages.record import record
 
 SCANS = 20_000
+GROWN = f"ACES to {SCANS} scans"
 LAPS = (1, 2, 4)
 BLOCKS = (1, 2, 3, 4)
 BLOCK_M = 14.0
@@ -53,16 +55,12 @@ def map_cost(log: Path, scratch: Path) -> Row:
 
     A run that had to compile a kernel does not count: the map is made again. RuntimeError when there is none.
     """
-    command = [sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
+    meter = [sys.executable, "-I", "-S", "-c", METER]
+    command = [*meter, sys.executable, "-m", "pipeline", "map", "-q", str(log), "--out"]
     while True:
         with tempfile.TemporaryDirectory(dir=scratch) as place:
             before, out = _compiled(), Path(place) / "map"
-            done = subprocess.run(
-                [sys.executable, "-I", "-S", "-c", METER, *command, str(out)],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
+            done = subprocess.run([*command, str(out)], capture_output=True, text=True, check=True)
             code, cpu_s, peak_kb = json.loads(done.stdout.splitlines()[-1])
             if code:
                 raise RuntimeError(done.stderr.strip() or f"exit code {code}")
@@ -88,22 +86,16 @@ def _compiled() -> set[Path]:
 
 def growth_cases(data: Path | None) -> list[Case]:
     """The public logs there are, then the arena and the floor in all sizes."""
-    cases = []
-    if data is not None:
-        logs: dict[str, tuple[Path, Callable[[bytes], bytes]]] = {
-            "Intel": (data / "radish" / "intel.clf.bz2", bytes),
-            f"ACES to {SCANS} scans": (data / "wild" / "aces.clf.bz2", there_and_back),
-        }
-        for name, (log, change) in logs.items():
-            if log.is_file():
-                cases.append(Case(name, partial(log_row, log, change)))
+    logs = {"Intel": public_log(data, "intel"), GROWN: public_log(data, "aces")} if data else {}
+    cases = [Case(name, partial(log_row, log, name == GROWN)) for name, log in logs.items() if log.is_file()]
     cases += [Case(f"arena, {laps} x", partial(arena_row, laps)) for laps in LAPS]
     return cases + [Case(f"floor, {n} x {n} blocks", partial(floor_row, n)) for n in BLOCKS]
 
 
-def log_row(log: Path, change: Callable[[bytes], bytes]) -> Row:
-    """A CARMEN log after a change of its text."""
-    return _row(lambda file: file.write_bytes(change(bz2.decompress(log.read_bytes()))))
+def log_row(log: Path, grown: bool) -> Row:
+    """A CARMEN log, as it is or there and back."""
+    text = bz2.decompress(log.read_bytes())
+    return text_row(there_and_back(text) if grown else text)
 
 
 def arena_row(laps: int) -> Row:
@@ -118,13 +110,14 @@ def arena_row(laps: int) -> Row:
 
 def floor_row(blocks: int) -> Row:
     """A floor of blocks x blocks squares with corridors about them."""
-    return _row(lambda file: file.write_text(carmen(floor(blocks).recording)))
+    return text_row(carmen(floor(blocks).recording).encode())
 
 
-def _row(write: Callable[[Path], object]) -> Row:
+def text_row(text: bytes) -> Row:
+    """The text of a CARMEN log."""
     with tempfile.TemporaryDirectory() as place:
         log = Path(place) / "log.clf"
-        write(log)
+        log.write_bytes(text)
         return map_cost(log, Path(place))
 
 
@@ -163,14 +156,12 @@ def carmen(recording: Recording) -> str:
     return "\n".join(lines) + "\n"
 
 
-def floor(blocks: int) -> Log:
+def floor(blocks: int) -> Known:
     """Corridors with doors about blocks x blocks squares of 14 m, each corridor driven once or twice."""
     rng, w = stream(blocks, "floor"), 1.1
     size, lines = BLOCK_M * blocks, [6.0 + BLOCK_M * k for k in range(blocks + 1)]
     plan = FloorPlan(size + 12.0, size + 12.0)
-    for c in lines:
-        plan.carve(6.0 - w, c - w, 6.0 + size + w, c + w)
-        plan.carve(c - w, 6.0 - w, c + w, 6.0 + size + w)
+    crossing(plan, lines, lines, w)
     for c in lines:
         for along in np.arange(9.0, 4.0 + size, 3.5):
             for axis, side in ((0.0, -1.0), (0.0, 1.0), (1.0, -1.0), (1.0, 1.0)):

@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from benchmarks.slam_drives import (
-    Drive,
-    Lie,
-    Log,
-    Sensor,
-    Wheels,
-    blinded,
-    clock_back,
-    lds,
-    make_log,
-    shaken_stamps,
-    sick,
-    without,
-)
+from benchmarks.known import Known
+from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, points_along, sick
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
@@ -37,7 +25,7 @@ def wheels_of(seed: int) -> Wheels:
     return WHEELS.get(seed) or Wheels(float(scale), float(turn), float(drift))
 
 
-def ring(seed: int, range_max: float) -> Log:
+def ring(seed: int, range_max: float) -> Known:
     """Corridor ring 20 x 14 m, 2 m wide, not one feature on its walls; three laps."""
     plan = FloorPlan(24.0, 18.0)
     plan.carve(2.0, 2.0, 22.0, 16.0)
@@ -48,7 +36,7 @@ def ring(seed: int, range_max: float) -> Log:
     return make_log(f"ring-{range_max:.0f}m-{seed}", plan, route, sensor, wheels=WHEELS[seed], seed=seed)
 
 
-def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Log:
+def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float = 0.2) -> Known:
     """Two rooms joined by 30 m of corridor without a feature (seen from 8 m), there and back."""
     plan = FloorPlan(46.0, 12.0)
     plan.carve(1.0, 2.0, 7.0, 10.0)
@@ -62,19 +50,18 @@ def hall(seed: int, *, lies: tuple[Lie, ...] = (), tours: int = 2, period: float
     return make_log(f"hall-{seed}", plan, route, sensor, wheels=WHEELS[seed], lies=lies, seed=seed)
 
 
-def killian(seed: int) -> Log:
+def killian(seed: int) -> Known:
     """Long corridors with identical doors, alcoves and rooms: 104 x 44 m, two loops, 10000 scans."""
     rng = stream(seed, "killian plan")
     plan = FloorPlan(120.0, 60.0)
     x0, x1, x2, y0, y1 = 8.0, 60.0, 112.0, 8.0, 52.0
     w = 1.2
+    crossing(plan, (x0, x1, x2), (y0, y1), w)
     for y in (y0, y1):
-        plan.carve(x0 - w, y - w, x2 + w, y + w)
         for x in np.arange(x0 + 4.0, x2 - 3.0, 4.0):
             for side in (-1.0, 1.0):
                 door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
     for x in (x0, x1, x2):
-        plan.carve(x - w, y0 - w, x + w, y1 + w)
         for y in np.arange(y0 + 6.0, y1 - 5.0, 4.0):
             for side in (-1.0, 1.0):
                 door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
@@ -93,14 +80,12 @@ def killian(seed: int) -> Log:
     return make_log(f"killian-{seed}", plan, route, sensor, drive=Drive(v=0.75), wheels=wheels, seed=seed)
 
 
-def aces(seed: int) -> Log:
+def aces(seed: int) -> Known:
     """Square building of four corridors crossed by two more, with doors; 50 x 50 m."""
     rng = stream(seed, "aces plan")
     plan = FloorPlan(62.0, 62.0)
     lines, w = (6.0, 31.0, 56.0), 1.1
-    for c in lines:
-        plan.carve(6.0 - w, c - w, 56.0 + w, c + w)
-        plan.carve(c - w, 6.0 - w, c + w, 56.0 + w)
+    crossing(plan, lines, lines, w)
     for c in lines:
         for along in np.arange(9.0, 54.0, 3.5):
             if abs(along - 31.0) < 3.0:
@@ -117,6 +102,14 @@ def aces(seed: int) -> Log:
     return make_log(
         f"aces-{seed}", plan, route, Sensor(sick(180, 40.0), 0.2), wheels=WHEELS[seed + 1], seed=seed
     )
+
+
+def crossing(plan: FloorPlan, xs: Sequence[float], ys: Sequence[float], half: float) -> None:
+    """Corridors along x at each of `ys` and along y at each of `xs`, `half` of their width to either side."""
+    for y in ys:
+        plan.carve(xs[0] - half, y - half, xs[-1] + half, y + half)
+    for x in xs:
+        plan.carve(x - half, ys[0] - half, x + half, ys[-1] + half)
 
 
 def door(plan: FloorPlan, along: float, across: float, axis: float, side: float, room: bool) -> None:
@@ -179,7 +172,7 @@ def office_route(rooms: int = 8) -> Array:
 OFFICE_SENSOR = Sensor(sick(360, 40.0), 0.2, T_base_lidar=(0.08, 0.0, 0.0))
 
 
-def office(seed: int, what: str = "plain") -> Log:
+def office(seed: int, what: str = "plain") -> Known:
     """The office with one mishap: see MISHAPS."""
     lies, change, person = MISHAPS[what]
     log = make_log(
@@ -189,15 +182,15 @@ def office(seed: int, what: str = "plain") -> Log:
     return change(log)
 
 
-Change = Callable[[Log], Log]
+Change = Callable[[Known], Known]
 
 
-def _same(log: Log) -> Log:
+def _same(log: Known) -> Known:
     return log
 
 
-def _gaps(log: Log) -> Log:
-    return without(without(log, 35.0, 3.0), 120.0, 3.0)
+def _gaps(log: Known) -> Known:
+    return log.without(35.0, 3.0).without(120.0, 3.0)
 
 
 MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
@@ -207,9 +200,9 @@ MISHAPS: dict[str, tuple[tuple[Lie, ...], Change, bool]] = {
     "slip": ((Lie("slip", 25.0, 5.0), Lie("spin", 110.0, 5.0)), _same, False),
     "jump": ((Lie("jump", 40.0, 0.1), Lie("jump", 150.0, 0.1)), _same, False),
     "gaps": ((), _gaps, False),
-    "blind": ((), lambda log: blinded(blinded(log, 30.0, 2.0), 130.0, 4.0), False),
-    "backwards": ((), lambda log: clock_back(log, 100.0, 40.0), False),
-    "shaken": ((), lambda log: shaken_stamps(log, 0.1, 0.5), False),
+    "blind": ((), lambda log: log.blinded(30.0, 2.0).blinded(130.0, 4.0), False),
+    "backwards": ((), lambda log: log.clock_back(100.0, 40.0), False),
+    "shaken": ((), lambda log: log.shaken_stamps(0.1, 0.5), False),
     "person": ((), _same, True),
     "all": (
         (
@@ -227,7 +220,7 @@ def burger_lidar(x: float = -0.032) -> Sensor:
     return Sensor(lds(), 0.2, T_base_lidar=(x, 0.0, 0.0), quantum=0.0, lost=0.0, mixed=0.0)
 
 
-def arena(seed: int, style: str) -> Log:
+def arena(seed: int, style: str) -> Known:
     """Nine pillars in a walled arena, TurtleBot3's lidar turning."""
     plan = FloorPlan(7.0, 7.0)
     plan.carve(1.0, 1.0, 6.0, 6.0)
@@ -256,7 +249,7 @@ def arena(seed: int, style: str) -> Log:
     )
 
 
-def rooms(seed: int) -> Log:
+def rooms(seed: int) -> Known:
     """A small house for TurtleBot3: six rooms, 11 x 7.5 m, walls often beyond the lidar's 3.5 m."""
     plan = FloorPlan(13.0, 9.5)
     for x in (1.0, 4.7, 8.4):
@@ -277,7 +270,7 @@ def rooms(seed: int) -> Log:
     )
 
 
-def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Log:
+def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0.02) -> Known:
     """A hall of table and chair legs, `density` a square metre: two laps with no surface in sight."""
     rng = stream(seed, "posts")
     plan = FloorPlan(size + 2.0, size + 2.0)
@@ -285,9 +278,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
     a, b = 6.0, size - 4.0
     lap = [(b, a), (b, b), (a, b), (a, a)]
     route = np.array([(a + 2.0, a), *lap, *lap, (a + 4.0, a)])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1))])
-    along = np.arange(0.0, length[-1], 0.1)
-    driven = np.stack([np.interp(along, length, route[:, k]) for k in (0, 1)], axis=1)
+    driven = points_along(route, 0.1)
     placed = np.empty((0, 2))
     for xy in rng.uniform(1.3, size + 0.7, (20 * round(density * size * size), 2)):
         apart = np.linalg.norm(placed - xy, axis=1).min(initial=np.inf)
@@ -301,7 +292,7 @@ def posts(seed: int, size: float = 24.0, density: float = 0.6, radius: float = 0
     return make_log(f"posts-{seed}", plan, route, sensor, drive=drive, wheels=wheels_of(seed), seed=seed)
 
 
-LOGS: dict[str, Callable[[], Log]] = {
+LOGS: dict[str, Callable[[], Known]] = {
     **{f"ring-{r}m-{s}": (lambda s=s, r=r: ring(s, float(r))) for r in (8, 80) for s in (1, 2, 3)},
     **{f"hall-{s}": (lambda s=s: hall(s)) for s in (1, 2, 3)},
     **{f"killian-{s}": (lambda s=s: killian(s)) for s in (1, 2)},

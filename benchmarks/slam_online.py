@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import bz2
-import os
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import driven, errors, mapped
-from benchmarks.slam_growth import SCANS, there_and_back
-from benchmarks.slam_logs import LOGS
-from benchmarks.slam_public import RADISH, by_relations, read
-from turtlebag.datasets.relations import load_relations
+from benchmarks.rows import Case, Row, held_mb
+from benchmarks.slam_cases import mapped
+from benchmarks.slam_growth import GROWN, there_and_back
+from benchmarks.slam_public import RADISH, by_name, public_log, read
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Observation, Recording, Trajectory, seconds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.growing_log import heard
@@ -35,19 +30,15 @@ COLUMNS = (
     "case", "scans", "keys", "offline_m", "end_m", "driving_m", "ms median", "ms p99", "jump_median_m",
     "jump_worst_m", "lost", "mb after each quarter", "error",
 )  # fmt: skip
+PUBLIC = (*RADISH, "aces", "belgioioso", "fhw", "acapulco", "infinite-corridor")
 DRIVES = (
-    ("turtlebot3_world", "burger", "tour", 1),
-    *(("turtlebot3_house", "burger", "fast", seed) for seed in (1001, 1002)),
-    ("office:5037", "burger", "tour", 5037),
-    ("maze:5003", "burger", "spiral", 5003),
-)
+    "turtlebot3_world-burger-tour-1", "turtlebot3_house-burger-fast-1001",
+    "turtlebot3_house-burger-fast-1002", "office:5037-burger-tour-5037", "maze:5003-burger-spiral-5003",
+)  # fmt: skip
 
 
 def online(recording: Recording) -> tuple[Trajectory, Trajectory, Row]:
-    """A log mapped scan by scan: poses as given on the way, poses as known at the end, and a row.
-
-    Milliseconds are CPU time of one scan; those of the first ten, when kernels are loaded, do not count.
-    """
+    """A log mapped scan by scan: poses as given on the way, poses as known at the end, and a row."""
     mapper, given, spent, lost, held = Mapper(recording.lidar, recording.T_base_lidar), [], [], 0, []
     for k, (scan, odometry) in enumerate(heard(recording)):
         start = time.process_time()
@@ -55,53 +46,34 @@ def online(recording: Recording) -> tuple[Trajectory, Trajectory, Row]:
         spent.append(time.process_time() - start)
         lost += mapper.lost
         if (4 * (k + 1)) % len(recording) < 4:
-            held.append(_held_mb())
-    row = {
-        "scans": len(recording),
-        "keys": len(mapper.T_map_keys),
-        "ms median": round(1e3 * float(np.median(spent[10:])), 2),
-        "ms p99": round(1e3 * float(np.quantile(spent[10:], 0.99)), 1),
-        "jump_median_m": float(np.median(mapper.jumps or [0.0])),
-        "jump_worst_m": max(mapper.jumps, default=0.0),
-        "lost": lost,
-        "mb after each quarter": " ".join(map(str, held)),
-    }
+            held.append(held_mb())
+    about = {"jump_median_m": float(np.median(mapper.jumps or [0.0])), "lost": lost}
+    row = about | costs(mapper, spent, held)
     return Trajectory(recording.stamps_ns, SE2(np.array(given))), mapper.trajectory, row
 
 
-def _held_mb() -> int:
-    """Memory that the process holds now [MB]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+def costs(mapper: Mapper, spent: list[float], held: list[float]) -> Row:
+    """What a mapper took that was given scans in so many CPU seconds each, and how far its poses jumped.
+
+    The first ten scans, when kernels are loaded, do not count.
+    """
+    return {
+        "scans": len(spent),
+        "keys": len(mapper.T_map_keys),
+        "ms median": round(1e3 * float(np.median(spent[10:])), 2),
+        "ms p99": round(1e3 * float(np.quantile(spent[10:], 0.99)), 1),
+        "jump_worst_m": max(mapper.jumps, default=0.0),
+        "mb after each quarter": " ".join(str(round(mb)) for mb in held),
+    }
 
 
-def online_row(recording: Recording, error_m: Callable[[Trajectory], float]) -> Row:
-    """Online beside offline."""
+def online_row(data: Path | None, log: str) -> Row:
+    """A log by its name, online beside offline."""
+    recording, scored = by_name(data, log)
     result, offline = mapped(recording)
     given, end, row = online(recording)
     told = {"offline_m": result.trajectory, "end_m": end, "driving_m": given}
-    return offline | row | {name: error_m(trajectory) for name, trajectory in told.items()}
-
-
-def public_row(log: Path, truth: Path) -> Row:
-    """A public log, by its relations or a reference trajectory."""
-    if truth.suffix == ".relations":
-        relations = load_relations(truth)
-        return online_row(read(log), lambda found: float(by_relations(found, relations)["m"]))
-    reference = load_tum(truth)
-    return online_row(read(log), lambda found: errors(found.poses, reference.poses[: len(found)])["m"])
-
-
-def drive_row(world: str, robot: str, teleop: str, seed: int) -> Row:
-    """A simulated drive with realistic sensors."""
-    log = driven(world, robot, teleop, seed, "realistic")[0]
-    return online_row(log.recording, lambda found: errors(found.poses, log.reference)["m"])
-
-
-def made_row(name: str) -> Row:
-    """A synthetic log."""
-    log = LOGS[name]()
-    return online_row(log.recording, lambda found: errors(found.poses, log.reference)["m"])
+    return offline | row | {name: scored(trajectory)["m"] for name, trajectory in told.items()}
 
 
 def long_row(log: Path) -> Row:
@@ -128,20 +100,13 @@ def hours_row() -> Row:
                 spent.append(time.process_time() - start)
                 off.append(_off(mapped_so_far, observation, simulator.truth.T_world_base))
             if now >= (len(held) + 1) * 900.0 * HOURS:
-                held.append(_held_mb())
+                held.append(held_mb())
             command = driver.send(simulator.truth)
             observation = simulator.step(command)
-    held.append(_held_mb())
+    held.append(held_mb())
     assert mapped_so_far.mapper is not None
-    return {
-        "scans": len(spent),
-        "keys": len(mapped_so_far.mapper.T_map_keys),
-        "driving_m": float(np.sqrt(np.mean(np.square(off)))),
-        "ms median": round(1e3 * float(np.median(spent[10:])), 2),
-        "ms p99": round(1e3 * float(np.quantile(spent[10:], 0.99)), 1),
-        "jump_worst_m": max(mapped_so_far.mapper.jumps, default=0.0),
-        "mb after each quarter": " ".join(map(str, held)),
-    }
+    driving_m = float(np.sqrt(np.mean(np.square(off))))
+    return {"driving_m": driving_m} | costs(mapped_so_far.mapper, spent, held)
 
 
 def _off(online_map: OnlineMap, observation: Observation, T_world_base: SE2) -> float:
@@ -151,16 +116,10 @@ def _off(online_map: OnlineMap, observation: Observation, T_world_base: SE2) -> 
 
 def online_cases(data: Path | None) -> list[Case]:
     """Public logs there are, drives, synthetic logs, 20,000 scans, two hours."""
-    cases = [Case("-".join(map(str, drive)), partial(drive_row, *drive)) for drive in DRIVES]
-    cases += [Case(name, partial(made_row, name)) for name in ("posts-1", "hall-2", "rooms-1")]
+    made = (*DRIVES, "posts-1", "hall-2", "rooms-1")
+    there = [name for name in PUBLIC if data and public_log(data, name).is_file()]
+    cases = [Case(name, partial(online_row, data, name)) for name in (*there, *made)]
     cases.append(Case(f"arena, {HOURS:g} h", hours_row))
-    if data is None:
-        return cases
-    logs = [(data / "radish" / f"{name}.clf.bz2", f"{name}.relations") for name in RADISH]
-    logs += [(data / "wild" / "aces.clf.bz2", "aces.relations")]
-    for name in ("belgioioso", "fhw", "acapulco", "infinite-corridor"):
-        logs.append((data / "wild" / f"{name}.clf.bz2", f"{name}.reference.tum"))
-    there = [(log, log.parent / truth) for log, truth in logs if log.is_file()]
-    cases = [Case(log.name.split(".")[0], partial(public_row, log, truth)) for log, truth in there] + cases
-    aces = data / "wild" / "aces.clf.bz2"
-    return cases + [Case(f"ACES to {SCANS} scans", partial(long_row, aces))] * aces.is_file()
+    if "aces" in there:
+        cases.append(Case(GROWN, partial(long_row, public_log(data, "aces"))))
+    return cases

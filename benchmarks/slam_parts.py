@@ -1,85 +1,72 @@
-"""What each part of the mapper is worth (switched off or exchanged)."""
+"""What each part of the mapper is worth (switched off or exchanged), and each number (halved and doubled)."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Sequence
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import PLACES, driven, errors, mapped
+from benchmarks.slam_cases import PLACES, mapped
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_public import RADISH, by_relations, read
-from turtlebag.datasets.relations import load_relations
+from benchmarks.slam_public import by_name
+from benchmarks.workers import SPAWN
+from turtlebag.pipeline.slam.slam import SlamConfig
 
-OFF = {"enabled": False}
-OPEN3D = {"match": "open3d"}
-CHOICES: dict[str, dict[str, Any]] = {
-    "everything": {},
-    "KISS-ICP front end": {"front_end": "kiss_icp"},
-    "wheels front end": {"front_end": "wheels"},
-    "point ICP front end": {"front_end": "docs.examples.point_icp:PointIcp"},
-    "Open3D loops": {"loops": OPEN3D},
-    "KISS-ICP, Open3D": {"front_end": "kiss_icp", "loops": OPEN3D},
-    "libraries alone": {
-        "front_end": "kiss_icp",
-        "loops": OPEN3D,
-        "tracking": {"calibration": False},
-        "refine": {"rounds": 0},
-        "posing": OFF,
-    },
-}
-"""The exchangeable parts; `libraries alone` is KISS-ICP, Open3D and GTSAM without any alignment of ours."""
-ABLATIONS: dict[str, dict[str, Any]] = {
-    **CHOICES,
-    "no loop closure": {"loops": OFF},
-    "no joint refinement": {"refine": {"rounds": 0}},
-    "no odometry calibration": {"tracking": {"calibration": False}},
-    "no re-posing": {"posing": OFF},
-    "no deskewing": {"deskew": False},
-    "lidar only": {"sensors": "lidar"},
-    "odometry only": {"sensors": "odometry"},
-}
+Variants = dict[str, dict[str, Any]]
+"""Settings of a mapper by name."""
+VARIANTS: dict[str, Variants] = yaml.safe_load(Path(__file__).with_name("variants.yaml").read_text())
+CHOICES = VARIANTS["exchanged"]
+ABLATIONS = CHOICES | VARIANTS["switched_off"]
 ABLATED = ("mit-csail", "fr079", "intel", "posts-1", "hall-2", "office-all-1", "rooms-1", "arena-fast-1")
-
-
 PARTS = ("turtlebot3_world", "turtlebot3_house", "mit-csail", "intel", "fr079", "aces")
 """Drives (burger, `tour`, seed 1, realistic sensors) and public logs."""
 
-
-def ablated_row(data: Path | None, log: str, variant: str) -> Row:
-    """A log with one of ABLATIONS."""
-    return mapped_row(data, log, ABLATIONS[variant])
+NUMBERS = {
+    "weight of the prior": "align.PRIOR_SHARE",
+    "variance of surfaces": "align.SURFACE_VAR",
+    "shared errors of points": "align.STEP_INFLATION",
+    "kernel, rough poses": "align.ROUGH_SIGMA_M",
+    "kernel, good poses": "align.FINE_SIGMA_M",
+    "weight of a surprise": "line_tracking.SURPRISE",
+    "odometry's noise": "tracking.odometry: floor share",
+    "way between key scans": "tracking: key_distance_m key_turn_rad",
+    "drift of the steps": "drift.HONEST",
+    "reach of loops": "loops: reach_m",
+    "trust in loops": "loops: inflation",
+}
+"""Constants of modules of `pipeline/slam`, and settings by their section: those named change together."""
+FACTORS = (1.0, 0.5, 2.0)
+LOGS_OF_NUMBERS = ("mit-csail", "turtlebot3_house", "rooms-1", "fr079", "aces", "intel")
 
 
 def mapped_row(data: Path | None, log: str, settings: dict[str, Any]) -> Row:
-    """A log by its name: relations of a public one, or the exact truth of a made one or a drive."""
-    if log in LOGS or log in PLACES:
-        made = LOGS[log]() if log in LOGS else driven(log, "burger", "tour", 1, "realistic")[0]
-        result, row = mapped(made.recording, settings)
-        return row | errors(result.trajectory.poses, made.reference)
-    assert data is not None
-    folder = data / ("radish" if log in RADISH else "wild")
-    result, row = mapped(read(folder / f"{log}.clf.bz2"), settings)
-    return row | by_relations(result.trajectory, load_relations(folder / f"{log}.relations"))
+    """A log by its name, mapped with some settings."""
+    recording, scored = by_name(data, log)
+    result, row = mapped(recording, settings)
+    return row | scored(result.trajectory)
+
+
+def there(data: Path | None, logs: Sequence[str]) -> list[str]:
+    """The logs that are there, or can be made."""
+    return [log for log in logs if log in LOGS or log in PLACES or data is not None]
 
 
 def ablation_cases(
     data: Path | None, variants: Iterable[str] = ABLATIONS, logs: Sequence[str] = ABLATED
 ) -> list[Case]:
     """Every variant on every log there is."""
-    there = [log for log in logs if log in LOGS or log in PLACES or data is not None]
-    return [
-        Case(f"{log}, {variant}", partial(ablated_row, data, log, variant), {"log": log, "variant": variant})
-        for variant in variants
-        for log in there
-    ]
-
-
-def parts_cases(data: Path | None) -> list[Case]:
-    """The exchangeable parts on public logs and drives."""
-    return ablation_cases(data, CHOICES, PARTS)
+    cases = []
+    for variant in variants:
+        for log in there(data, logs):
+            measure = partial(mapped_row, data, log, ABLATIONS[variant])
+            cases.append(Case(f"{log}, {variant}", measure, {"log": log, "variant": variant}))
+    return cases
 
 
 def ablation_table(rows: list[Row]) -> list[Row]:
@@ -90,3 +77,52 @@ def ablation_table(rows: list[Row]) -> list[Row]:
         found = row.get("error") or f"{row['m']:.4f} / {degrees:.3f} ({row['cpu_s']:.0f} s)"
         table[row["variant"]][row["log"]] = found
     return list(table.values())
+
+
+def number_row(data: Path | None, log: str, name: str, factor: float) -> Row:
+    """`multiplied_row` in a process of its own: kernels take a constant's value when they are compiled."""
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        return pool.submit(multiplied_row, data, log, name, factor).result()
+
+
+def multiplied_row(data: Path | None, log: str, name: str, factor: float) -> Row:
+    """A log with a number multiplied, for this process too."""
+    section, _, fields = NUMBERS[name].partition(": ")
+    settings: dict[str, Any] = {}
+    if fields:
+        config: Any = reduce(getattr, section.split("."), SlamConfig())
+        settings = {field: factor * getattr(config, field) for field in fields.split()}
+        for part in reversed(section.split(".")):
+            settings = {part: settings}
+    else:
+        module_name, _, constant = section.partition(".")
+        module = importlib.import_module(f"turtlebag.pipeline.slam.{module_name}")
+        setattr(module, constant, factor * getattr(module, constant))
+    return mapped_row(data, log, settings)
+
+
+def number_cases(data: Path | None) -> list[Case]:
+    """Every number halved and doubled on every log there is, log by log; and once as it is."""
+    cases = []
+    for log in there(data, LOGS_OF_NUMBERS):
+        for name in NUMBERS:
+            for factor in FACTORS if name == next(iter(NUMBERS)) else FACTORS[1:]:
+                number = name if factor != 1.0 else "as it is"
+                about = {"log": log, "number": number, "factor": factor}
+                measure = partial(number_row, data, log, name, factor)
+                cases.append(Case(f"{log}, {number}, {factor}", measure, about))
+    return cases
+
+
+def number_table(rows: Sequence[Row]) -> list[Row]:
+    """A line a number: its error on each log over that with the number as it is, halved / doubled."""
+    found = {(row["log"], row["number"], row["factor"]): row.get("m", float("nan")) for row in rows}
+    table = []
+    for number in NUMBERS:
+        line: Row = {"number": number, "what": NUMBERS[number]}
+        for log in dict.fromkeys(row["log"] for row in rows):
+            usual = found.get((log, "as it is", 1.0), float("nan"))
+            ratios = [found.get((log, number, factor), float("nan")) / usual for factor in FACTORS[1:]]
+            line[log] = " / ".join(f"{ratio:.2f}" for ratio in ratios)
+        table.append(line)
+    return table

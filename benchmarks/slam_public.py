@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.disturb import MODES, chosen, disturbed, known
+from benchmarks.disturb import MODES, disturbed
+from benchmarks.known import chosen, known
 from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import errors, mapped, picture
+from benchmarks.slam_cases import PLACES, driven, mapped, picture
+from benchmarks.slam_logs import LOGS
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.kept import read_kept, write_kept
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
@@ -34,12 +36,6 @@ PUBLISHED = {
     "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
     "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
 }
-
-
-def public_data() -> Path | None:
-    """The folder in TURTLEBAG_DATA, with the logs in its folders `radish` and `wild`."""
-    root = os.environ.get("TURTLEBAG_DATA")
-    return Path(root) if root and (Path(root) / "radish").is_dir() else None
 
 
 @dataclass(frozen=True)
@@ -78,36 +74,58 @@ def stem(log: Path) -> str:
     return log.name.split(".clf")[0]
 
 
-def log_row(log: Path, files: Files) -> Row:
-    """A public log, scored by its relations, or after a rigid fit to reference poses, or not at all."""
-    result, row = mapped(read(log))
-    name, at = stem(log), result.trajectory
-    keep(files.kept(name), at.poses)
-    picture(result, files.out, name)
-    relations, reference = (log.with_name(f"{name}.{kind}") for kind in ("relations", "reference.tum"))
+def scored(log: Path, found: Trajectory) -> Row:
+    """Errors on a public log by its relations, or after a rigid fit to reference poses; none without them."""
+    relations, reference = (log.with_name(f"{stem(log)}.{kind}") for kind in ("relations", "reference.tum"))
     if relations.is_file():
-        row |= by_relations(at, load_relations(relations))
-    elif reference.is_file():
-        pairs = associate(at, load_tum(reference))
-        row |= errors(pairs.T_map_base, pairs.T_world_base)
-    return row
+        return by_relations(found, load_relations(relations))
+    if reference.is_file():
+        pairs = associate(found, load_tum(reference))
+        return errors(pairs.T_map_base, pairs.T_world_base)
+    return {}
 
 
-def keep(file: Path, poses: SE2) -> None:
-    """Keep poses for other cases."""
-    content = io.BytesIO()
-    np.save(content, poses.xyt)
-    write_kept(file, content.getvalue())
+def public_log(data: Path, name: str) -> Path:
+    """Where a public log lies."""
+    return data / ("radish" if name in RADISH else "wild") / f"{name}.clf.bz2"
+
+
+def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajectory], Row]]:
+    """A log, and the errors of a trajectory of it.
+
+    Names are those of LOGS, of worlds of PLACES (with `-robot-script-seed` where that is not a burger's first
+    tour; sensors are realistic), and of the public logs in `data`.
+    """
+    place, *drive = name.split("-")
+    if name in LOGS or place.partition(":")[0] in PLACES:
+        robot, teleop, seed = drive if name not in LOGS and drive else ("burger", "tour", "1")
+        made = LOGS[name]() if name in LOGS else driven(place, robot, teleop, int(seed), "realistic")[0]
+        return made.recording, lambda found: errors(found.poses, made.reference)
+    assert data is not None
+    log = public_log(data, name)
+    return read(log), partial(scored, log)
+
+
+def log_row(log: Path, files: Files) -> Row:
+    """A public log."""
+    result, row = mapped(read(log))
+    keep(files.kept(stem(log)), result.trajectory)
+    picture(result.grid, files.out / "maps", stem(log))
+    return row | scored(log, result.trajectory)
+
+
+def keep(file: Path, found: Trajectory) -> Trajectory:
+    """Keep the poses of a map for other cases."""
+    write_kept(file, np.ascontiguousarray(found.poses.xyt).tobytes())
+    return found
 
 
 def undisturbed(log: Path, files: Files) -> Trajectory:
     """The map's trajectory of a log as it is: kept, or made."""
     recording, file = read(log), files.kept(stem(log))
-    if read_kept(file) is None:
-        keep(file, mapped(recording)[0].trajectory.poses)
-    found = read_kept(file)
-    assert found is not None
-    return Trajectory(recording.stamps_ns, SE2(np.load(io.BytesIO(found))))
+    if (found := read_kept(file)) is None:
+        return keep(file, mapped(recording)[0].trajectory)
+    return Trajectory(recording.stamps_ns, SE2(np.frombuffer(found).reshape(-1, 3)))
 
 
 def disturbed_row(log: Path, mode: str, files: Files) -> Row:
@@ -128,7 +146,7 @@ def disturbed_row(log: Path, mode: str, files: Files) -> Row:
 
 def log_cases(data: Path, files: Files) -> list[Case]:
     """The public logs there are."""
-    found = [data / "radish" / f"{name}.clf.bz2" for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
+    found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
     cases = []
     for log in filter(Path.is_file, found):
         published = dict(zip(COLUMNS, PUBLISHED.get(stem(log), ()), strict=False))
@@ -138,12 +156,11 @@ def log_cases(data: Path, files: Files) -> list[Case]:
 
 def disturbed_cases(data: Path, files: Files) -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
-    logs = [log for name in RADISH if (log := data / "radish" / f"{name}.clf.bz2").is_file()]
-    return [
-        Case(
-            f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), {"log": stem(log), "mode": mode}
-        )
-        for shift in range(len(logs))
-        for k, mode in enumerate(MODES)
-        for log in [logs[(k + shift) % len(logs)]]
-    ]
+    logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
+    cases = []
+    for shift in range(len(logs)):
+        for k, mode in enumerate(MODES):
+            log = logs[(k + shift) % len(logs)]
+            about = {"log": stem(log), "mode": mode}
+            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), about))
+    return cases

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.rows import Row
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.trajectory import fit_rigid
 
 PAIRS = 2000
@@ -19,56 +17,36 @@ RETURN_M = 10.0
 FOLD_M = 3.0
 
 
-@dataclass(frozen=True)
-class Score:
-    """Errors in metres and degrees; `folded` is the share of scans laid over a place they never saw.
+def errors(estimate: SE2, reference: SE2) -> Row:
+    """Errors against the pose of each scan (n,); scans whose reference is NaN do not count.
 
-    `ate` and `ate_worst` have the first pose as their only anchor; after a rigid fit `ate_aligned` and
-    `ate_max` are left, and `yaw_deg` of the yaws.
+    `m`, `deg` (RMSE) and `worst_m` after a rigid fit; `scaled_m` with the scale fitted as well, for a log
+    cannot tell that of its lidar; `anchored_*` with the first pose as the only anchor. `near_deg` and
+    `return_m` are those of relations, sampled as Kuemmerle et al. (2009) chose theirs by hand: between poses
+    near each other in space, half of them successive, half of them returns to a place. `folded` is the share
+    of scans laid over a place they never saw.
     """
-
-    ate: float
-    ate_worst: float
-    ate_aligned: float
-    ate_max: float
-    ate_scaled: float
-    scale: float
-    yaw_deg: float
-    relation_m: float
-    relation_deg: float
-    return_m: float
-    folded: float
-
-
-def score(estimate: SE2, truth: Trajectory) -> Score:
-    """Compare poses (n,) of the scans with the truth.
-
-    Relations are sampled as Kuemmerle et al. (2009) chose theirs by hand: between poses near each
-    other in space, half of them successive, half of them returns to a place.
-    """
-    true = truth.poses
+    sure = np.isfinite(reference.xyt).all(axis=1)
+    estimate, true = estimate[sure], reference[sure]
+    fit = fit_rigid(estimate.xy, true.xy)
+    fitted = fit @ estimate.xy
+    aligned = np.linalg.norm(fitted - true.xy, axis=1)
+    scale, scaled = _scaled(fitted, true.xy)
     moved = true[0] @ estimate[0].inverse() @ estimate
-    fitted = fit_rigid(estimate.xy, true.xy)
-    aligned = np.linalg.norm(fitted @ estimate.xy - true.xy, axis=1)
-    near, back = _pairs(true, PAIRS)
-    scale, scaled = _scaled((fitted @ estimate.xy), true.xy)
-    turned = wrap((fitted @ estimate).yaw - true.yaw)
     anchored = np.linalg.norm(moved.xy - true.xy, axis=1)
-    e_near, e_back = _relation_error(estimate, true, near), _relation_error(estimate, true, back)
-    both = np.concatenate([e_near, e_back])
-    return Score(
-        ate=_rms(anchored),
-        ate_worst=float(anchored.max()),
-        ate_aligned=_rms(aligned),
-        ate_max=float(aligned.max()),
-        ate_scaled=_rms(scaled),
-        scale=scale,
-        yaw_deg=float(np.degrees(_rms(turned))),
-        relation_m=float(both[:, 0].mean()),
-        relation_deg=float(np.degrees(both[:, 1].mean())),
-        return_m=float(e_back[:, 0].mean()) if len(e_back) else 0.0,
-        folded=_folded(estimate, true),
-    )
+    near, back = (_relation_error(estimate, true, pairs) for pairs in _pairs(true, PAIRS))
+    return {
+        "m": _rms(aligned),
+        "deg": float(np.degrees(_rms(wrap((fit @ estimate).yaw - true.yaw)))),
+        "worst_m": float(aligned.max()),
+        "scaled_m": _rms(scaled),
+        "scale": scale,
+        "anchored_m": _rms(anchored),
+        "anchored_worst_m": float(anchored.max()),
+        "near_deg": float(np.degrees(np.concatenate([near, back])[:, 1].mean())),
+        "return_m": float(back[:, 0].mean()) if len(back) else 0.0,
+        "folded": _folded(estimate, true),
+    }
 
 
 def _rms(error: Array) -> float:

@@ -12,22 +12,22 @@ With TURTLEBAG_DATA, the map of ACES is sent as it grows, at the log's own pace.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import dataclasses
-import os
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.rows import Row, write
+from benchmarks.rows import Row, held_mb, options, public, write
 from benchmarks.studio_client import Client
+from benchmarks.workers import SPAWN
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.slam.mapper import Mapper
@@ -57,34 +57,31 @@ class Stamped(Session):
         return dataclasses.replace(super().view(), state=repr(at))
 
 
-def serve_here(world: str, map_path: str, out: str) -> None:
-    """What the other process does: a studio, its address on stdout."""
+def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -> None:
+    """What the other process does: a studio; its address is told."""
     import turtlebag.pipeline.stages.studio as stage
 
     stage.Session = Stamped
     sockets = listen(LOOPBACK, 0)
     guard = Guard(new_token(), LOOPBACK, sockets[0].getsockname()[1])
-    setup = StudioSetup(world, ROBOT, 1, Path(map_path) if map_path else None)
-    with (
-        deferred_interrupt() as interrupted,
-        studio_output(setup, Path(out), say=lambda line: None) as session,
-    ):
-        serve(session, guard, sockets, interrupted=interrupted, ready=lambda: print(guard.url, flush=True))
+    setup = StudioSetup(world, ROBOT, 1, map_path)
+    with deferred_interrupt() as interrupted, studio_output(setup, out, say=lambda line: None) as session:
+        serve(session, guard, sockets, interrupted=interrupted, ready=lambda: told.send(guard.url))
 
 
 @contextmanager
 def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
     """A running studio: its address and process."""
+    told, theirs = SPAWN.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
-        words = ["--serve", world, "" if map_path is None else str(map_path), f"{folder}/out"]
-        command = [sys.executable, "-m", "benchmarks.studio", *words]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
+        process: Any = SPAWN.Process(target=serve_here, args=(world, map_path, Path(folder) / "out", theirs))
+        process.start()
+        theirs.close()
         try:
-            yield process.stdout.readline().strip(), process.pid
+            yield told.recv(), process.pid
         finally:
             process.terminate()
-            process.wait()
+            process.join()
 
 
 def lateness(client: Client, first: int) -> Row:
@@ -181,12 +178,9 @@ async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
             await client.read_for(0.3)
             if not client.picture.head["task"]:
                 go_round(client, 1)
-        status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
         head = client.picture.head
-        mb = round(int(status["VmRSS"].split()[0]) / 1e3)
-        rows.append(
-            {"wall_min": round(0.1 * part * minutes, 2), "simulated_min": round(head["t"] / 60), "mb": mb}
-        )
+        told = {"wall_min": round(0.1 * part * minutes, 2), "simulated_min": round(head["t"] / 60)}
+        rows.append(told | {"mb": round(held_mb(pid))})
         print(rows[-1], file=sys.stderr, flush=True)
     client.close()
     return rows
@@ -224,15 +218,9 @@ def aces(log: Path) -> Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--minutes", type=float, default=0.0)
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks"))
-    parser.add_argument("--serve", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.serve:
-        serve_here(*args.serve)
-        return
-    args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         map_path = Path(folder) / "map.yaml"
         save_map(load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height), Path(folder))
@@ -241,8 +229,7 @@ def main() -> None:
         with studio("turtlebot3_house", None) as (url, _):
             rows.append(asyncio.run(exploring(url)))
         write(args.out, "studio", rows)
-        log = Path(os.environ.get("TURTLEBAG_DATA", "")) / "wild" / "aces.clf.bz2"
-        if log.exists():
+        if log := public("wild", "aces.clf.bz2"):
             write(args.out, "studio_aces", [aces(log)])
         write(args.out, "studio_viewer", [speeds])
         if args.minutes:

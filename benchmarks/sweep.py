@@ -11,18 +11,18 @@ Parts:
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.rows import Row, write
+from benchmarks.rows import Row, held_mb, options, parts_of, write
 from turtlebag.pipeline.campaign.campaign_file import Campaign
 from turtlebag.pipeline.campaign.case import Run, Where
 from turtlebag.pipeline.campaign.cases import cases
@@ -43,12 +43,6 @@ def nothing(argv: list[str]) -> int:
     (out / "metrics.json").write_text('{"n": 1}')
     (out / "manifest.json").write_text("{}")
     return 0
-
-
-def megabytes(pid: int) -> float:
-    """Memory that a process holds [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def spent(pids: Sequence[int]) -> float:
@@ -101,8 +95,8 @@ def timed(campaign: Campaign, run: Run, workers: int, folder: Path, parts: int) 
                     "cases": done,
                     "wall_s": time.perf_counter() - start,
                     "cpu_s": spent([os.getpid(), *pids]) - cpu_s,
-                    "scheduler_mb": megabytes(pids[0]),
-                    "command_mb": megabytes(os.getpid()),
+                    "scheduler_mb": held_mb(pids[0]),
+                    "command_mb": held_mb(),
                 }
 
 
@@ -173,25 +167,23 @@ def queried(count: int, folder: Path) -> list[Row]:
     return [{"rows": count, "write_s": written_s, "query_s": asked_s, "mb": size / 1e6}]
 
 
+PARTS: dict[str, Callable[[Namespace, Path], list[Row]]] = {
+    "overhead": lambda args, folder: overhead(args.cases, folder),
+    "speedup": lambda args, folder: speedup(folder),
+    "query": lambda args, folder: queried(args.rows, folder),
+}
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure what is asked for, print and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help="these parts (default: all)")
+    parser = options(__doc__, "data/benchmarks/sweep")
+    parts_of(parser, PARTS)
     parser.add_argument("--cases", type=int, default=10_000, metavar="N", help="empty cases")
     parser.add_argument("--rows", type=int, default=1_000_000, metavar="N", help="rows of the table")
-    parser.add_argument("--out", type=Path, default=Path("data/benchmarks/sweep"))
     args = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="turtlebag-") as scratch:
-        parts = {
-            "overhead": lambda: overhead(args.cases, Path(scratch)),
-            "speedup": lambda: speedup(Path(scratch)),
-            "query": lambda: queried(args.rows, Path(scratch)),
-        }
-        if wrong := [name for name in args.parts if name not in parts]:
-            parser.error(f"no part {wrong[0]!r}: there are {', '.join(parts)}")
-        args.out.mkdir(parents=True, exist_ok=True)
-        for name in args.parts or parts:
-            write(args.out, name, parts[name]())
+        for name in args.parts:
+            write(args.out, name, PARTS[name](args, Path(scratch)))
 
 
 if __name__ == "__main__":

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-import time
 from collections.abc import Iterator, Sequence
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import Any
 
 from benchmarks.rows import Case, Row
@@ -14,33 +15,34 @@ SPAWN = multiprocessing.get_context("spawn")
 
 
 class Worker:
-    """A process that measures one case after the other."""
+    """A process that measures one case after the other; where a case has ended it, the next has a new one."""
 
     def __init__(self) -> None:
-        self.pipe, theirs = SPAWN.Pipe()
-        self._process: Any = SPAWN.Process(target=serve, args=(theirs,))
-        self._process.start()
-        theirs.close()
-        self.case: Case | None = None
-        self.until = 0.0
+        self._process: Any = None
 
-    def give(self, case: Case, limit_s: float) -> None:
-        """Start measuring a case, for so long at most [s]."""
-        self.case, self.until = case, time.monotonic() + limit_s
-        self.pipe.send(case)
-
-    def end(self) -> None:
-        """Kill the process, whatever it is doing."""
-        self._process.kill()
-        self._process.join()
-        self.pipe.close()
-
-    def answer(self) -> Row | None:
-        """The row of its case; None when the process has died."""
+    def measure(self, case: Case, limit_s: float) -> Row:
+        """The row of a case, or one that says why there is none: it may take so long [s]."""
+        if self._process is None:
+            self._pipe, theirs = SPAWN.Pipe()
+            self._process = SPAWN.Process(target=serve, args=(theirs,))
+            self._process.start()
+            theirs.close()
         try:
-            return dict(self.pipe.recv())
-        except (EOFError, ConnectionResetError):
-            return None
+            self._pipe.send(case)
+            if self._pipe.poll(limit_s):
+                return dict(self._pipe.recv())
+            why = f"took more than {limit_s:.0f} s"
+        except (EOFError, ConnectionError):
+            why = "its process died"
+        self.kill()
+        self._process.join()
+        self._process = None
+        return failed(case, why)
+
+    def kill(self) -> None:
+        """End the process, whatever it is doing."""
+        if self._process is not None:
+            self._process.kill()
 
 
 def serve(pipe: Connection) -> None:
@@ -67,32 +69,23 @@ def failed(case: Case, why: str) -> Row:
 
 def in_processes(cases: Sequence[Case], count: int, limit_s: float) -> Iterator[tuple[Case, Row]]:
     """Cases and their rows as they come, from `count` processes; none takes longer than `limit_s` [s]."""
-    waiting = list(reversed(cases))
-    workers: list[Worker] = []
-    try:
-        while waiting or any(worker.case for worker in workers):
-            while waiting and len(workers) < count:
-                workers.append(Worker())
+    workers = [Worker() for _ in range(count)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def measure(case: Case) -> tuple[Case, Row]:
+        worker = idle.get()
+        try:
+            return case, worker.measure(case, limit_s)
+        finally:
+            idle.put(worker)
+
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            for done in as_completed([pool.submit(measure, case) for case in cases]):
+                yield done.result()
+        finally:  # also when nobody wants the rest any more
+            pool.shutdown(wait=False, cancel_futures=True)
             for worker in workers:
-                if worker.case is None and waiting:
-                    worker.give(waiting.pop(), limit_s)
-            busy = [worker for worker in workers if worker.case is not None]
-            soonest = min(worker.until for worker in busy)
-            ready = wait([worker.pipe for worker in busy], max(0.0, soonest - time.monotonic()))
-            for worker in busy:
-                case, late = worker.case, time.monotonic() >= worker.until
-                assert case is not None
-                if worker.pipe in ready:
-                    row = worker.answer()
-                elif late:
-                    row = failed(case, f"took more than {limit_s:.0f} s")
-                else:
-                    continue
-                worker.case = None
-                if row is None or worker.pipe not in ready:
-                    worker.end()
-                    workers.remove(worker)
-                yield case, row or failed(case, "its process died")
-    finally:
-        for worker in workers:
-            worker.end()
+                worker.kill()

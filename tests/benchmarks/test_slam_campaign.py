@@ -12,11 +12,12 @@ import pytest
 
 from benchmarks import rows as frame
 from benchmarks import slam_campaign
+from benchmarks.disturb import KINDS, SCORED
 from benchmarks.numbers import counted
 from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
-from benchmarks.slam_detector import KINDS, detection, detector_cases, judged, spread
-from benchmarks.slam_sensitivity import NUMBERS
+from benchmarks.slam_detector import detection, detector_cases, judged, spread
+from benchmarks.slam_parts import NUMBERS
 from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam.slam import SlamConfig
 
@@ -45,12 +46,11 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
             assert hasattr(importlib.import_module(f"turtlebag.pipeline.slam.{module}"), constant), section
 
 
-def test_the_detector_has_five_hundred_maps_and_two_halves_that_share_no_kind():
+def test_the_detector_has_five_hundred_maps_and_two_halves_of_ten_kinds_and_more():
     cases = detector_cases()
     assert len(cases) == len({case.name for case in cases}) >= 500
-    halves = {half: {kind for kind, (of, _) in KINDS.items() if of == half} for half in ("build", "score")}
-    assert len(halves["build"]) >= 10
-    assert len(halves["score"]) >= 10
+    assert set(SCORED) < set(KINDS)
+    assert 10 <= len(SCORED) <= len(KINDS) - 10
     assert {case.about["half"] for case in cases if case.about["kind"] == "plain"} == {"build", "score"}
 
 
@@ -128,6 +128,17 @@ def test_the_same_command_goes_on_where_it_was_stopped(tmp_path, monkeypatch, ca
     lines = (tmp_path / "out/rows/few.jsonl").read_text().splitlines()
     assert [json.loads(line)["case"] for line in lines] == ["0", "1", "2"]
     assert (tmp_path / "out/few.csv").read_text().splitlines()[0] == "case,m,code"
+
+
+def test_parts_that_are_not_named_are_all_of_them_and_an_unknown_one_is_an_error(capsys):
+    parser = frame.options("Some tables.")
+    frame.parts_of(parser, {"a": 1, "b": 2})
+    assert parser.parse_args([]).parts == ["a", "b"]
+    assert parser.parse_args(["b"]).parts == ["b"]
+    with pytest.raises(SystemExit) as ended:
+        parser.parse_args(["c"])
+    assert ended.value.code == 2
+    assert "no 'c': there are a, b" in capsys.readouterr().err
 
 
 def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypatch):

@@ -3,23 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.disturb import (
-    MODES,
-    Known,
-    around,
-    disturbed,
-    known,
-    mirror,
-    mirrored_scans,
-    places,
-    reverse,
-    steps,
-    with_odometry,
-    with_scans,
-)
-from benchmarks.slam_cases import VARIANTS, errors
-from benchmarks.slam_detector import KINDS
+from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
+from benchmarks.known import Known, known, steps
+from benchmarks.slam_cases import VARIANTS
 from benchmarks.slam_public import by_relations
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, LidarSpec, Recording, Trajectory
@@ -109,7 +97,7 @@ def test_a_relation_goes_with_either_of_its_scans():
     log = a_log()
     lost = np.ones(N, dtype=bool)
     lost[[0, 32]] = False  # the first scan of relation 0, the second of relation 1
-    assert with_scans(log, lost).which.tolist() == list(range(2, len(log.relations)))
+    assert log.with_scans(lost).which.tolist() == list(range(2, len(log.relations)))
     assert len(disturbed(log, "half").which) == len(log.relations)
     third = disturbed(log, "third")
     stamps = set(third.recording.stamps_ns.tolist())
@@ -125,7 +113,7 @@ def test_gaps_lie_in_turns_and_are_as_long_as_they_say():
     assert np.allclose([gap.max() * 1e-9 for gap in gaps], [3.2, 20.2], atol=0.25)
     log = a_log()
     turn = np.abs(steps(log.odometry)[:, 2])
-    assert turn[around(log, places(log, 5), 3.0)[:-1]].mean() > 1.3 * turn.mean()
+    assert turn[log.around(log.places(5), 3.0)[:-1]].mean() > 1.3 * turn.mean()
 
 
 def test_odometry_goes_wrong_by_as_much_as_the_mode_says():
@@ -144,7 +132,7 @@ def test_odometry_goes_wrong_by_as_much_as_the_mode_says():
 
 def test_the_full_rate_odometry_goes_where_that_of_the_scans_goes():
     log = a_log()
-    same_again = with_odometry(log, log.odometry)
+    same_again = log.with_odometry(log.odometry)
     assert same(log, same_again)
     for mode in ("bias", "noisy", "stuck"):
         r = disturbed(log, mode).recording
@@ -208,12 +196,12 @@ def test_a_map_that_is_only_too_large_says_how_much_and_has_no_other_error():
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_the_detector_keeps_a_pose_for_each_scan(kind):
     log = a_log()
-    log = KINDS[kind][1](log, np.random.default_rng(1))
+    log = KINDS[kind](log, np.random.default_rng(1))
     assert len(log.reference) == len(log.recording) == len(log.odometry)
     assert np.isfinite(log.reference.xyt).all(axis=1).mean() >= 0.89
 
 
 def test_scans_of_an_upside_down_lidar_mirror_what_it_sees():
     log = a_log()
-    there = [one.recording.scan(3).points_lidar() for one in (log, mirrored_scans(log))]
+    there = [one.recording.scan(3).points_lidar() for one in (log, log.mirrored_scans())]
     assert np.allclose(there[1], there[0] * [1.0, -1.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slam_logs import arena, posts
-from benchmarks.slam_scores import score
+from benchmarks.slam_scores import errors
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
@@ -31,12 +31,12 @@ def test_posts_are_mapped_by_points_where_no_line_can_be_fitted(hall):
     clouds = make_clouds(hall.recording, 30.0)
     by = [clouds.placed_by(scan) for scan in range(len(clouds.starts) - 1)]
     assert by.count("points") > 0.9 * len(by)
-    odometry = score(hall.recording.T_odom_base, hall.truth)
+    odometry = errors(hall.recording.T_odom_base, hall.reference)
     found = run_slam(hall.recording, SlamConfig())
-    error = score(found.trajectory.poses, hall.truth)
-    assert error.ate_aligned < 0.02
-    assert error.ate_aligned < 0.1 * odometry.ate_aligned
-    assert error.relation_deg < 0.4
+    error = errors(found.trajectory.poses, hall.reference)
+    assert error["m"] < 0.02
+    assert error["m"] < 0.1 * odometry["m"]
+    assert error["near_deg"] < 0.4
     assert found.check.good
 
 
@@ -74,12 +74,13 @@ def test_lidar_alone_undoes_its_own_turning():
         ranges=log.recording.ranges[:n],
         T_odom_base=log.recording.T_odom_base[:n],
     )
-    truth = replace(log.truth, stamps_ns=log.truth.stamps_ns[:n], poses=log.truth.poses[:n])
-    alone = score(run_slam(part, SlamConfig(sensors="lidar")).trajectory.poses, truth)
-    assert alone.ate_aligned < 0.01
-    assert alone.relation_deg < 0.5
-    skewed = score(run_slam(part, SlamConfig(sensors="lidar", deskew=False)).trajectory.poses, truth)
-    assert skewed.relation_deg > 1.5
+    alone = errors(run_slam(part, SlamConfig(sensors="lidar")).trajectory.poses, log.reference[:n])
+    assert alone["m"] < 0.01
+    assert alone["near_deg"] < 0.5
+    skewed = errors(
+        run_slam(part, SlamConfig(sensors="lidar", deskew=False)).trajectory.poses, log.reference[:n]
+    )
+    assert skewed["near_deg"] > 1.5
 
 
 def test_sweep_motion_by_true_poses_is_that_of_true_odometry():

@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam_drives import Drive, Log, Sensor, Wheels, interval, make_log, sick, without
+from benchmarks.known import Known
+from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import WHEELS, office_plan
 from benchmarks.slam_plans import FloorPlan
-from benchmarks.slam_scores import score
+from benchmarks.slam_scores import errors
 from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between
-from turtlebag.datasets.types import Recording, Trajectory
+from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import place_recognition as recall
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
@@ -28,7 +29,7 @@ from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts, witnessed_chain
 
 
-def office() -> Log:
+def office() -> Known:
     """Round the office nearly twice, once into two rooms: 125 m."""
     first = [(9.0, 7.0), (10.1, 7.0), (10.1, 4.0), (10.4, 4.0), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5)]
     again = [(15.0, 10.5), (14.7, 7.0), *[(27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0)] * 2]
@@ -38,7 +39,7 @@ def office() -> Log:
     )  # fmt: skip
 
 
-def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Log:
+def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Known:
     """A corridor with rooms like one another to the centimetre, furniture and all, each visited once."""
     plan = FloorPlan(10.0 + 4.0 * rooms, 14.0)
     plan.carve(1.0, 6.0, 5.0 + 4.0 * rooms, 8.0)
@@ -58,25 +59,25 @@ def twins(seed: int, rooms: int = 8, there_and_back: bool = False) -> Log:
     )  # fmt: skip
 
 
-def displaced(log: Log, start: float, offset: tuple[float, float, float]) -> Log:
+def displaced(log: Known, start: float, offset: tuple[float, float, float]) -> Known:
     """The log whose odometry jumps by an offset (in the base frame) once, and is right again from there."""
     T = log.odometry
-    first = int(np.argmax(interval(log, start, np.inf)))
+    first = int(np.argmax(log.interval(start, np.inf)))
     moved = (T[first] @ SE2(np.array(offset)) @ T[first].inverse()) @ T[first:]
     xyt = np.concatenate([T.xyt[:first], moved.xyt])
-    return replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt)))
+    return log.recorded(T_odom_base=SE2(xyt))
 
 
-def carried(log: Log, start: float, length: float) -> Log:
+def carried(log: Known, start: float, length: float) -> Known:
     """The log of a robot that was carried: for an interval no scans, and wheels that stood still."""
-    away, T = np.flatnonzero(interval(log, start, length)), log.odometry
+    away, T = np.flatnonzero(log.interval(start, length)), log.odometry
     late = (T[away[0]] @ T[away[-1] + 1].inverse() @ T[away[-1] + 1 :]).xyt
     xyt = np.concatenate([T.xyt[: away[-1] + 1], late])
-    return without(replace(log, recording=replace(log.recording, T_odom_base=SE2(xyt))), start, length)
+    return log.recorded(T_odom_base=SE2(xyt)).without(start, length)
 
 
 BREAKS = {
-    "gap in which odometry jumps": lambda log: displaced(without(log, 40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
+    "gap in which odometry jumps": lambda log: displaced(log.without(40.0, 12.0), 40.0, (14.0, -6.0, 1.4)),
     "robot carried away": lambda log: carried(log, 55.0, 14.0),
 }
 
@@ -86,9 +87,9 @@ BREAKS = {
 def test_log_broken_in_two_is_put_together_again(broken):
     log = broken(office())
     result = run_slam(log.recording, SlamConfig())
-    found = score(result.trajectory.poses, log.truth)
-    assert found.folded == 0.0
-    assert found.ate_aligned < 0.02
+    found = errors(result.trajectory.poses, log.reference)
+    assert found["folded"] == 0.0
+    assert found["m"] < 0.02
     assert result.check.good, result.check.reasons
     true = log.truth.poses[result.keys]
     accepted = [place for place in result.recognised if place.verdict == "accepted"]
@@ -112,7 +113,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
     log = twins(1, rooms=6)
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
-    assert score(result.trajectory.poses, log.truth).ate_aligned < 0.03
+    assert errors(result.trajectory.poses, log.reference)["m"] < 0.03
     assert result.check.good, result.check.reasons
 
 
@@ -120,7 +121,7 @@ def test_rooms_like_one_another_are_not_taken_for_one():
 @pytest.mark.parametrize("there_and_back", [False, True])
 def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_back):
     log = twins(2, rooms=6, there_and_back=there_and_back)
-    log = displaced(without(log, 45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
+    log = displaced(log.without(45.0, 8.0), 45.0, (6.0, 3.0, 1.0))
     result = run_slam(log.recording, SlamConfig())
     assert not any(place.verdict == "accepted" for place in result.recognised)
     assert any("breaks" in reason for reason in result.check.reasons)
@@ -273,8 +274,7 @@ def test_recall_costs_nothing_where_the_chain_holds():
     log = recording(ROOM, truth, odometry=truth)
     result = run_slam(log, SlamConfig())
     assert result.recognised == []
-    stamps = Trajectory(log.stamps_ns, SE2.from_array(truth))
-    assert score(result.trajectory.poses, stamps).ate_aligned < 0.02
+    assert errors(result.trajectory.poses, SE2.from_array(truth))["m"] < 0.02
 
 
 def test_the_turn_between_two_histograms_of_normals_is_among_those_tried():

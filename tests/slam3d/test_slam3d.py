@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam3d_drives import ROUND, changed, hung_elsewhere, make_drive, room, without_wheels
+from benchmarks.slam3d_drives import ROUND, Drive3d, changed, make_drive, room, without_wheels
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
@@ -25,6 +25,14 @@ FEW = Slam3dConfig.model_validate(
     }
 )
 """The whole pipeline, with less work in it."""
+
+
+def hung_elsewhere(drive, T_base_lidar):
+    """The log of a lidar mounted at `T_base_lidar` (4, 4) in a bag that does not say so."""
+    T_new_old = se3.inverse(T_base_lidar) @ drive.recording.T_base_lidar
+    moved = changed(drive, lambda _, cloud: Cloud(se3.moved(T_new_old, cloud.points), cloud.times))
+    recording = replace(moved.recording, T_base_lidar=np.eye(4), mounted=False)
+    return Drive3d(recording, drive.truth)
 
 
 @pytest.fixture(scope="module")
