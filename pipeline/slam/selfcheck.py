@@ -21,7 +21,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
+from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
 from turtlebag.pipeline.slam.partners import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
@@ -144,11 +144,9 @@ def _unlikely_motion(
     recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> list[str]:
     """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
-    reasons, scans = [], np.setdiff1d(np.arange(len(recording) - 1), borders - 1)
-    fast = too_fast(recording, track, T_map_base, scans, scans + 1)
-    jumps = [k for k in scans[fast].tolist() if not agree(recording, track, k, k + 1, T_map_base)]
-    if jumps:
-        reasons.append(f"{len(jumps)} jumps farther than the robot can drive (first: to scan {jumps[0] + 1})")
+    reasons, jumped = [], jumps(recording, track, T_map_base, borders)
+    if len(jumped):
+        reasons.append(f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})")
     way = unwitnessed(recording, track, noise, borders)
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it
