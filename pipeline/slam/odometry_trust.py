@@ -48,6 +48,18 @@ def too_fast(
     return np.asarray((wait > 0.0) & (moved > allowed).any(axis=1))
 
 
+def jumps(
+    recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64], over: int = 1
+) -> NDArray[np.int64]:
+    """Scans whose poses lie farther from those `over` scans before than the robot can drive, and than its
+    odometry says; no `borders`, the first scans of later logs, between them."""
+    scans = np.arange(over, len(recording))
+    scans = scans[np.searchsorted(borders, scans - over, "right") == np.searchsorted(borders, scans, "right")]
+    far = scans[too_fast(recording, track, T_map_base, scans - over, scans)]
+    apart = [k for k in far.tolist() if not agree(recording, track, k - over, k, T_map_base)]
+    return np.array(apart, dtype=np.int64)
+
+
 def _moved(T_map_base: SE2, before: NDArray[np.int64], later: NDArray[np.int64] | int) -> Array:
     """Way [m] and turn [rad] between poses and later ones, (k, 2)."""
     return way_and_turn((T_map_base[before].inverse() @ T_map_base[before + later]).xyt)

@@ -41,8 +41,9 @@ from turtlebag.pipeline.slam.partners import partner_line, relative_pose
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise, relative, vectors
 from turtlebag.pipeline.slam.threads import in_parts
 
-# Key scans farther apart than this see too little of the same to be partners [m].
-RADIUS_M = 4.0
+# Key scans farther apart than this, and than they usually see, see too little of the same to be partners [m];
+# so many on either side of one in time see the same as it does, and in proportion where they see farther.
+RADIUS_M, ALIKE = 4.0, 2
 
 
 class RefineConfig(BaseModel):
@@ -66,11 +67,13 @@ def refine(
     `steps` are the odometry constraints between successive keys, kept in the graph throughout. Pairs that a
     person rejected are left out.
     """
+    radius = partner_radius(clouds)
+    alike = round(ALIKE * radius / RADIUS_M)
 
     def matched(poses: SE2, f: float) -> list[Constraint]:
         gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
         sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
-        pairs = overlapping_pairs(poses, RADIUS_M, NEIGHBOURS)
+        pairs = overlapping_pairs(poses, radius, NEIGHBOURS, alike)
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
         return pair_constraints(clouds, keys, poses, pairs, gate, sigma)
 
@@ -101,9 +104,18 @@ def in_rounds(
     return poses, constraints
 
 
-def overlapping_pairs(T_map_keys: SE2, radius: float, neighbours: int) -> NDArray[np.int64]:
+def partner_radius(clouds: Clouds) -> float:
+    """How far apart [m] key scans may be and still be partners: the median of their ranges, or RADIUS_M."""
+    ranges = np.linalg.norm(clouds.points - clouds.origin, axis=1)
+    return max(RADIUS_M, float(np.median(ranges))) if len(ranges) else RADIUS_M
+
+
+def overlapping_pairs(
+    T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
+) -> NDArray[np.int64]:
     """Pairs (n, 2), i < j, of keys near each other: for each key the two beside it in time and its
-    nearest ones, spread over the visits to the place rather than taken from the last one only."""
+    nearest ones, spread over the visits to the place rather than taken from the last one only: of keys
+    that follow each other, those up to `alike` from one taken are left out."""
     n = len(T_map_keys)
     tree = scipy.spatial.cKDTree(T_map_keys.xy)
     found: set[tuple[int, int]] = {(k, k + 1) for k in range(n - 1)} | {(k, k + 2) for k in range(n - 2)}
@@ -117,10 +129,10 @@ def overlapping_pairs(T_map_keys: SE2, radius: float, neighbours: int) -> NDArra
         taken: list[int] = []
         beside: set[int] = set()
         for k in others[order].tolist():
-            # at most one key of any three successive ones: the same view adds nothing
+            # the same view adds nothing
             if k not in beside:
                 taken.append(k)
-                beside.update(range(k - 2, k + 3))
+                beside.update(range(k - alike, k + alike + 1))
                 if len(taken) == neighbours:
                     break
         found |= {(min(i, k), max(i, k)) for k in taken}

@@ -44,8 +44,8 @@ def carried_poses(
 ) -> Poses:
     """Each scan of a track carried by the key scans before and after it, the correction blended between them.
 
-    Across `gaps` (n, 2), last scan before and first scan after each, nothing is known of the motion: up to
-    there the key before alone carries, from there on the key after.
+    Across `gaps` (n, 2), last scan before and first scan after each, the track says nothing of the motion, or
+    jumps: up to there the key before alone carries, from there on the key after.
     """
     scans = np.arange(len(T_track))
     before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)

@@ -21,7 +21,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import agree, too_fast, unwitnessed
+from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
 from turtlebag.pipeline.slam.partners import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
@@ -146,16 +146,11 @@ def _unlikely_motion(
     """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
     reasons = []
     period_s = float(np.median(np.abs(np.diff(recording.stamps_ns)))) * 1e-9 if len(recording) > 1 else GAP_S
-    for later in (1, max(1, round(GAP_S / max(period_s, 1e-3)))):
-        first = np.arange(len(recording) - later)
-        first = first[
-            np.searchsorted(borders, first, "right") == np.searchsorted(borders, first + later, "right")
-        ]
-        fast = first[too_fast(recording, track, T_map_base, first, first + later)]
-        jumps = [k for k in fast.tolist() if not agree(recording, track, k, k + later, T_map_base)]
-        if jumps:
+    for over in (1, max(1, round(GAP_S / max(period_s, 1e-3)))):
+        jumped = jumps(recording, track, T_map_base, borders, over)
+        if len(jumped):
             reasons.append(
-                f"{len(jumps)} jumps farther than the robot can drive (first: to scan {jumps[0] + later})"
+                f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"
             )
             break
     way = unwitnessed(recording, track, noise, borders)

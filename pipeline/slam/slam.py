@@ -28,6 +28,7 @@ from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
+from turtlebag.pipeline.slam.odometry_trust import jumps
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
 from turtlebag.pipeline.slam.range_calibration import (
     FIRST_KEYS,
@@ -205,12 +206,14 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable = config.usable(recording.lidar)
     clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
-    poses, overlap = pose_all_scans(
-        clouds, session.clouds_of, track, graph.T_map_keys, config.posing, chain.gaps
+    borders = np.array(
+        [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1], dtype=np.int64
     )
+    jumped = jumps(recording, track, track.T_track_base, borders)
+    torn = np.concatenate([chain.gaps, np.stack([jumped - 1, jumped], axis=1)])
+    poses, overlap = pose_all_scans(clouds, session.clouds_of, track, graph.T_map_keys, config.posing, torn)
     grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
-    borders = [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1]
     placed = replace(track, overlap=overlap)
     check = check_map(
         recording,
@@ -220,7 +223,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         graph.T_map_keys,
         config.tracking.odometry,
         breaks,
-        np.array(borders, dtype=np.int64),
+        borders,
         certainty,
     )
     return SlamResult(Trajectory(recording.stamps_ns, poses), grid, check, session)

@@ -165,6 +165,28 @@ def test_a_front_end_of_one_s_own_fits_in(log):
     assert {wait_s for _, wait_s in asked} == {0.2}
 
 
+class SetRight(Wheels):
+    """Drifts sideways by 1.2 m and finds back at scan 60."""
+
+    def step(self, points, odometry_step, wait_s):
+        """As in `FrontEnd`."""
+        scan, drift = self._course.scan, SE2.from_xyt(0.0, 0.03, 0.0)
+        moved = SE2(self._course.pose) @ SE2(odometry_step)
+        for _ in range(40 if scan == 60 else scan in range(20, 60)):
+            moved = moved @ (drift.inverse() if scan == 60 else drift)
+        return Placed(moved.xyt, np.zeros((3, 3)), 1.0)
+
+
+def test_scans_that_saw_nothing_before_the_track_jumped_back_are_carried_by_the_key_before():
+    truth = around_the_room(120, laps=1.0)
+    log = recording(ROOM, truth, odometry=truth)
+    log.ranges[52:60] = np.nan
+    result = run_slam(log, SlamConfig(), steps=Steps(front_end=SetRight))
+    error = np.linalg.norm(result.trajectory.poses.xy - truth[:, :2], axis=1)
+    assert error.max() < 0.3
+    assert not any("jump" in reason for reason in result.check.reasons)
+
+
 def test_odometry_carries_until_a_scan_has_something_to_match(log):
     blind = log.ranges.copy()
     blind[:7] = np.nan

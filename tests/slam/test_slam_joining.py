@@ -6,8 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.slam_drives import Drive, Sensor, make_log
+from benchmarks.slam_plans import FloorPlan
 from tests.slam_rooms import ROOM, around_the_room, recording
-from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.se2 import SE2, between, wrap
+from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.cloud_parts import joined_clouds
@@ -16,7 +19,7 @@ from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.explain import _residual
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, optimise, write_g2o
-from turtlebag.pipeline.slam.refine import overlapping_pairs
+from turtlebag.pipeline.slam.refine import RADIUS_M, RefineConfig, overlapping_pairs, partner_radius, refine
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.selfcheck import _revisits, contradicted_keys, hypothesis_shares
 from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
@@ -113,6 +116,33 @@ def test_partners_are_the_nearest_by_way_and_turn_no_two_alike():
                 taken.append(k)
         expected |= {(min(i, k), max(i, k)) for k in taken}
     assert found == expected
+
+
+def test_passes_farther_apart_than_four_metres_are_laid_together_where_the_lidar_sees_so_far():
+    rng, plan = np.random.default_rng(3), FloorPlan(60.0, 60.0)
+    plan.carve(0.1, 0.1, 59.9, 59.9)
+    for xy in rng.uniform(12.0, 48.0, (120, 2)):
+        if np.abs(xy[1] - [27.0, 33.5]).min() > 0.6:
+            plan.pillar(*xy, 0.2)
+    sensor = Sensor(LidarSpec(720, -np.pi, np.pi / 360.0, 0.1, 20.0), 0.5)
+    legs = [
+        make_log("pass", plan, np.array([(22.0, y), (38.0, y)]), sensor, drive=Drive(v=0.8))
+        for y in (27.0, 33.5)
+    ]
+    clouds = joined_clouds([make_clouds(leg.recording, 20.0) for leg in legs])
+    assert partner_radius(clouds) > 6.5
+    assert partner_radius(clouds._replace(points=np.zeros((0, 2)))) == RADIUS_M
+    n, truth = len(legs[0].recording), SE2(np.concatenate([leg.reference.xyt for leg in legs]))
+    off = SE2(truth.xyt + np.where(np.arange(len(truth)) < n, 0.0, 0.1)[:, None] * [1.0, 0.5, 0.0])
+    steps = [
+        Constraint(
+            k, k + 1, between(off.xyt[k], off.xyt[k + 1]), np.eye(3) * (1e4 if k + 1 != n else 1.0), "step"
+        )
+        for k in range(len(off) - 1)
+    ]
+    found, _ = refine(clouds, np.arange(len(off)), off, steps, RefineConfig())
+    error = (truth[0] @ found[0].inverse() @ found).xy - truth.xy
+    assert np.linalg.norm(error[n:].mean(axis=0) - error[:n].mean(axis=0)) < 0.03
 
 
 def test_revisits_are_pairs_near_in_place_and_far_in_time(monkeypatch):
