@@ -243,6 +243,8 @@ def _believed(
     """The sets of places that are believed, and the record of all with their verdicts."""
     good = [k for k, place in enumerate(found) if place.verdict == "candidate"]
     places = [found[k] for k in good]
+    if not places:
+        return [], list(found)
     comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.inflation)
     verdicts = ["too few agree"] * len(places)
     most = RIVAL_FACTOR * _usually_denied(clouds, keys, drift) + config.max_denied
@@ -306,7 +308,8 @@ def _usually_denied(clouds: Clouds, keys: NDArray[np.int64], drift: Drift) -> fl
     """Share of points that visits deny each other which drift cannot have parted: people, glass."""
     poses = drift.T_map_keys
     pairs = scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
-    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    # of those far apart in time drift leaves none; a sample holds enough of the others
+    pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
     off = reach(read_at(drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
     denied = _denied(clouds, keys, poses, pairs[off < THROUGH_M])
     return float(denied.mean()) if len(denied) else 0.0
