@@ -60,8 +60,8 @@ class Calibration:
     def tells_nothing(self) -> bool:
         """Whether the odometry is off by as large a share of the way, usually, as makes one step a lie.
 
-        Of 20 logs, wheels that jump, slip, stick or drift among them, none was off by more than 0.07 m in a
-        baseline of 1.5 m; with the odometry of another drive five were off by 1.1 m or more.
+        Of 17 logs, wheels that jump, slip, stick or drift among them, none was off by more than 0.07 m in a
+        baseline of 1.5 m; with the odometry of another drive four were off by 1.1 m or more.
         """
         return bool(self.noise[0] > GROSS * BASELINE_M)
 
