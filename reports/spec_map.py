@@ -134,6 +134,13 @@ MAP = (
         Spec(
             "self_check.lost_scans", "unmatched scans", "count", "Scans that match nothing seen before them."
         ),
+        Spec(
+            "self_check.position_sigma_m",
+            "position uncertainty",
+            "m4",
+            "Standard deviation of the least certain key scan, by the covariance of the pose graph, after a "
+            "rigid fit.",
+        ),
     ),
     section(
         "Mapping",

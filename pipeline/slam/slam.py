@@ -221,6 +221,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         placed,
         poses,
         graph.T_map_keys,
+        graph.constraints,
         config.tracking.odometry,
         breaks,
         borders,

@@ -11,6 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import selfcheck
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.selfcheck import check_map
 from turtlebag.pipeline.slam.track import OdometryNoise, Track
@@ -29,14 +30,20 @@ def drive() -> tuple[Recording, Clouds, Track]:
     return log, clouds, replace(track, overlap=np.ones(60), information=np.tile(1e5 * np.eye(3), (60, 1, 1)))
 
 
-def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, **changes):
+def held(T_keys, sigma):
+    """Steps from key to key, known to so many metres and radians."""
+    steps = (T_keys[:-1].inverse() @ T_keys[1:]).xyt
+    return [Constraint(k, k + 1, step, np.eye(3) / sigma**2, "step") for k, step in enumerate(steps)]
+
+
+def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):
     log, clouds, track = drive
     log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
     track = replace(track, **changes)
     T = track.T_track_base
-    return check_map(
-        log, clouds, track, T, T[track.keys], OdometryNoise(), breaks, borders, certainty
-    ).reasons
+    T_keys, noise = T[track.keys], OdometryNoise()
+    steps = held(T_keys, step_sigma)
+    return check_map(log, clouds, track, T, T_keys, steps, noise, breaks, borders, certainty).reasons
 
 
 def test_a_good_map_has_nothing_against_it(drive):
@@ -76,6 +83,7 @@ def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
         track,
         track.T_track_base,
         SE2(drawn),
+        held(SE2(drawn), 1e-4),
         OdometryNoise(),
         NONE,
         NONE,
@@ -83,6 +91,12 @@ def test_a_room_drawn_twice_contradicts_itself(monkeypatch, shift, doubled):
     )
     assert found.revisits > 20
     assert any("contradict each other" in reason for reason in found.reasons) == doubled
+
+
+def test_a_map_whose_graph_leaves_it_free_to_bend_is_told(drive):
+    assert reasons(drive, step_sigma=0.01) == ()
+    (reason,) = reasons(drive, step_sigma=0.2)
+    assert "may be bent" in reason
 
 
 def slipping(T, scans, times):

@@ -1,0 +1,71 @@
+"""How far off the key scans of a finished map may lie, by the covariance of its graph.
+
+Written about the map's origin, as motions of the whole plane (see `drift`), every constraint is a spring
+between two motions, and the graph's information is the Laplacian of these springs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.slam.drift import covariances
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.pose_graph import mahalanobis
+
+# So many keys are asked, evenly spread over the log.
+ASKED = 50
+
+
+def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple[NDArray[np.int64], Array]:
+    """Up to ASKED keys (m,), and the standard deviation [m] of each along the direction it is known least in.
+
+    What moves or turns the whole map is left out, as after a rigid fit. A constraint weighs as much as its
+    kernel leaves it at these poses; constraints tie all keys to the first.
+    """
+    n, poses = len(T_map_keys), T_map_keys.xyt
+    asked = np.unique(np.linspace(0, n - 1, min(n, ASKED)).astype(np.int64))
+    if n < 2:
+        return asked, np.zeros(n)
+    columns = (3 * asked[:, None] + np.arange(3)).ravel()
+    unit = np.zeros((3 * n, len(columns)))
+    unit[columns, np.arange(len(columns))] = 1.0
+    # the first key is held: its rows and columns are left out
+    gathered = np.zeros((3 * n, len(columns)))
+    held = _laplacian(T_map_keys, constraints)[3:, 3:]
+    symmetric = {"SymmetricMode": True}
+    factors = scipy.sparse.linalg.splu(held, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    gathered[3:] = factors.solve(unit[3:])
+    covariance = gathered[columns]
+    # how the keys move with such motions, less what one motion of all explains
+    lever = np.zeros((2 * len(asked), 3))
+    lever[0::2, 0] = lever[1::2, 1] = 1.0
+    lever[0::2, 2], lever[1::2, 2] = -poses[asked, 1], poses[asked, 0]
+    moved = scipy.linalg.block_diag(*lever.reshape(-1, 2, 3))
+    rigid = np.linalg.qr(lever)[0]
+    moved -= rigid @ (rigid.T @ moved)
+    spread = moved @ covariance @ moved.T
+    xx, yy, xy = np.diag(spread)[0::2], np.diag(spread)[1::2], np.diag(spread, 1)[0::2]
+    return asked, np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))
+
+
+def _laplacian(T_map_keys: SE2, constraints: Sequence[Constraint]) -> scipy.sparse.csc_matrix:
+    """The graph's information (3 n, 3 n) about motions of the plane."""
+    n = len(T_map_keys)
+    i, j = (np.array([getattr(c, end) for c in constraints], dtype=np.int64) for end in "ij")
+    soft = np.array([c.soft for c in constraints])
+    # Cauchy's weight, 1 where there is no kernel
+    kept = soft**2 / np.where(soft > 0.0, soft**2 + mahalanobis(T_map_keys, constraints), 1.0)
+    kept[soft == 0.0] = 1.0
+    told = covariances(T_map_keys.xyt, j, [c.information for c in constraints])
+    weights = kept[:, None, None] * np.linalg.inv(told)
+    blocks = [(i, i, weights), (j, j, weights), (i, j, -weights), (j, i, -weights)]
+    cell = np.arange(3)
+    rows = np.concatenate([np.repeat(3 * a[:, None] + cell, 3, axis=1).ravel() for a, _, _ in blocks])
+    columns = np.concatenate([np.tile(3 * b[:, None] + cell, 3).ravel() for _, b, _ in blocks])
+    values = np.concatenate([w.ravel() for _, _, w in blocks])
+    return scipy.sparse.csc_matrix((values, (rows, columns)), shape=(3 * n, 3 * n))

@@ -1,0 +1,87 @@
+"""How far off key scans may lie: the graph's covariance, against GTSAM's and against drawn maps."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.slam import drift, map_uncertainty
+from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.map_uncertainty import position_sigmas
+from turtlebag.pipeline.slam.pose_graph import noise_model
+
+
+def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
+    """Keys (n,) around a circle, steps between them, and what closes it."""
+    angle = np.linspace(0.0, 2.0 * np.pi, n)
+    T = SE2(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), angle + 0.5 * np.pi]))
+    ends = [(k, k + 1) for k in range(n - 1)] + ([(0, n - 1)] if closed else [])
+    information = np.diag(np.square(sigmas) ** -1.0)
+    return T, [Constraint(i, j, (T[i].inverse() @ T[j]).xyt, information, "step") for i, j in ends]
+
+
+def drawn_by_gtsam(T, constraints, rng, maps=4000):
+    """Standard deviations as `position_sigmas` states them, of maps drawn from GTSAM's joint covariance."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*T.xyt[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)))
+    for c in constraints:
+        graph.add(gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise_model(c)))
+    for k, pose in enumerate(T.xyt):
+        values.insert(k, gtsam.Pose2(*pose))
+    keys = list(range(len(T)))
+    joint = gtsam.Marginals(graph, values).jointMarginalCovariance(keys).fullMatrix()
+    own = rng.multivariate_normal(np.zeros(3 * len(T)), joint, size=maps).reshape(maps, len(T), 3)
+    c, s = np.cos(T.yaw), np.sin(T.yaw)
+    moved = np.stack([c * own[..., 0] - s * own[..., 1], s * own[..., 0] + c * own[..., 1]], axis=2)
+    rigid = np.zeros((2 * len(T), 3))
+    rigid[0::2, 0] = rigid[1::2, 1] = 1.0
+    rigid[0::2, 2], rigid[1::2, 2] = -T.y, T.x
+    flat = moved.reshape(maps, -1).T
+    flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
+    spread = [np.linalg.eigvalsh(np.cov(flat[2 * k : 2 * k + 2]))[-1] for k in range(len(T))]
+    return np.sqrt(spread)
+
+
+@pytest.fixture(autouse=True)
+def as_stated(monkeypatch):
+    """Constraints that are as sure as they say."""
+    monkeypatch.setattr(drift, "HONEST", 1.0)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_the_deviations_are_those_of_maps_drawn_from_gtsams_covariance(closed):
+    T, constraints = round_trip(closed=closed)
+    asked, sigmas = position_sigmas(T, constraints)
+    assert asked.tolist() == list(range(len(T)))
+    assert sigmas == pytest.approx(drawn_by_gtsam(T, constraints, np.random.default_rng(1)), rel=0.06)
+
+
+def test_a_closed_loop_holds_a_map_together():
+    (_, open_), (_, closed) = (position_sigmas(*round_trip(closed=closed)) for closed in (False, True))
+    assert closed.max() < 0.5 * open_.max()
+
+
+def test_a_loop_that_its_kernel_has_given_up_holds_nothing():
+    T, constraints = round_trip(closed=True)
+    *steps, loop = constraints
+    wrong = replace(loop, T_i_j=loop.T_i_j + np.array([30.0, 0.0, 0.0]), soft=1.0)
+    assert position_sigmas(T, [*steps, wrong])[1] == pytest.approx(position_sigmas(T, steps)[1], rel=0.01)
+    right = replace(loop, soft=1.0)
+    assert position_sigmas(T, [*steps, right])[1] == pytest.approx(position_sigmas(T, constraints)[1])
+
+
+def test_long_logs_are_asked_at_some_keys(monkeypatch):
+    T, constraints = round_trip(200)
+    every = map_uncertainty.position_sigmas(T, constraints)
+    monkeypatch.setattr(map_uncertainty, "ASKED", 7)
+    asked, sigmas = map_uncertainty.position_sigmas(T, constraints)
+    assert asked.tolist() == [0, 33, 66, 99, 132, 165, 199]
+    assert sigmas.max() == pytest.approx(every[1].max(), rel=0.2)
+
+
+def test_one_scan_is_where_it_is():
+    asked, sigmas = position_sigmas(SE2(np.zeros((1, 3))), [])
+    assert asked.tolist() == [0]
+    assert sigmas.tolist() == [0.0]
