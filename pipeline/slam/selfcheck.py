@@ -134,8 +134,8 @@ def check_map(
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
         reasons.append(
-            f"what the scans see leaves their places unsure by {sigma:.2f} m (standard deviation; worst near "
-            f"x {x:.1f}, y {y:.1f}): the map may be bent there"
+            f"the pose graph leaves the scans near x {x:.1f}, y {y:.1f} uncertain by {sigma:.2f} m (one "
+            "standard deviation): the map may be bent there"
         )
     denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
     return SelfCheck(len(share), mean, bad, len(lost), denied, sigma, certainty, tuple(reasons))
