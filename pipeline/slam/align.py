@@ -295,7 +295,8 @@ def observable(hessian: Array, faked: float) -> Array:
     In a featureless corridor every true normal is across; the fitted ones scatter, and their scatter
     alone puts information along the corridor: `faked`, the sum over the points of weight times variance
     of the normal's direction. What the weaker direction of the translation has, yaw eliminated, counts as
-    far as it exceeds FAKED times that.
+    far as it exceeds FAKED times that. Nothing else is taken: in a round corridor how far the robot turns is
+    not seen, nor how far it goes, but how both go together is.
     """
     out = hessian.copy()
     a, b, d = hessian[0, 0], hessian[0, 1], hessian[1, 1]
@@ -307,22 +308,11 @@ def observable(hessian: Array, faked: float) -> Array:
     d -= hessian[1, 2] * hessian[1, 2] / hessian[2, 2]
     half = 0.5 * (a - d)
     root = math.sqrt(half * half + b * b)
-    weak = 0.5 * (a + d) - root
-    keep = max(0.0, 1.0 - FAKED * faked / weak) if weak > 0.0 else 0.0
+    taken = min(FAKED * faked, max(0.5 * (a + d) - root, 0.0))
     angle = 0.5 * math.atan2(2.0 * b, a - d) + 0.5 * math.pi
     ux, uy = math.cos(angle), math.sin(angle)
-    return without_direction(out, np.array([ux, uy]), keep)
-
-
-@njit(cache=True)
-def without_direction(information: Array, direction: Array, keep: float) -> Array:
-    """Information (3, 3) with only a share `keep` left along a direction (2,) of the translation."""
-    out = information.copy()
-    h = information[:, 0] * direction[0] + information[:, 1] * direction[1]
-    along = h[0] * direction[0] + h[1] * direction[1]
-    if along > 0.0:
-        f = (1.0 - keep) / along
-        for i in range(3):
-            for j in range(3):
-                out[i, j] -= f * h[i] * h[j]
+    out[0, 0] -= taken * ux * ux
+    out[1, 1] -= taken * uy * uy
+    out[0, 1] -= taken * ux * uy
+    out[1, 0] = out[0, 1]
     return out

@@ -23,6 +23,7 @@ from turtlebag.pipeline.slam.align import (
     STEP_INFLATION,
 )
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
 from turtlebag.pipeline.slam.refine import match_pairs
 
@@ -152,7 +153,8 @@ def _joint(information: Array, noise: Array) -> Array:
 
 def _noise(left: Array, information: Array) -> Array:
     """Standard deviations by the median of what is left, pulled to the usual ones when few pairs tell."""
-    sees = np.stack([information[:, k, k] * USUAL_NOISE[k] ** 2 > 0.25 for k in range(3)], axis=1)
+    variance = np.diagonal(np.linalg.inv(information + WEAK * np.eye(3)), axis1=1, axis2=2)
+    sees = variance < 4.0 * USUAL_NOISE**2
     out = USUAL_NOISE.copy()
     for k in range(3):
         n = np.count_nonzero(sees[:, k])

@@ -64,8 +64,9 @@ class Track:
 
 
 def blind(information: Array) -> NDArray[np.bool_]:
-    """Whether scans with information (..., 3, 3) see one direction only."""
-    seen = np.linalg.eigvalsh(information[..., :2, :2])
+    """Whether scans with information (..., 3, 3) see one direction only, their yaw being open."""
+    with_yaw, of_yaw = information[..., :2, 2:], np.maximum(information[..., 2:, 2:], 1e-9)
+    seen = np.linalg.eigvalsh(information[..., :2, :2] - with_yaw @ np.swapaxes(with_yaw, -1, -2) / of_yaw)
     return np.asarray(seen[..., 0] <= BLIND * np.maximum(seen[..., 1], 1e-9))
 
 

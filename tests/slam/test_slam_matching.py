@@ -10,7 +10,6 @@ from turtlebag.pipeline.slam.align import (
     STEP_INFLATION,
     align,
     observable,
-    without_direction,
 )
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.correlative import (
@@ -22,6 +21,7 @@ from turtlebag.pipeline.slam.correlative import (
 )
 from turtlebag.pipeline.slam.partners import find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
+from turtlebag.pipeline.slam.track import blind
 
 HERE = np.array([1.5, 1.2, 0.3])
 
@@ -111,20 +111,17 @@ def test_a_direction_counts_as_far_as_it_exceeds_what_noisy_normals_fake():
     np.testing.assert_allclose(observable(information, 20.0 / FAKED)[0], 0.0, atol=1e-9)
 
 
-def test_directions_are_taken_out_exactly():
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=(3, 3))
-    information = a @ a.T
-    u = np.array([0.6, 0.8])
-    gone = without_direction(information, u, 0.0)
-    np.testing.assert_allclose(gone[:, 0] * 0.6 + gone[:, 1] * 0.8, 0.0, atol=1e-12)
-    across = np.array([-0.8, 0.6, 0.0])
-    v = np.array([*u, 0.0])
-    h = information @ v
-    expected = information - np.outer(h, h) / (v @ h)
-    np.testing.assert_allclose(gone, expected, atol=1e-12)
-    assert across @ gone @ across >= -1e-12
-    np.testing.assert_allclose(without_direction(information, u, 1.0), information)
+def test_a_round_corridor_leaves_the_turn_about_its_centre_open_and_nothing_else():
+    bearing, radius = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), 3.0
+    # every normal passes through the centre, left of the robot
+    rows = np.stack([np.cos(bearing), np.sin(bearing), -radius * np.cos(bearing)], axis=1)
+    rows *= np.where(np.abs(np.cos(bearing)) < 0.5, 1.0, 0.1)[:, None]
+    seen, faked = rows.T @ rows, np.diag([0.4, 0.0, 0.0])
+    found = observable(seen + faked, 0.5)
+    np.testing.assert_allclose(found, seen, atol=1e-9)
+    np.testing.assert_allclose(found @ [radius, 0.0, 1.0], 0.0, atol=1e-9)
+    assert blind(found)
+    assert not blind(np.diag([1.0, 1.0, 0.0]))
 
 
 def test_search_finds_a_pose_far_off(room):
