@@ -226,6 +226,8 @@ def _fit_lines(
             reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
             reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
             gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
+            # the noise of both parts two neighbours, too
+            gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
             sums[:] = 0.0
             count = 1
             ends = [i, i]
