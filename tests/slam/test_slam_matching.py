@@ -68,6 +68,18 @@ def test_dense_beams_on_a_wall_lie_on_one_surface_though_their_noise_parts_them(
     assert {clouds.placed_by(scan) for scan in range(20)} == {"lines"}
 
 
+def test_noise_along_the_rays_does_not_turn_surfaces_towards_them():
+    """Walls to both sides of a corridor, 5 cm of noise: turned towards the rays they would all tell, wherever
+    the robot is, that it stands still."""
+    camera = LidarSpec(640, -math.radians(60.0), math.radians(120.0) / 639, 0.3, 4.0)
+    clouds = make_clouds(recording(CORRIDOR, np.zeros((20, 3)), camera, noise=0.05), 30.0)
+    near = clouds.line_ok & (np.hypot(*clouds.points.T) < 2.5)
+    assert np.count_nonzero(near) > 0.9 * np.count_nonzero(np.hypot(*clouds.points.T) < 2.5)
+    assert abs(clouds.normals[near, 0].mean()) < 0.03
+    told = np.sqrt(clouds.normal_var[near].mean())
+    assert np.sqrt((clouds.normals[near, 0] ** 2).mean()) < 2.0 * told
+
+
 def test_scan_without_returns_has_no_points():
     log = recording(ROOM, np.array([HERE, HERE]))
     log.ranges[0] = np.nan
