@@ -226,6 +226,8 @@ def _fit_lines(
             reach = min(max(MIN_REACH_M, REACH_BEAMS * spacing), 2.0 * MAX_REACH_M)
             reach2, farthest2 = reach**2, max(MAX_REACH_M, reach) ** 2
             gap2 = min(max(MIN_GAP_M, GRAZING * spacing), MAX_REACH_M) ** 2
+            # the noise of both parts two neighbours, too
+            gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
             sums[:] = 0.0
             count = 1
             ends = [i, i]
@@ -254,11 +256,15 @@ def _fit_lines(
                     sxx, sxy, syy = sums[2] + dx * dx, sums[3] + dx * dy, sums[4] + dy * dy
                     ax, ay = sx / n, sy / n
                     cxx, cxy, cyy = sxx / n - ax * ax, sxy / n - ax * ay, syy / n - ay * ay
-                    half = 0.5 * (cxx - cyy)
-                    root = math.sqrt(half * half + cxy * cxy)
-                    large, small = 0.5 * (cxx + cyy) + root, max(0.5 * (cxx + cyy) - root, 0.0)
+                    # the noise lies along the rays: left in, it would turn the line towards them
+                    own = range_var[i] * (n - 1) / n
+                    half = 0.5 * (cxx - cyy - own * (ray_xx - ray_yy))
+                    mixed = cxy - own * ray_xy
+                    root = math.sqrt(half * half + mixed * mixed)
+                    large = 0.5 * (cxx + cyy - own) + root
                     # cosine and sine of twice the line's direction, and its normal's square along the ray
-                    c2, s2 = (half / root, cxy / root) if root > 0.0 else (1.0, 0.0)
+                    c2, s2 = (half / root, mixed / root) if root > 0.0 else (1.0, 0.0)
+                    small = max(0.5 * (cxx + cyy) - 0.5 * (cxx - cyy) * c2 - cxy * s2, 0.0)
                     across2 = 0.5 * ((1.0 - c2) * ray_xx - 2.0 * s2 * ray_xy + (1.0 + c2) * ray_yy)
                     # few returns close together do not tell how the line stands to the ray
                     steep = min(1.0, across2 + range_var[i] / max(n * large, 1e-12))

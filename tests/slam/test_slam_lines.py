@@ -31,7 +31,10 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
     distance = np.linalg.norm(ray)
     ray, spacing = ray / distance, distance * increment
     reach = min(max(module.MIN_REACH_M, module.REACH_BEAMS * spacing), 2.0 * module.MAX_REACH_M)
-    gap = min(max(module.MIN_GAP_M, module.GRAZING * spacing), module.MAX_REACH_M)
+    gap = math.hypot(
+        min(max(module.MIN_GAP_M, module.GRAZING * spacing), module.MAX_REACH_M),
+        module.Z_SURFACE * math.sqrt(2.0 * range_var[i]),
+    )
     members, alive = [i], [True, True]
     normal, variance, turn_var = None, range_var[i], 1e9
     while any(alive):
@@ -49,8 +52,9 @@ def plain_line(points, lo, hi, i, origin, increment, range_var):
                 continue
             tried = points[[*members, j]]
             n = len(tried)
-            values, vectors = np.linalg.eigh(np.cov(tried.T, bias=True))
-            small, large = max(values[0], 0.0), values[1]
+            scatter = np.cov(tried.T, bias=True)
+            values, vectors = np.linalg.eigh(scatter - range_var[i] * (n - 1) / n * np.outer(ray, ray))
+            small, large = max(float(vectors[:, 0] @ scatter @ vectors[:, 0]), 0.0), values[1]
             across = float(vectors[:, 0] @ ray)
             steep = min(1.0, across**2 + range_var[i] / max(n * large, 1e-12))
             noise = range_var[i] * steep + LEAST_M**2
@@ -97,7 +101,7 @@ def test_scans_do_not_grow_into_each_other_and_far_places_reach_further():
     points, starts = np.vstack([wall, wall[::-1] + np.array([0.0, 0.17])]), np.array([0, 9, 18])
     shape = points.shape
     normals, centers, ok = np.zeros(shape), points.copy(), np.zeros(18, dtype=bool)
-    point_var, normal_var = np.full(18, 1e-4), np.zeros(18)
+    point_var, normal_var = np.zeros(18), np.zeros(18)
     _fit_lines(points, starts, np.zeros(2), 0.01, normals, centers, ok, point_var, normal_var)
     assert ok.all()
     np.testing.assert_allclose(normals, np.tile([-1.0, 0.0], (18, 1)), atol=1e-9)
