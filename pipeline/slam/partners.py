@@ -34,8 +34,8 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     if r > gate:
         half = min(half, int(gate / r * scale) + 1)
     best, best_d2 = -1, gate * gate
-    # Outwards, until all that could still be seen is farther than the best: at an angle a (sin a >= a - a^3 / 6)
-    # nothing is nearer than r sin a. Of two at the same distance the one at the smaller bearing counts.
+    # Outwards, until all that could follow is farther than the best: at an angle a nothing is nearer than
+    # r sin a >= r (a - a^3 / 6). Of two at the same distance the one at the smaller bearing counts.
     for away in range(half + 1):
         angle = min((away - 1.000001) / scale, 1.4)
         least = r * angle * (1.0 - angle * angle / 6.0)
