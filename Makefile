@@ -154,7 +154,9 @@ lint: $(READY) ## ruff and mypy
 	$(PY) -m mypy
 
 test: lint ## lint, then pytest
-	$(PY) -m pytest -n 3 --dist worksteal  # some of them wait more than they compute
+	@# Three workers, because some tests wait more than they compute; each file's tests run on one, so that what
+	@# they share is made once; and bytecode is kept, or each of the many processes would compile all sources.
+	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 browser: ## find Chromium for the browser test, or install it (Debian)
 	@command -v chromium chromium-browser google-chrome || { apt-get update -qq && apt-get install -y -qq chromium; }

@@ -1,9 +1,11 @@
 """Small stage outputs with the contract's files, made without simulating anything."""
 
 import json
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
@@ -14,6 +16,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.navigation import localisation_error, pose_error
 from turtlebag.reports.metrics.trajectory import trajectory_metrics
@@ -231,6 +234,21 @@ def fake_plan(folder: Path, map_folder: Path) -> Path:
     inputs = map_files(map_folder / "map.yaml")
     write_manifest(folder, stage="plan", command=command, inputs=inputs, seed=1, wall_s=1.0)
     return folder
+
+
+@contextmanager
+def undrawn():
+    """Reports made inside have empty pictures: for what is asked of the words and tables alone, because
+    drawing takes nine tenths of a report's time."""
+
+    def saved(album: Album, folder: Path, name: str, draw: object) -> str:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.png").touch()
+        return "<svg></svg>"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Album, "_saved", saved)
+        yield
 
 
 def rehash(folder, name):

@@ -214,7 +214,8 @@ def _fit_lines(
     variance of the ranges.
     """
     range_var = point_var.copy()
-    sums = np.zeros(5)
+    # Arrays made once: numba counts references to a list at every access, by atomic operations.
+    sums, ends, alive = np.zeros(5), np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_)
     for scan in range(len(starts) - 1):
         lo, hi = starts[scan], starts[scan + 1]
         for i in range(lo, hi):
@@ -230,8 +231,8 @@ def _fit_lines(
             gap2 += 2.0 * Z_SURFACE**2 * range_var[i]
             sums[:] = 0.0
             count = 1
-            ends = [i, i]
-            alive = [True, True]
+            ends[:] = i
+            alive[:] = True
             ray_xx, ray_xy, ray_yy = ray_x * ray_x, ray_x * ray_y, ray_y * ray_y
             cos2, sin2, mx, my, var, turn_var = 1.0, 0.0, 0.0, 0.0, range_var[i], 1e9
             while alive[0] or alive[1]:

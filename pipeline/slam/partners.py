@@ -30,22 +30,30 @@ def find_partner(x: float, y: float, key: int, clouds: Clouds, gate: float) -> i
     dx, dy = x - origin[0], y - origin[1]
     r = math.sqrt(dx * dx + dy * dy)
     b = int((math.atan2(dy, dx) + math.pi) * scale)
-    half = MAX_HALF_WINDOW
+    half = min(MAX_HALF_WINDOW, n_bins // 2)
     if r > gate:
-        half = min(MAX_HALF_WINDOW, int(gate / r * scale) + 1)
+        half = min(half, int(gate / r * scale) + 1)
     best, best_d2 = -1, gate * gate
-    for k in range(b - half, b + half + 1):
-        if k < 0:
-            k += n_bins
-        elif k >= n_bins:
-            k -= n_bins
-        row = table[key, k]
-        if row < 0:
-            continue
-        ex, ey = points[row, 0] - x, points[row, 1] - y
-        d2 = ex * ex + ey * ey
-        if d2 < best_d2:
-            best, best_d2 = row, d2
+    # Outwards, until all that could follow is farther than the best: at an angle a nothing is nearer than
+    # r sin a >= r (a - a^3 / 6). Of two at the same distance the one at the smaller bearing counts.
+    for away in range(half + 1):
+        angle = min((away - 1.000001) / scale, 1.4)
+        least = r * angle * (1.0 - angle * angle / 6.0)
+        if away > 1 and least * least > best_d2:
+            break
+        for side in range(2 if away > 0 else 1):
+            k = b - away if side == 0 else b + away
+            if k < 0:
+                k += n_bins
+            elif k >= n_bins:
+                k -= n_bins
+            row = table[key, k]
+            if row < 0:
+                continue
+            ex, ey = points[row, 0] - x, points[row, 1] - y
+            d2 = ex * ex + ey * ey
+            if d2 < best_d2 or (d2 == best_d2 and side == 0 and best >= 0):
+                best, best_d2 = row, d2
     return best
 
 

@@ -91,7 +91,9 @@ def _numbered(points: Array, low: Array, voxel: float, cells: NDArray) -> NDArra
     ids = np.empty(points.shape[0], dtype=np.int64)
     m = 0
     for i in range(points.shape[0]):
-        x, y, z = ((points[i] - low) / voxel).astype(np.int64)
+        x = int((points[i, 0] - low[0]) / voxel)
+        y = int((points[i, 1] - low[1]) / voxel)
+        z = int((points[i, 2] - low[2]) / voxel)
         if cells[x, y, z] < 0:
             cells[x, y, z] = m
             m += 1

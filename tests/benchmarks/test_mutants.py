@@ -97,8 +97,9 @@ def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch)
     lines = mutants_by_line(source, "planners/a.py")
     by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}
     wrong, endless = by_edit["n, x = n + 3, x - 1"], by_edit["n, x = n + 2, x + 1"]
-    assert tree.judge(wrong)["verdict"] == "failed"
-    assert tree.judge(wrong)["by"] == "tests/planners/test_a.py::test_double"
+    caught = tree.judge(wrong)
+    assert caught["verdict"] == "failed"
+    assert caught["by"] == "tests/planners/test_a.py::test_double"
     assert tree.judge(endless)["verdict"] == "timeout"
     assert tree.judge(replace(wrong, text="2"))["verdict"] == "survived"
     assert (tree.path / "planners/a.py").read_text() == source

@@ -27,51 +27,61 @@ MODULES = sorted(
     for path in (ROOT / package).rglob("*.py")
     if "\n@njit" in path.read_text()
 )
-# A path of two legs that the shortcut pulls straight where the clearance is wide enough: the kernel stands
-# in smoothing.py, what it asks for the clearance in footprint.py.
-PULL = """\
-import numpy as np
-from turtlebag.planners.smoothing import shortcut
-path = np.array([[0.5, 0.5], [1.0, 1.0], [1.5, 0.5]])
-pulled = shortcut(np.full((20, 20), 0.4, np.float32), 0.1, 0.3, path)
-print(len(pulled), sum(shortcut.stats.cache_hits.values()) if hasattr(shortcut, "stats") else 0)
+# Two files: the kernel of the first has the second's inlined.
+OUTER = """\
+from turtlebag.datasets.kernels import njit
+from turtlebag.inner import lower
+
+@njit(cache=True)
+def twice(x: float) -> float:
+    return 2.0 * lower(x)
+"""
+INNER = """\
+from turtlebag.datasets.kernels import njit
+
+@njit(cache=True)
+def lower(x: float) -> float:
+    # Less than it was.
+    return x - 1.0
+"""
+CALL = """\
+from turtlebag.outer import twice
+print(twice(3.0), sum(twice.stats.cache_hits.values()) if hasattr(twice, "stats") else 0)
 """
 
 
 @pytest.fixture
 def tree(tmp_path):
-    """A copy of the packages that the kernel needs."""
-    for name in ("datasets", "planners"):
-        copy = tmp_path / "tree/turtlebag" / name
-        shutil.copytree(ROOT / name, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "tree/turtlebag/__init__.py").touch()
+    """A copy of the package that keeps kernels, and the two files."""
+    copy = tmp_path / "tree/turtlebag"
+    shutil.copytree(ROOT / "datasets", copy / "datasets", ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in {"__init__": "", "outer": OUTER, "inner": INNER}.items():
+        (copy / f"{name}.py").write_text(text)
     return tmp_path / "tree"
 
 
-def pull(tree, **environment):
-    """(points of the pulled path, kernels that needed no compiling), in a process of its own."""
+def call(tree, **environment):
+    """(what the kernel gives, kernels that needed no compiling), in a process of its own."""
     given = {**os.environ, "PYTHONPATH": str(tree), **environment}
     done = subprocess.run(
-        [sys.executable, "-c", PULL], env=given, cwd=tree, capture_output=True, text=True, check=False
+        [sys.executable, "-c", CALL], env=given, cwd=tree, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-    return tuple(map(int, done.stdout.split()))
+    value, hits = done.stdout.split()
+    return float(value), int(hits)
 
 
 @pytest.mark.slow
 def test_a_kernel_follows_the_sources_it_has_inlined(tree):
-    """The clearance is lowered in one file; the compiled shortcut of the other must see it."""
-    source = tree / "turtlebag/planners/footprint.py"
-    before = source.read_text()
-    changed = before.replace("+ high * dv\n", "+ high * dv - 0.2\n")
-    assert changed != before
-    assert pull(tree) == (2, 0)
-    source.write_text(changed)
-    assert pull(tree, NUMBA_DISABLE_JIT="1") == (3, 0)
-    assert pull(tree) == (3, 0)
+    """What the file of the inner kernel says changes; the compiled outer one of the other must see it."""
+    source = tree / "turtlebag/inner.py"
+    assert call(tree) == (4.0, 0)
+    source.write_text(INNER.replace("x - 1.0", "x - 2.0"))
+    assert call(tree, NUMBA_DISABLE_JIT="1") == (2.0, 0)
+    assert call(tree) == (2.0, 0)
     # What it was before needs no compiling, nor do other words and another place in the file.
-    source.write_text("# A line more.\n" + before.replace("Exact, where", "Exactly right, where"))
-    assert pull(tree) == (2, 1)
+    source.write_text("# A line more.\n" + INNER.replace("Less than", "Lower than"))
+    assert call(tree) == (4.0, 1)
 
 
 def test_every_kernel_is_kept_by_a_key_of_its_own():

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from report_fakes import fake_map, fake_record, fake_run
+from report_fakes import fake_map, fake_record, fake_run, undrawn
 
 from turtlebag.pipeline.stages.compare import write_comparison
 from turtlebag.pipeline.stages.report import make_index, make_report
@@ -31,7 +31,8 @@ def folders(tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(folders):
     stages = [folders / name for name in ("record", "map", "there", "lost")]
-    return make_report(stages, folders / "report", animate=False)
+    with undrawn():
+        return make_report(stages, folders / "report", animate=False)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam3d.loops import Loop3dConfig, close_loops
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, run_slam_3d
 from turtlebag.reports.metrics.trajectory import ate
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.longest]
 
 FEW = Slam3dConfig.model_validate(
     {

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_fakes import fake_map, fake_record, fake_run, rehash
+from report_fakes import fake_map, fake_record, fake_run, rehash, undrawn
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.runlog import RunLog
@@ -24,7 +24,8 @@ def original(tmp_path_factory):
     base = tmp_path_factory.mktemp("verify")
     record = fake_record(base / "record")
     stages = [record, fake_map(base / "map", record), fake_run(base / "run", base / "map", missed=True)]
-    make_report(stages, base / "report", animate=False)
+    with undrawn():
+        make_report(stages, base / "report", animate=False)
     return base
 
 
@@ -81,7 +82,8 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
     for stage, _, change in LIES:
         edit_metrics(tree / stage, change)
     shutil.rmtree(tree / "report")
-    make_report([tree / "record", tree / "map", tree / "run"], tree / "report", animate=False)
+    with undrawn():
+        make_report([tree / "record", tree / "map", tree / "run"], tree / "report", animate=False)
     problems = verify(tree / "report", main).problems
     for _, key, _ in LIES:
         assert any(problem.startswith(f"{key}: reported") for problem in problems), key

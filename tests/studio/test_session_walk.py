@@ -15,7 +15,7 @@ from turtlebag.pipeline.stages.studio import replay
 from turtlebag.planners.tasks.waypoints import load_waypoints
 from turtlebag.sim.worlds import load_world
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.longest]
 
 STEP_V, STEP_W = 0.01, 0.1
 
