@@ -82,6 +82,11 @@ def test_information_through_noise_and_the_noise_that_is_left():
         measured = 1.4826 * np.median(np.abs(left[:, k]))
         assert found[k] == pytest.approx(60 / 90 * measured + 30 / 90 * calib.USUAL_NOISE[k])
     assert found[1] == calib.USUAL_NOISE[1]
+    # a bend: how far it went on is known only as well as how far it turned
+    across, bend = np.diag([0.0, 1e4, 0.0]), np.array([-0.1, 0.0, 1.0])
+    found = calib._noise(left, np.tile(across + 1e5 * np.outer(bend, bend), (60, 1, 1)))
+    assert found[0] == calib.USUAL_NOISE[0]
+    assert found[2] == calib.USUAL_NOISE[2]
     tiny = calib._noise(np.zeros((10**4, 3)), np.tile(1e9 * np.eye(3), (10**4, 1, 1)))
     np.testing.assert_array_equal(tiny, calib.LEAST_NOISE)
 
