@@ -120,19 +120,19 @@ class OdometryTrust:
         return told, between(told, between(pose, pose_now))
 
 
-def unwitnessed(
+def disbelieved(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
-) -> Array:
-    """Metres of each step (n,) where the scan is blind and the odometry, which tells them, was not to be
-    believed before or after, or there is none; 0 elsewhere.
+) -> NDArray[np.bool_]:
+    """Whether scans (n,) are blind where the odometry, which alone tells how they moved, was not to be
+    believed before or after, or where there is none.
 
     `borders` are the first scans of later logs.
     """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
-    unseen, way = blind(track.information), np.zeros(n)
+    unseen = blind(track.information)
     if T_odom is None:
-        way[1:] = _moved(track.T_track_base, np.arange(n - 1), 1)[:, 0] * unseen[1:]
-        return way
+        return unseen
+    doubted = np.zeros(n, dtype=bool)
     for order in (np.arange(n), np.arange(n)[::-1]):
         T = T_odom[order]
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
@@ -142,9 +142,17 @@ def unwitnessed(
             if forget:
                 wheels.forget()
             wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
-            if unseen[scan] and not wheels.believed:
-                way[scan] = np.hypot(step[0], step[1])
-    return way
+            doubted[scan] |= unseen[scan] and not wheels.believed
+    return doubted
+
+
+def unwitnessed(
+    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
+) -> Array:
+    """Metres of each step (n,) that nobody saw; 0 elsewhere."""
+    way = np.zeros(len(track.T_track_base))
+    way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
+    return way * disbelieved(recording, track, noise, borders)
 
 
 def moves(odometry_step: Array, noise: OdometryNoise) -> bool:

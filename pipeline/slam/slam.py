@@ -28,7 +28,7 @@ from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
-from turtlebag.pipeline.slam.odometry_trust import jumps
+from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
 from turtlebag.pipeline.slam.range_calibration import (
     FIRST_KEYS,
@@ -248,7 +248,8 @@ def _session(recording: Recording, run: _Run) -> Session:
         recording = ranges.applied(recording)
         motion, clouds_of, track = _tracked(recording, run, config)
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
-    chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking)
+    doubted = disbelieved(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
+    chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking, doubted)
     graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
     return Session(recording, clouds, clouds_of, motion, track, chain, graph, ranges)
 
@@ -306,7 +307,8 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
     border = border_constraint(track_a, T_map_keys, T_map_b, track_b)
-    steps = [c for c in step_constraints(track, run.config.tracking) if c.i != border.i]
+    doubted = disbelieved(recording, track, config.tracking.odometry, np.array([len(a.recording)]))
+    steps = [c for c in step_constraints(track, config.tracking, doubted) if c.i != border.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
     chain = joined_chain(a.mended(), b.mended(), len(a.recording))

@@ -141,6 +141,20 @@ def test_without_odometry_no_direction_of_a_step_is_left_free():
     assert {c.kind for c in steps} == {"step", "steady"}
 
 
+def test_wheels_that_were_not_believed_have_no_say_of_steps_that_scans_are_blind_in():
+    """An odometry that stops for good: what the front end went by in a corridor the graph must not undo."""
+    keys, poses = np.arange(6), SE2(np.stack([0.3 * np.arange(6), np.zeros(6), np.zeros(6)], axis=1))
+    corridor = np.broadcast_to(np.diag([0.0, 1e4, 1e4]), (6, 3, 3))
+    none, stands = np.zeros(6), np.zeros((5, 3))
+    track = Track(
+        poses, keys, 1.0 + none, none, corridor, np.zeros(6, np.int8), stands, Calibration(), keys >= 0
+    )
+    steps = step_constraints(track, TrackingConfig(), keys >= 3)
+    told = [c for c in steps if c.kind != "step"]
+    assert [c.kind for c in told] == ["odometry", "odometry", "steady", "steady", "steady"]
+    np.testing.assert_allclose([c.T_i_j[0] for c in told], [0.0, 0.0, 0.3, 0.3, 0.3], atol=1e-9)
+
+
 def test_open3d_comes_without_the_packages_of_its_plots_until_one_is_drawn():
     code = """
 import sys

@@ -133,7 +133,7 @@ def test_a_robot_that_is_too_fast_for_two_seconds_is_told_though_no_step_is_a_ju
 
 
 def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
-    """Scans 30 to 47 are blind; the wheels slip before, or all is well, or one step of them jumps."""
+    """Scans 30 to 47 are blind; the wheels slip before or stand still, or all is well, or one step jumps."""
     track = drive[2]
     T, seen = track.T_track_base, track.information.copy()
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
@@ -141,6 +141,8 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 30), 3.0))
     assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
     (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(46, 56), 3.0))
+    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
+    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 47), 0.0))
     assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
     assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
     assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
