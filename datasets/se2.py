@@ -92,8 +92,10 @@ class SE2:
     @overload
     def __matmul__(self, other: Array) -> Array: ...
     def __matmul__(self, other: SE2 | Array) -> SE2 | Array:
-        c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
         p = other.xyt if isinstance(other, SE2) else other
+        if isinstance(other, SE2) and self.xyt.ndim == p.ndim == 1:
+            return SE2(compose(self.xyt, p))
+        c, s = np.cos(self.xyt[..., 2]), np.sin(self.xyt[..., 2])
         x = self.xyt[..., 0] + c * p[..., 0] - s * p[..., 1]
         y = self.xyt[..., 1] + s * p[..., 0] + c * p[..., 1]
         if isinstance(other, SE2):

@@ -60,26 +60,31 @@ def make_surfels(points: Array, views: Array, voxel: float) -> Surfels:
     cells = np.full((int(shape[0]), int(shape[1]), int(shape[2])), -1, dtype=np.int32)
     ids = _numbered(points, low, voxel, cells)
     count = int(ids.max()) + 1
-    normals = np.linalg.eigh(_moments(points, ids, count)[2])[1][:, :, 0]
+    # Voxels and faces of fewer points hold no surfel: their axes are not asked for.
+    points_in, _, scatter = _moments(points, ids, count)
+    some = points_in >= MIN_POINTS
+    normals = np.zeros((count, 3))
+    normals[some] = np.linalg.eigh(scatter[some])[1][:, :, 0]
     # The two faces of a wall may share a voxel: what was seen from either side makes a surfel of its own.
     behind = np.sum(normals[ids] * (views - points), axis=1) < 0.0
     counts, means, scatter = _moments(points, 2 * ids + behind, 2 * count)
-    values, vectors = np.linalg.eigh(scatter / np.maximum(counts - 1, 1)[:, None, None])
+    faces = np.flatnonzero(counts >= MIN_POINTS)
+    values, vectors = np.linalg.eigh(scatter[faces] / (counts[faces] - 1)[:, None, None])
     flat = (
-        (counts >= MIN_POINTS)
-        & (values[:, 1] > FLATNESS * values[:, 0])
+        (values[:, 1] > FLATNESS * values[:, 0])
         & (values[:, 1] > (0.08 * voxel) ** 2)
         & (values[:, 0] < (0.15 * voxel) ** 2)
     )
-    first = np.repeat(normals, 2, axis=0) * np.tile([1.0, -1.0], count)[:, None]
+    first = normals[faces // 2] * np.where(faces % 2 == 0, 1.0, -1.0)[:, None]
     outward = vectors[:, :, 0] * np.where(np.sum(vectors[:, :, 0] * first, axis=1) < 0.0, -1.0, 1.0)[:, None]
-    pairs = np.where(flat, np.cumsum(flat) - 1, -1).astype(np.int32).reshape(count, 2)
+    pairs = np.full(2 * count, -1, dtype=np.int32)
+    pairs[faces[flat]] = np.arange(np.count_nonzero(flat))
     return Surfels(
         cells,
-        pairs,
+        pairs.reshape(count, 2),
         low,
         voxel,
-        np.ascontiguousarray(means[flat]),
+        np.ascontiguousarray(means[faces[flat]]),
         np.ascontiguousarray(outward[flat]),
         np.maximum(values[flat, 0], 0.0) + NOISE_M**2,
     )
