@@ -149,9 +149,12 @@ def disbelieved(
 def unwitnessed(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> Array:
-    """Metres of each step (n,) that nobody saw; 0 elsewhere."""
-    way = np.zeros(len(track.T_track_base))
+    """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere."""
+    way, T = np.zeros(len(track.T_track_base)), recording.T_odom_base
     way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
+    if T is not None:
+        steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
+        way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
     return way * disbelieved(recording, track, noise, borders)
 
 

@@ -144,6 +144,9 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
     (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 47), 0.0))
     assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
+    stands, slips = slipping(T, range(30, 46), 0.0), slipping(T, range(20, 30), 3.0)
+    found = reasons(drive, information=seen, T_track_base=stands, T_odom_base=slips)
+    assert any("are unconfirmed: the scans do not show the motion" in reason for reason in found)
     assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
     assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
 
