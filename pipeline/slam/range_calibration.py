@@ -43,9 +43,9 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces that are met at a smaller sine than this say little of ranges.
 GRAZING_SINE = 0.25
-# So well are ranges up to 3.5 m known then [m], root mean square over all, but for a common factor: to 2.8 mm
-# in ten drives of which the lidar's errors are known. An error of less than twice that is taken for none.
-LEARNT_M, LEARNT_TO_M = 0.003, 3.5
+# The pairs of a lidar that is right tell so much of an error but once in twenty times: chi squared with two
+# degrees of freedom.
+CHANCE = 5.99
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,8 @@ def calibrate_ranges(
         moved = RangeCalibration(*value).moved(clouds)
         h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE_GATE_M, FINE_SIGMA_M)
         value = value - np.linalg.solve(h / STEP_INFLATION + prior, g / STEP_INFLATION + prior @ value)
-    found = RangeCalibration(*(float(v) for v in value))
-    error = found.error(np.linspace(0.0, min(usable_m, LEARNT_TO_M), 100))
-    return found if np.sqrt((error**2).mean()) > 2.0 * LEARNT_M else RangeCalibration()
+    significant = value @ (h / STEP_INFLATION) @ value > CHANCE
+    return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
 
 
 @njit(cache=True, nogil=True)
