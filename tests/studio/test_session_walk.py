@@ -58,7 +58,7 @@ def walked(tmp_path_factory):
         person.do("record_stop")
         person.do("map_load", name="map_world")
         seen["loaded"] = person.view
-        x, y, yaw = person.view.T_odom_base.xyt
+        x, y, yaw = person.view.T_world_base.xyt
         person.do("pose_estimate", pose=[x + 0.3, y, yaw + math.radians(20.0)])
         seen["told"] = person.view
         person.do("wiggle")
