@@ -1,7 +1,7 @@
 """How far off the key scans of a finished map may lie, by the covariance of its graph.
 
-Written about the map's origin, as motions of the whole plane (see `drift`), every constraint is a spring
-between two motions, and the graph's information is the Laplacian of these springs.
+Written about one point, as motions of the whole plane (see `drift`), every constraint is a spring between two
+motions, and the graph's information is the Laplacian of these springs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple
     What moves or turns the whole map is left out, as after a rigid fit. A constraint weighs as much as its
     kernel leaves it at these poses; constraints tie all keys to the first.
     """
-    n, poses = len(T_map_keys), T_map_keys.xyt
+    n = len(T_map_keys)
+    # about the keys' own middle: an odometry in a country's metres would leave no digits
+    T_map_keys = SE2(T_map_keys.xyt - [*T_map_keys.xy.mean(axis=0), 0.0])
     asked = np.unique(np.linspace(0, n - 1, min(n, ASKED)).astype(np.int64))
     if n < 2:
         return asked, np.zeros(n)
@@ -45,7 +47,7 @@ def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple
     # how the keys move with such motions, less what one motion of all explains
     lever = np.zeros((2 * len(asked), 3))
     lever[0::2, 0] = lever[1::2, 1] = 1.0
-    lever[0::2, 2], lever[1::2, 2] = -poses[asked, 1], poses[asked, 0]
+    lever[0::2, 2], lever[1::2, 2] = -T_map_keys.y[asked], T_map_keys.x[asked]
     moved = scipy.linalg.block_diag(*lever.reshape(-1, 2, 3))
     rigid = np.linalg.qr(lever)[0]
     moved -= rigid @ (rigid.T @ moved)

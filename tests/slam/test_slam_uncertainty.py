@@ -72,6 +72,12 @@ def test_a_loop_that_its_kernel_has_given_up_holds_nothing():
     assert position_sigmas(T, [*steps, right])[1] == pytest.approx(position_sigmas(T, constraints)[1])
 
 
+def test_it_does_not_matter_where_the_map_lies():
+    T, constraints = round_trip()
+    far = SE2(T.xyt + np.array([465_000.0, 5_284_000.0, 0.0]))
+    assert position_sigmas(far, constraints)[1] == pytest.approx(position_sigmas(T, constraints)[1], rel=1e-3)
+
+
 def test_long_logs_are_asked_at_some_keys(monkeypatch):
     T, constraints = round_trip(200)
     every = map_uncertainty.position_sigmas(T, constraints)
