@@ -42,7 +42,7 @@ NEAR_M, APART_KEYS, MOST_PAIRS, BAD_SHARE = 1.5, 30, 3000, 0.35
 # however long the log, be denied by most of their revisits.
 MOST_WRONG, MOST_DENIED = 0.05, 4
 # Where the graph knows the places of some scans no better than this [m], one standard deviation, the worst of
-# them may be 0.2 m off: it was off by 1.4 to 4 of these (ten logs of 20 m to 2 km with known poses).
+# them may be 0.2 m off: it was off by 1.4 to 6 of these (ten logs of 20 m to 2 km with known poses).
 LEAST_SURE_M = 0.1
 
 
