@@ -48,7 +48,7 @@ class Calibration:
     """True step = scale x distance, turn_scale x turn + turn_per_m x distance [rad/m].
 
     `noise` are standard deviations (x, y [m], yaw [rad]) of what is left over one baseline of driving;
-    `pairs` is how many pairs of key scans agreed on it.
+    `pairs` is how many pairs of key scans agreed on it; `covariance` (3, 3) is that of the three shares.
     """
 
     scale: float = 1.0
@@ -56,6 +56,7 @@ class Calibration:
     turn_per_m: float = 0.0
     noise: Array = field(default_factory=lambda: USUAL_NOISE)
     pairs: int = 0
+    covariance: Array = field(default_factory=lambda: ODOMETRY_SHARE**2 * np.eye(3))
 
     @property
     def tells_nothing(self) -> bool:
@@ -72,6 +73,14 @@ class Calibration:
         out[..., :2] *= self.scale
         # signed by the direction driven: backing up undoes what driving forward did
         out[..., 2] = self.turn_scale * steps[..., 2] + self.turn_per_m * steps[..., 0]
+        return out
+
+    def effects(self, steps: Array) -> Array:
+        """What each share moves the ends of corrected steps (n, 3) by, in the ends' frames (n, 3, 3)."""
+        x, y, yaw = steps.T
+        out = np.zeros((len(steps), 3, 3))
+        out[:, 0, 0], out[:, 1, 0] = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
+        out[:, 2, 1], out[:, 2, 2] = yaw, x
         return out
 
     def information(self, steps: Array) -> Array:
@@ -142,7 +151,8 @@ def _fit(steps: Array, pairs: NDArray[np.int64], matched: Array, information: Ar
             shares = np.linalg.solve(a, b)
         noise = _noise(left, information)
     pairs_used = int(np.count_nonzero(trust > 0.5))
-    return Calibration(float(1.0 + shares[0]), float(1.0 + shares[1]), float(shares[2]), noise, pairs_used)
+    scale, turn_scale, turn_per_m = (shares + np.array([1.0, 1.0, 0.0])).tolist()
+    return Calibration(scale, turn_scale, turn_per_m, noise, pairs_used, np.linalg.inv(a))
 
 
 def _joint(information: Array, noise: Array) -> Array:

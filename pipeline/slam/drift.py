@@ -91,13 +91,19 @@ def covariances(T_map_keys: Array, ends: NDArray[np.int64], information: Sequenc
     own = HONEST * np.linalg.inv(np.asarray(information) + WEAK * np.eye(len(information[0])))
     if len(information[0]) == 6:
         own = own[:, IN_PLANE][:, :, IN_PLANE]
-    x, y, yaw = T_map_keys[ends].T
-    moved = np.zeros((len(ends), 3, 3))
+    moved = plane_motions(T_map_keys[ends])
+    return np.asarray(moved @ own @ moved.transpose(0, 2, 1))
+
+
+def plane_motions(T_map_keys: Array) -> Array:
+    """Small motions in the frames of poses (n, 3) as motions of the plane about its origin, (n, 3, 3)."""
+    x, y, yaw = T_map_keys.T
+    moved = np.zeros((len(T_map_keys), 3, 3))
     moved[:, 0, 0] = moved[:, 1, 1] = np.cos(yaw)
     moved[:, 1, 0] = np.sin(yaw)
     moved[:, 0, 1] = -moved[:, 1, 0]
     moved[:, 0, 2], moved[:, 1, 2], moved[:, 2, 2] = y, -x, 1.0
-    return np.asarray(moved @ own @ moved.transpose(0, 2, 1))
+    return moved
 
 
 def read_at(covariance: Array, poses: Array) -> Array:

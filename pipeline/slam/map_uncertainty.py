@@ -6,14 +6,15 @@ motions, and the graph's information is the Laplacian of these springs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.drift import covariances
+from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.drift import covariances, plane_motions
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis
 
@@ -21,11 +22,14 @@ from turtlebag.pipeline.slam.pose_graph import mahalanobis
 ASKED = 50
 
 
-def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple[NDArray[np.int64], Array]:
+def position_sigmas(
+    T_map_keys: SE2, constraints: Sequence[Constraint], calibration: Calibration
+) -> tuple[NDArray[np.int64], Array]:
     """Up to ASKED keys (m,), and the standard deviation [m] of each along the direction it is known least in.
 
     What moves or turns the whole map is left out, as after a rigid fit. A constraint weighs as much as its
-    kernel leaves it at these poses; constraints tie all keys to the first.
+    kernel leaves it at these poses; constraints tie all keys to the first. What `calibration` leaves open
+    moves all of the odometry's steps at once.
     """
     n = len(T_map_keys)
     # about the keys' own middle: an odometry in a country's metres would leave no digits
@@ -33,17 +37,18 @@ def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple
     asked = np.unique(np.linspace(0, n - 1, min(n, ASKED)).astype(np.int64))
     if n < 2:
         return asked, np.zeros(n)
-    columns = (3 * asked[:, None] + np.arange(3)).ravel()
+    rows = (3 * asked[:, None] + np.arange(3)).ravel()
+    springs = _springs(T_map_keys, constraints)
     # the first key is held: its rows and columns are left out
-    held = _laplacian(T_map_keys, constraints)[3:, 3:]
     symmetric = {"SymmetricMode": True}
+    held = _laplacian(n, *springs)[3:, 3:]
     factors = scipy.sparse.linalg.splu(held, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-    covariance = np.zeros((len(columns), len(columns)))
-    # one by one: SuperLU solves many at once seven times as slowly
-    for k, column in enumerate(columns[3:] - 3, start=3):
-        unit = np.zeros(held.shape[0])
-        unit[column] = 1.0
-        covariance[3:, k] = factors.solve(unit)[columns[3:] - 3]
+
+    def answers(pushes: Iterable[Array]) -> Array:
+        # one by one: SuperLU solves many at once seven times as slowly
+        solved = [np.concatenate([np.zeros(3), factors.solve(push[3:])])[rows] for push in pushes]
+        return np.column_stack(solved)
+
     # how the keys move with such motions, less what one motion of all explains
     lever = np.zeros((2 * len(asked), 3))
     lever[0::2, 0] = lever[1::2, 1] = 1.0
@@ -51,22 +56,48 @@ def position_sigmas(T_map_keys: SE2, constraints: Sequence[Constraint]) -> tuple
     moved = scipy.linalg.block_diag(*lever.reshape(-1, 2, 3))
     rigid = np.linalg.qr(lever)[0]
     moved -= rigid @ (rigid.T @ moved)
-    spread = moved @ covariance @ moved.T
+    together = moved @ answers(_pushes(T_map_keys, constraints, calibration, *springs).T)
+    spread = moved @ answers((np.arange(3 * n) == row).astype(float) for row in rows) @ moved.T
+    spread += together @ calibration.covariance @ together.T
     xx, yy, xy = np.diag(spread)[0::2], np.diag(spread)[1::2], np.diag(spread, 1)[0::2]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
     return asked, np.sqrt(np.maximum(largest, 0.0))
 
 
-def _laplacian(T_map_keys: SE2, constraints: Sequence[Constraint]) -> scipy.sparse.csc_matrix:
-    """The graph's information (3 n, 3 n) about motions of the plane."""
-    n = len(T_map_keys)
+def _pushes(
+    T_map_keys: SE2,
+    constraints: Sequence[Constraint],
+    calibration: Calibration,
+    i: NDArray[np.int64],
+    j: NDArray[np.int64],
+    weights: Array,
+) -> Array:
+    """What the odometry's steps push the keys by (3 n, 3) when one of its three shares is off by one."""
+    said = np.array([k for k, c in enumerate(constraints) if c.kind == "odometry"], dtype=np.int64)
+    steps = np.array([constraints[k].T_i_j for k in said]).reshape(-1, 3)
+    push = weights[said] @ plane_motions(T_map_keys.xyt[j[said]]) @ calibration.effects(steps)
+    out = np.zeros((len(T_map_keys), 3, 3))
+    np.add.at(out, j[said], push)
+    np.subtract.at(out, i[said], push)
+    return out.reshape(-1, 3)
+
+
+def _springs(
+    T_map_keys: SE2, constraints: Sequence[Constraint]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """The keys (k,) that each constraint ties to others (k,), and its information (k, 3, 3) about motions of
+    the plane."""
     i, j = (np.array([getattr(c, end) for c in constraints], dtype=np.int64) for end in "ij")
     soft = np.array([c.soft for c in constraints])
     # Cauchy's weight, 1 where there is no kernel
     kept = soft**2 / np.where(soft > 0.0, soft**2 + mahalanobis(T_map_keys, constraints), 1.0)
     kept[soft == 0.0] = 1.0
     told = covariances(T_map_keys.xyt, j, [c.information for c in constraints])
-    weights = kept[:, None, None] * np.linalg.inv(told)
+    return i, j, kept[:, None, None] * np.linalg.inv(told)
+
+
+def _laplacian(n: int, i: NDArray[np.int64], j: NDArray[np.int64], weights: Array) -> scipy.sparse.csc_matrix:
+    """The information (3 n, 3 n) of a graph of n keys."""
     blocks = [(i, i, weights), (j, j, weights), (i, j, -weights), (j, i, -weights)]
     cell = np.arange(3)
     rows = np.concatenate([np.repeat(3 * a[:, None] + cell, 3, axis=1).ravel() for a, _, _ in blocks])

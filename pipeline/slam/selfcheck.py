@@ -129,7 +129,7 @@ def check_map(
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
     reasons += _unlikely_motion(recording, track, T_map_base, noise, borders)
-    asked, sigmas = position_sigmas(T_map_keys, constraints)
+    asked, sigmas = position_sigmas(T_map_keys, constraints, track.calibration)
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]

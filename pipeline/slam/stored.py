@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 FILE = "graph.npz"
-FORMAT = 7
+FORMAT = 8
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.
@@ -45,6 +45,7 @@ LAYOUT = {
     "ranges": ("f", "sb"),
     "T_base_lidar": ("n", "3"),
     "noise": ("n", "3"),
+    "covariance": ("n", "33"),
     "T_odom_base": ("n", "s3"),
     "motion": ("n", "sw3"),
     "T_map_keys": ("n", "k3"),
@@ -100,7 +101,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "source": " + ".join(Path(part).name for part in recording.source.split(" + ")),
         "lidar": asdict(recording.lidar),
         "settings": config.model_dump(mode="json"),
-        "calibration": {k: v for k, v in vars(track.calibration).items() if k != "noise"},
+        "calibration": {k: v for k, v in vars(track.calibration).items() if np.ndim(v) == 0},
         "range_calibration": vars(session.ranges),
     }
     arrays: dict[str, Any] = {
@@ -109,6 +110,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
         "ranges": recording.ranges,
         "T_base_lidar": recording.T_base_lidar.xyt,
         "noise": track.calibration.noise,
+        "covariance": track.calibration.covariance,
         "T_map_keys": graph.T_map_keys.xyt,
         "unbridged": graph.unbridged,
         **{
@@ -187,7 +189,9 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         T_odom_base=_poses(stored, "T_odom_base"),
     )
     motion, usable = _poses(stored, "motion"), config.usable(recording.lidar)
-    calibration = Calibration(**calibration_of, pairs=pairs, noise=stored["noise"])
+    calibration = Calibration(
+        **calibration_of, pairs=pairs, noise=stored["noise"], covariance=stored["covariance"]
+    )
     track: dict[str, Any] = {f.name: stored.get(f"track_{f.name}") for f in fields(Track)}
     track |= {"T_track_base": SE2(stored["track_T_track_base"]), "calibration": calibration}
     graph = Graph(

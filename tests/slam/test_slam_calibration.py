@@ -29,6 +29,9 @@ def assert_finds_the_wheels(found: Calibration) -> None:
     assert found.scale == pytest.approx(1.0 / (1.0 + WHEELS.scale), abs=0.003)
     assert found.turn_scale == pytest.approx(1.0 / (1.0 + WHEELS.turn), abs=0.004)
     assert found.turn_per_m == pytest.approx(-WHEELS.bias / (1.0 + WHEELS.turn), abs=0.0015)
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert abs(found.scale - 1.0 / (1.0 + WHEELS.scale)) < 3.0 * sigma[0] < 0.01
+    assert abs(found.turn_scale - 1.0 / (1.0 + WHEELS.turn)) < 3.0 * sigma[1] < 0.01
 
 
 def test_errors_of_wheel_size_and_track_are_found_by_the_scans_alone():
@@ -48,6 +51,7 @@ def test_without_overlapping_pairs_odometry_is_left_as_it_is():
     clouds = make_clouds(log.recording, 30.0)
     found = calibrate(clouds, np.array([0, 1]), log.truth.poses[[0, 1]], log.truth.poses[[0, 1]])
     assert (found.scale, found.turn_scale, found.turn_per_m, found.pairs) == (1.0, 1.0, 0.0, 0)
+    np.testing.assert_allclose(found.covariance, 0.05**2 * np.eye(3))
 
 
 def test_corrected_steps_undo_the_shares_and_information_falls_with_the_way():

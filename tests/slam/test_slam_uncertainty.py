@@ -8,9 +8,15 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import drift, map_uncertainty
+from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.map_uncertainty import position_sigmas
 from turtlebag.pipeline.slam.pose_graph import noise_model
+
+KNOWN = Calibration(covariance=np.zeros((3, 3)))
+
+
+def position_sigmas(T, constraints, calibration=KNOWN):
+    return map_uncertainty.position_sigmas(T, constraints, calibration)
 
 
 def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
@@ -80,11 +86,44 @@ def test_it_does_not_matter_where_the_map_lies():
 
 def test_long_logs_are_asked_at_some_keys(monkeypatch):
     T, constraints = round_trip(200)
-    every = map_uncertainty.position_sigmas(T, constraints)
+    every = position_sigmas(T, constraints)
     monkeypatch.setattr(map_uncertainty, "ASKED", 7)
-    asked, sigmas = map_uncertainty.position_sigmas(T, constraints)
+    asked, sigmas = position_sigmas(T, constraints)
     assert asked.tolist() == [0, 33, 66, 99, 132, 165, 199]
     assert sigmas.max() == pytest.approx(every[1].max(), rel=0.2)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_open(closed):
+    T, constraints = round_trip(200, closed=closed, sigmas=(1e-4, 1e-4, 1e-4))
+    wheels = Calibration(covariance=np.diag([0.02**2, 0.0, 0.0]))
+    by_wheels = [
+        replace(c, kind="odometry") if c.kind == "step" and c.j == c.i + 1 else c for c in constraints
+    ]
+    # the circle of 8 m is 2 % larger or smaller
+    assert position_sigmas(T, by_wheels, wheels)[1] == pytest.approx(np.full(50, 0.16), rel=0.03)
+    assert position_sigmas(T, by_wheels)[1].max() < 0.01
+    assert position_sigmas(T, constraints, wheels)[1].max() < 0.01
+
+
+def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
+    T, constraints = round_trip(60, sigmas=(1e-7, 1e-7, 1e-7))
+    by_wheels = [replace(c, kind="odometry") for c in constraints]
+    sd = 1e-3 * np.array([1.0, 0.4, 0.2])
+    asked, found = position_sigmas(T, by_wheels, Calibration(covariance=np.diag(sd**2)))
+    steps, spread = np.array([c.T_i_j for c in constraints]), np.zeros((len(T), 2, 2))
+    levers = np.zeros((2 * len(T), 3))
+    levers[0::2, 0] = levers[1::2, 1] = 1.0
+    levers[0::2, 2], levers[1::2, 2] = -T.y, T.x
+    levers = levers.reshape(-1, 2, 3)[asked].reshape(-1, 3)
+    for share in np.diag(sd):
+        bent = [T[0]]
+        for step in Calibration(1.0 + share[0], 1.0 + share[1], share[2]).corrected(steps):
+            bent.append(bent[-1] @ SE2(step))
+        apart = (np.array([pose.xy for pose in bent]) - T.xy)[asked].ravel()
+        apart = (apart - levers @ np.linalg.lstsq(levers, apart, rcond=None)[0]).reshape(-1, 2)
+        spread[asked] += apart[:, :, None] * apart[:, None, :]
+    assert found == pytest.approx(np.sqrt(np.linalg.eigvalsh(spread[asked])[:, -1]), rel=0.01)
 
 
 def test_one_scan_is_where_it_is():
