@@ -13,23 +13,24 @@ import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.clouds import way_and_turn
 from turtlebag.pipeline.slam.drift import covariances, plane_motions
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis
+from turtlebag.pipeline.slam.track import Track
 
 # So many keys are asked, evenly spread over the log.
 ASKED = 50
 
 
 def position_sigmas(
-    T_map_keys: SE2, constraints: Sequence[Constraint], calibration: Calibration
+    T_map_keys: SE2, constraints: Sequence[Constraint], shared: Array
 ) -> tuple[NDArray[np.int64], Array]:
     """Up to ASKED keys (m,), and the standard deviation [m] of each along the direction it is known least in.
 
     What moves or turns the whole map is left out, as after a rigid fit. A constraint weighs as much as its
-    kernel leaves it at these poses; constraints tie all keys to the first. What `calibration` leaves open
-    moves all of the odometry's steps at once.
+    kernel leaves it at these poses; constraints (k,) tie all keys to the first. `shared` are errors that many
+    of them have in common, see `shared_errors`.
     """
     n = len(T_map_keys)
     # about the keys' own middle: an odometry in a country's metres would leave no digits
@@ -38,10 +39,10 @@ def position_sigmas(
     if n < 2:
         return asked, np.zeros(n)
     rows = (3 * asked[:, None] + np.arange(3)).ravel()
-    springs = _springs(T_map_keys, constraints)
+    i, j, weights = _springs(T_map_keys, constraints)
     # the first key is held: its rows and columns are left out
     symmetric = {"SymmetricMode": True}
-    held = _laplacian(n, *springs)[3:, 3:]
+    held = _laplacian(n, i, j, weights)[3:, 3:]
     factors = scipy.sparse.linalg.splu(held, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
 
     def answers(pushes: Iterable[Array]) -> Array:
@@ -56,30 +57,60 @@ def position_sigmas(
     moved = scipy.linalg.block_diag(*lever.reshape(-1, 2, 3))
     rigid = np.linalg.qr(lever)[0]
     moved -= rigid @ (rigid.T @ moved)
-    together = moved @ answers(_pushes(T_map_keys, constraints, calibration, *springs).T)
     spread = moved @ answers((np.arange(3 * n) == row).astype(float) for row in rows) @ moved.T
-    spread += together @ calibration.covariance @ together.T
+    if shared.shape[2]:
+        pulls = weights @ plane_motions(T_map_keys.xyt[j]) @ shared
+        pushes = np.zeros((n, 3, shared.shape[2]))
+        np.add.at(pushes, j, pulls)
+        np.subtract.at(pushes, i, pulls)
+        together = moved @ answers(pushes.reshape(3 * n, -1).T)
+        spread += together @ together.T
     xx, yy, xy = np.diag(spread)[0::2], np.diag(spread)[1::2], np.diag(spread, 1)[0::2]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
     return asked, np.sqrt(np.maximum(largest, 0.0))
 
 
-def _pushes(
-    T_map_keys: SE2,
-    constraints: Sequence[Constraint],
-    calibration: Calibration,
-    i: NDArray[np.int64],
-    j: NDArray[np.int64],
-    weights: Array,
-) -> Array:
-    """What the odometry's steps push the keys by (3 n, 3) when one of its three shares is off by one."""
-    said = np.array([k for k, c in enumerate(constraints) if c.kind == "odometry"], dtype=np.int64)
-    steps = np.array([constraints[k].T_i_j for k in said]).reshape(-1, 3)
-    push = weights[said] @ plane_motions(T_map_keys.xyt[j[said]]) @ calibration.effects(steps)
-    out = np.zeros((len(T_map_keys), 3, 3))
-    np.add.at(out, j[said], push)
-    np.subtract.at(out, i[said], push)
-    return out.reshape(-1, 3)
+def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array) -> Array:
+    """Errors that are the same in many constraints (k,): what one standard deviation of each moves the
+    constraints' ends by, in these ends' frames (k, 3, m).
+
+    The first three are what the calibration leaves open of the odometry's shares. Then, for each stretch that
+    nobody saw (`unseen` [m] of each scan's step (n,)), the way along both axes of the robot: it was taken for
+    steady, and is as wrong as it would be elsewhere in this log for so many scans.
+    """
+    kinds = np.array([c.kind for c in constraints])
+    odometry = np.flatnonzero(kinds == "odometry")
+    steps = np.array([c.T_i_j for c in constraints if c.kind == "odometry"]).reshape(-1, 3)
+    shares = np.zeros((len(constraints), 3, 3))
+    shares[odometry] = track.calibration.effects(steps) @ np.linalg.cholesky(track.calibration.covariance)
+    out = [shares]
+    way = np.diff(np.cumsum(unseen)[track.keys])
+    stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
+    for begin, end in stretches.reshape(-1, 2).tolist():
+        scans = unseen[track.keys[begin] + 1 : track.keys[end] + 1]
+        off = _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
+        error = np.zeros((len(constraints), 3, 2))
+        for k, c in enumerate(constraints):
+            if c.kind == "steady" and begin <= c.i < end:
+                cos, sin = np.cos(c.T_i_j[2]), np.sin(c.T_i_j[2])
+                error[k, :2] = off * way[c.i] * np.array([[cos, sin], [-sin, cos]])
+        out.append(error)
+    return np.concatenate(out, axis=2)
+
+
+def _unsteadiness(track: Track, unseen: Array, scans: int) -> float:
+    """Which share of the way over so many scans a steady motion is off by, where all is seen; 1 where that is
+    hardly ever."""
+    T = track.T_track_base
+    step = np.concatenate([[0.0], way_and_turn((T[:-1].inverse() @ T[1:]).xyt)[:, 0]])
+    way, dark = np.cumsum(step), np.cumsum(unseen > 0.0)
+    start = np.arange(1, len(step) - scans)
+    start = start[dark[start + scans] == dark[start - 1]]
+    told = way[start + scans] - way[start]
+    if len(start) < scans or not told.any():
+        return 1.0
+    error = told - scans * step[start]
+    return min(1.0, float(np.sqrt(np.mean(error**2) / np.mean(told**2))))
 
 
 def _springs(

@@ -22,7 +22,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.map_uncertainty import position_sigmas
+from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
 from turtlebag.pipeline.slam.partners import relative_pose
@@ -30,9 +30,6 @@ from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.verdict import Verdict
 
-# A way [m] that nobody saw, at a speed that is known from before, may be this long. With 1.5 m seven maps
-# were doubted for a stretch of up to 2.9 m alone, and all of them were right to 6 cm.
-UNSEEN_M = 3.0
 # A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
 WALL_M, THROUGH_M = 0.15, 0.4
 # Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
@@ -128,14 +125,16 @@ def check_map(
     empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
-    reasons += _unlikely_motion(recording, track, T_map_base, noise, borders)
-    asked, sigmas = position_sigmas(T_map_keys, constraints, track.calibration)
+    reasons += _jumps(recording, track, T_map_base, borders)
+    unseen = unwitnessed(recording, track, noise, borders)
+    asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unseen))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:
         x, y = T_map_keys.xy[asked[sigmas.argmax()]]
+        blind = f"; neither scans nor odometry show {unseen.sum():.1f} m of the way" if unseen.any() else ""
         reasons.append(
             f"the pose graph leaves the scans near x {x:.1f}, y {y:.1f} uncertain by {sigma:.2f} m (one "
-            "standard deviation): the map may be bent there"
+            f"standard deviation): the map may be bent there{blind}"
         )
     denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
     return SelfCheck(len(share), mean, bad, len(lost), denied, sigma, certainty, tuple(reasons))
@@ -157,35 +156,14 @@ def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> N
     return np.flatnonzero(2 * denials > visits)
 
 
-def _unlikely_motion(
-    recording: Recording, track: Track, T_map_base: SE2, noise: OdometryNoise, borders: NDArray[np.int64]
-) -> list[str]:
-    """What is wrong with the way the robot took: jumps, and stretches that nobody saw."""
-    reasons = []
+def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
+    """Whether the robot went farther than it can, from scan to scan or for some time."""
     period_s = float(np.median(np.abs(np.diff(recording.stamps_ns)))) * 1e-9 if len(recording) > 1 else GAP_S
     for over in (1, max(1, round(GAP_S / max(period_s, 1e-3)))):
         jumped = jumps(recording, track, T_map_base, borders, over)
         if len(jumped):
-            reasons.append(
-                f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"
-            )
-            break
-    way = unwitnessed(recording, track, noise, borders)
-    total = np.cumsum(way)
-    # of a stretch: what was gathered since the last scan that is none of it
-    stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
-    if len(stretch) and stretch.max() > UNSEEN_M:
-        last = int(stretch.argmax())
-        odometry = (
-            "there is no odometry"
-            if track.odometry_steps is None
-            else "the odometry was wrong just before or after"
-        )
-        reasons.append(
-            f"{stretch[last]:.1f} m up to scan {last} are unconfirmed: the scans do not show the motion, "
-            f"and {odometry}"
-        )
-    return reasons
+            return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"]
+    return []
 
 
 @njit(cache=True, nogil=True)

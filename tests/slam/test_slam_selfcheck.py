@@ -10,11 +10,14 @@ from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import selfcheck
+from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
+from turtlebag.pipeline.slam.odometry_trust import disbelieved
 from turtlebag.pipeline.slam.selfcheck import check_map
-from turtlebag.pipeline.slam.track import OdometryNoise, Track
+from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.track import OdometryNoise, Track, TrackingConfig
 
 NONE = np.zeros(0, dtype=np.int64)
 SURE = Certainty(0.1, 0.9)
@@ -37,12 +40,16 @@ def held(T_keys, sigma):
 
 
 def reasons(drive, breaks=NONE, borders=NONE, certainty=SURE, T_odom_base=None, step_sigma=1e-4, **changes):
+    """`step_sigma` None: steps are known as well as the track says."""
     log, clouds, track = drive
     log = log if T_odom_base is None else replace(log, T_odom_base=T_odom_base)
     track = replace(track, **changes)
     T = track.T_track_base
     T_keys, noise = T[track.keys], OdometryNoise()
-    steps = held(T_keys, step_sigma)
+    if step_sigma is None:
+        steps = step_constraints(track, TrackingConfig(), disbelieved(log, track, noise, borders))
+    else:
+        steps = held(T_keys, step_sigma)
     return check_map(log, clouds, track, T, T_keys, steps, noise, breaks, borders, certainty).reasons
 
 
@@ -137,33 +144,43 @@ def test_a_stretch_that_only_slipping_wheels_know_is_told(drive):
     track = drive[2]
     T, seen = track.T_track_base, track.information.copy()
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
-    assert reasons(drive, information=seen) == ()
-    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 30), 3.0))
-    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
-    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(46, 56), 3.0))
-    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
-    (reason,) = reasons(drive, information=seen, T_odom_base=slipping(T, range(20, 47), 0.0))
-    assert "scan 46 are unconfirmed: the scans do not show the motion, and the odometry was wrong" in reason
+    known = Calibration(covariance=1e-6 * np.eye(3))
+    blind = {"information": seen, "calibration": known, "step_sigma": None}
+    assert reasons(drive, **blind) == ()
+    for lying, times in ((range(20, 30), 3.0), (range(46, 56), 3.0), (range(20, 47), 0.0)):
+        (reason,) = reasons(drive, T_odom_base=slipping(T, lying, times), **blind)
+        assert "may be bent there; neither scans nor odometry show" in reason
     stands, slips = slipping(T, range(30, 46), 0.0), slipping(T, range(20, 30), 3.0)
-    found = reasons(drive, information=seen, T_track_base=stands, T_odom_base=slips)
-    assert any("are unconfirmed: the scans do not show the motion" in reason for reason in found)
-    assert reasons(drive, information=seen, T_odom_base=slipping(T, range(24, 25), 3.0)) == ()
-    assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0)) == ()
+    found = reasons(drive, T_track_base=stands, T_odom_base=slips, **blind)
+    assert any("neither scans nor odometry show" in reason for reason in found)
+    assert reasons(drive, T_odom_base=slipping(T, range(24, 25), 3.0), **blind) == ()
+    del blind["information"]
+    assert reasons(drive, T_odom_base=slipping(T, range(20, 30), 3.0), **blind) == ()
 
 
 def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
     log, clouds, track = drive
     lidar = replace(log, T_odom_base=None), clouds, replace(track, odometry_steps=None)
     seen = track.information.copy()
-    assert reasons(lidar) == ()
-    seen[30:33] = np.diag([0.0, 1e5, 1e5])
-    assert reasons(lidar, information=seen) == ()
+    assert reasons(lidar, step_sigma=None) == ()
+    seen[30:31] = np.diag([0.0, 1e5, 1e5])
+    assert reasons(lidar, information=seen, step_sigma=None) == ()
     seen[30:47] = np.diag([0.0, 1e5, 1e5])
-    (reason,) = reasons(lidar, information=seen)
-    assert "scan 46 are unconfirmed: the scans do not show the motion, and there is no odometry" in reason
+    (reason,) = reasons(lidar, information=seen, step_sigma=None)
+    assert "neither scans nor odometry show 3.7 m of the way" in reason
 
 
-def test_a_map_that_may_be_mirrored_is_told(drive):
+def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
+    """What loops hold from both ends is known, however it was driven."""
     log, clouds, track = drive
-    (reason,) = reasons((replace(log, turned_over=True), clouds, track))
-    assert "turn in opposite directions" in reason
+    seen = track.information.copy()
+    seen[30:47] = np.diag([0.0, 1e5, 1e5])
+    track = replace(track, odometry_steps=None, information=seen)
+    log, T_keys, noise = replace(log, T_odom_base=None), track.T_track_base[track.keys], OdometryNoise()
+    steps = step_constraints(track, TrackingConfig(), disbelieved(log, track, noise, NONE))
+    ends = [(0, k) for k in range(2, len(T_keys))]
+    loops = [
+        Constraint(i, j, (T_keys[i].inverse() @ T_keys[j]).xyt, 1e5 * np.eye(3), "loop") for i, j in ends
+    ]
+    T = track.T_track_base
+    assert check_map(log, clouds, track, T, T_keys, [*steps, *loops], noise, NONE, NONE, SURE).reasons == ()

@@ -10,13 +10,22 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import drift, map_uncertainty
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.map_uncertainty import shared_errors
 from turtlebag.pipeline.slam.pose_graph import noise_model
+from turtlebag.pipeline.slam.track import Track
 
-KNOWN = Calibration(covariance=np.zeros((3, 3)))
 
-
-def position_sigmas(T, constraints, calibration=KNOWN):
-    return map_uncertainty.position_sigmas(T, constraints, calibration)
+def position_sigmas(T, constraints, covariance=None):
+    """With a calibration of the wheels' three shares, of so much covariance (3, 3), or without."""
+    shared = np.zeros((len(constraints), 3, 0))
+    if covariance is not None:
+        n = len(T)
+        track = Track(
+            T, np.arange(n), np.ones(n), np.zeros(n), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, np.int8),
+            None, Calibration(covariance=covariance), np.ones(n, dtype=bool),
+        )  # fmt: skip
+        shared = shared_errors(track, constraints, np.zeros(n))
+    return map_uncertainty.position_sigmas(T, constraints, shared)
 
 
 def round_trip(n=30, radius=8.0, closed=False, sigmas=(0.02, 0.01, 0.01)):
@@ -96,7 +105,7 @@ def test_long_logs_are_asked_at_some_keys(monkeypatch):
 @pytest.mark.parametrize("closed", [False, True])
 def test_wheels_whose_size_is_open_leave_the_size_of_what_they_alone_measured_open(closed):
     T, constraints = round_trip(200, closed=closed, sigmas=(1e-4, 1e-4, 1e-4))
-    wheels = Calibration(covariance=np.diag([0.02**2, 0.0, 0.0]))
+    wheels = np.diag([0.02, 1e-9, 1e-9]) ** 2
     by_wheels = [
         replace(c, kind="odometry") if c.kind == "step" and c.j == c.i + 1 else c for c in constraints
     ]
@@ -110,7 +119,7 @@ def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
     T, constraints = round_trip(60, sigmas=(1e-7, 1e-7, 1e-7))
     by_wheels = [replace(c, kind="odometry") for c in constraints]
     sd = 1e-3 * np.array([1.0, 0.4, 0.2])
-    asked, found = position_sigmas(T, by_wheels, Calibration(covariance=np.diag(sd**2)))
+    asked, found = position_sigmas(T, by_wheels, np.diag(sd**2))
     steps, spread = np.array([c.T_i_j for c in constraints]), np.zeros((len(T), 2, 2))
     levers = np.zeros((2 * len(T), 3))
     levers[0::2, 0] = levers[1::2, 1] = 1.0
