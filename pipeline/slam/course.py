@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
-from turtlebag.pipeline.slam.clouds import MIN_LINES, Clouds
+from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES, Clouds
 from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
@@ -89,7 +89,9 @@ class Course:
             # It may go on with its own arrays.
             own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
             placed = replace(said, T_track_base=own[0], information=own[1])
-            self.velocity = between(self.pose, placed.T_track_base)
+            # what happened in a gap says nothing of the next step
+            gap = abs(wait_s) > GAP_S
+            self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
         for scan, pose in placed.revised:
             if scan not in self.keys:

@@ -165,6 +165,34 @@ def test_a_front_end_of_one_s_own_fits_in(log):
     assert {wait_s for _, wait_s in asked} == {0.2}
 
 
+class Speeds(Wheels):
+    """As the odometry says; notes the motion that is expected to go on."""
+
+    def __init__(self, course: Course) -> None:
+        super().__init__(course)
+        self.expected = {}
+
+    def step(self, points, odometry_step, wait_s):
+        """As in `FrontEnd`."""
+        self.expected[self._course.scan] = self._course.velocity
+        return super().step(points, odometry_step, wait_s)
+
+
+def test_the_motion_over_a_gap_is_not_expected_to_go_on(log):
+    """ACES without odometry span after its gap of 3 s, in which the robot had turned by 1.4 rad."""
+    made, stamps = [], log.stamps_ns.copy()
+    stamps[40:] += 3_000_000_000
+    track_log(
+        replace(log, stamps_ns=stamps), make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60),
+        lambda course: made.append(Speeds(course)) or made[0],
+    )  # fmt: skip
+    steps = (log.T_odom_base[:-1].inverse() @ log.T_odom_base[1:]).xyt
+    (speeds,) = made
+    np.testing.assert_allclose(speeds.expected[40], steps[38], rtol=0.1, atol=0.01)
+    np.testing.assert_array_equal(speeds.expected[41], 0.0)
+    np.testing.assert_allclose(speeds.expected[42], steps[40], rtol=0.1, atol=0.01)
+
+
 class SetRight(Wheels):
     """Drifts sideways by 1.2 m and finds back at scan 60."""
 
