@@ -27,7 +27,7 @@ from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
 from turtlebag.pipeline.slam.partners import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
-from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
+from turtlebag.pipeline.slam.track import AGREE_M, HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.verdict import Verdict
 
 # A way [m] that nobody saw, at a speed that is known from before, may be this long. With 1.5 m seven maps
@@ -174,8 +174,10 @@ def _unlikely_motion(
     total = np.cumsum(way)
     # of a stretch: what was gathered since the last scan that is none of it
     stretch = total - np.maximum.accumulate(np.where(way > 0.0, 0.0, total))
-    if len(stretch) and stretch.max() > UNSEEN_M:
-        last = int(stretch.argmax())
+    # how far the last one led, nothing seen later confirms
+    open_end = len(stretch) > 0 and stretch[-1] > AGREE_M
+    if open_end or (len(stretch) and stretch.max() > UNSEEN_M):
+        last = len(stretch) - 1 if open_end else int(stretch.argmax())
         odometry = (
             "there is no odometry"
             if track.odometry_steps is None

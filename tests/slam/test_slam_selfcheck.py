@@ -163,6 +163,19 @@ def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
     assert "scan 46 are unconfirmed: the scans do not show the motion, and there is no odometry" in reason
 
 
+def test_a_log_that_ends_where_nobody_sees_is_told_however_short_the_way(drive):
+    """Who brakes in a blind corridor is thought to drive on: a map was off by 0.7 m, and called good."""
+    log, clouds, track = drive
+    lidar = replace(log, T_odom_base=None), clouds, replace(track, odometry_steps=None)
+    seen = track.information.copy()
+    seen[55:] = np.diag([0.0, 1e5, 1e5])
+    (reason,) = reasons(lidar, information=seen)
+    assert "scan 59 are unconfirmed: the scans do not show the motion, and there is no odometry" in reason
+    assert reasons(drive, information=seen) == ()
+    seen[59] = 1e5 * np.eye(3)
+    assert reasons(lidar, information=seen) == ()
+
+
 def test_a_map_that_may_be_mirrored_is_told(drive):
     log, clouds, track = drive
     (reason,) = reasons((replace(log, turned_over=True), clouds, track))
