@@ -88,7 +88,9 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():
         scans = unseen[track.keys[begin] + 1 : track.keys[end] + 1]
-        off = _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
+        # where the log ends, it may have ended anywhere on the way
+        last = end == len(way)
+        off = 1.0 if last else _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
         error = np.zeros((len(constraints), 3, 2))
         for k, c in enumerate(constraints):
             if c.kind == "steady" and begin <= c.i < end:

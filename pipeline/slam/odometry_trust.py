@@ -123,15 +123,14 @@ class OdometryTrust:
 def disbelieved(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Whether scans (n,) are blind where the odometry, which alone tells how they moved, was not to be
-    believed before or after, or where there is none.
+    """Whether the odometry was not to be believed at scans (n,), before or after, or there is none.
 
     `borders` are the first scans of later logs.
     """
     n, T_odom, poses = len(track.T_track_base), recording.T_odom_base, track.T_track_base.xyt
     unseen = blind(track.information)
     if T_odom is None:
-        return unseen
+        return np.ones(n, dtype=bool)
     doubted = np.zeros(n, dtype=bool)
     for order in (np.arange(n), np.arange(n)[::-1]):
         T = T_odom[order]
@@ -142,7 +141,7 @@ def disbelieved(
             if forget:
                 wheels.forget()
             wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
-            doubted[scan] |= unseen[scan] and not wheels.believed
+            doubted[scan] |= not wheels.believed
     return doubted
 
 
@@ -155,7 +154,7 @@ def unwitnessed(
     if T is not None:
         steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
         way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
-    return way * disbelieved(recording, track, noise, borders)
+    return way * (blind(track.information) & disbelieved(recording, track, noise, borders))
 
 
 def moves(odometry_step: Array, noise: OdometryNoise) -> bool:

@@ -17,8 +17,8 @@ def step_constraints(
     """Between successive key scans: what the scans saw, and what the calibrated odometry says.
 
     In a direction the scans are blind in only the odometry holds; where both see, the scans do. Without
-    odometry, or where it was not to be believed for blind scans on the way (`disbelieved`, (n,)), a weak
-    belief in the front end's own motion takes its place.
+    odometry, or where it was not to be believed on the way (`disbelieved`, (n,)), a weak belief in the front
+    end's own motion takes its place.
     """
     T = track.T_track_base[track.keys]
     lies = np.zeros(len(track.T_track_base), dtype=bool) if disbelieved is None else disbelieved

@@ -170,6 +170,16 @@ def test_a_stretch_that_nobody_saw_is_told_where_there_is_no_odometry(drive):
     assert "neither scans nor odometry show 3.7 m of the way" in reason
 
 
+def test_a_log_that_ends_where_nobody_sees_is_told_however_short_the_way(drive):
+    """Who brakes in a blind corridor is thought to drive on: a map was off by 0.7 m, and called good."""
+    log, clouds, track = drive
+    lidar = replace(log, T_odom_base=None), clouds, replace(track, odometry_steps=None)
+    seen = track.information.copy()
+    seen[55:] = np.diag([0.0, 1e5, 1e5])
+    (reason,) = reasons(lidar, information=seen, step_sigma=None)
+    assert "neither scans nor odometry show 1.2 m of the way" in reason
+
+
 def test_places_seen_again_hold_a_stretch_that_nobody_saw(drive):
     """What loops hold from both ends is known, however it was driven."""
     log, clouds, track = drive

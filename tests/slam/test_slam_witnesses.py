@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from turtlebag.datasets.se2 import compose
+from tests.slam_rooms import ROOM, recording
+from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction
-from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
-from turtlebag.pipeline.slam.track import OdometryNoise
+from turtlebag.pipeline.slam.calibration import Calibration
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, disbelieved, unwitnessed
+from turtlebag.pipeline.slam.track import OdometryNoise, Track
 
 
 def believed(*told):
@@ -40,6 +42,23 @@ def test_wheels_are_no_liars_for_what_nobody_saw_nor_for_a_start_told_late():
 
 def test_encoders_that_freeze_are_found_out():
     assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
+
+
+def test_wheels_caught_lying_have_no_say_where_scans_see_little_either():
+    """An odometry that stops in a corridor whose doors show a little of the way: in the graph it outweighed
+    them, and the map was off by 0.7 m."""
+    n = np.arange(20)
+    poses = np.column_stack([0.1 * n, 0.0 * n, 0.0 * n])
+    log = recording(ROOM, poses, odometry=np.minimum(poses, 0.95))
+    little = np.broadcast_to(np.diag([3e4, 1e6, 1e6]), (20, 3, 3))
+    source, none = np.zeros(20, np.int8), np.zeros(20)
+    track = Track(SE2(poses), n, none + 1.0, none, little, source, np.zeros((19, 3)), Calibration(), n >= 0)
+    border = np.zeros(0, dtype=np.int64)
+    doubted = disbelieved(log, track, OdometryNoise(), border)
+    assert not doubted[:8].any()
+    assert doubted[12:].all()
+    # what the scans saw needs no other witness
+    assert not unwitnessed(log, track, OdometryNoise(), border).any()
 
 
 @pytest.mark.parametrize("seed", range(4))
