@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.known import Known, Mask, steps
+from benchmarks.known import Known, Mask
 from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.seeds import stream
@@ -37,7 +37,7 @@ def gaps(log: Known, centres: list[int], seconds: float) -> Known:
 def carried(log: Known, rng: np.random.Generator) -> Known:
     """A robot that is carried for a tenth of the log: no scans meanwhile, and wheels that stand still."""
     away = stretch(log, 0.1, rng)
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     moved[away[:-1]] = 0.0
     return log.with_steps(moved).with_scans(~away)
 
@@ -47,7 +47,7 @@ def carried(log: Known, rng: np.random.Generator) -> Known:
 
 def bias(log: Known, rng: np.random.Generator) -> Known:
     """Wheels 5 % long that turn by a degree a metre."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     moved[:, 0] *= 1.05
     moved[:, 2] += np.deg2rad(1.0) * np.abs(moved[:, 0])
     return log.with_steps(moved)
@@ -55,7 +55,7 @@ def bias(log: Known, rng: np.random.Generator) -> Known:
 
 def noisy(log: Known, rng: np.random.Generator) -> Known:
     """Wheel noise of 5 % of the way, and of 10 degrees a radian turned."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     way, turn = np.hypot(moved[:, 0], moved[:, 1]), np.abs(moved[:, 2])
     n = len(moved)
     moved[:, 0] += 0.05 * way * rng.standard_normal(n)
@@ -74,14 +74,14 @@ def late(log: Known, rng: np.random.Generator) -> Known:
 
 def stuck(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that stands still for 3 s in five turns, and never makes up for it."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     moved[log.around(log.places(5), 3.0)[:-1]] = 0.0
     return log.with_steps(moved)
 
 
 def jump(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that jumps by 2 m and 60 degrees three times."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     for i in log.places(3, rng):
         way = rng.uniform(-np.pi, np.pi)
         moved[i] += [2.0 * np.cos(way), 2.0 * np.sin(way), np.deg2rad(60.0)]
@@ -90,14 +90,14 @@ def jump(log: Known, rng: np.random.Generator) -> Known:
 
 def wheels_times(log: Known, rng: np.random.Generator, factor: float) -> Known:
     """Wheels that say so many times the way for a tenth of the log: spinning, or counting the wrong way."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     moved[stretch(log, 0.1, rng)[:-1], :2] *= factor
     return log.with_steps(moved)
 
 
 def yaw_bias(log: Known, rng: np.random.Generator) -> Known:
     """Odometry that turns by 1.5 degrees a second, and no gyro to tell."""
-    moved = steps(log.odometry)
+    moved = log.odometry.steps()
     moved[:, 2] += np.deg2rad(1.5) * np.diff(log.times)
     return log.with_steps(moved).recorded(imu=None)
 

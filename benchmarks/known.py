@@ -74,7 +74,7 @@ class Known:
     def places(self, count: int, rng: np.random.Generator | None = None) -> list[int]:
         """Up to `count` scans far apart in time: where the robot turns most, or with `rng` anywhere."""
         t, n = self.times, len(self.recording)
-        turn = np.convolve(np.abs(steps(self.odometry)[:, 2]), np.ones(15), "same")
+        turn = np.convolve(np.abs(self.odometry.steps()[:, 2]), np.ones(15), "same")
         order = np.argsort(-turn, kind="stable") if rng is None else rng.permutation(len(turn))
         margin, apart = min(60, n // 10), min(60.0, self.recording.duration() / (2 * count))
         found: list[int] = []
@@ -106,7 +106,7 @@ class Known:
         odometry = r.odometry
         if odometry is not None:
             k = np.clip(np.searchsorted(r.stamps_ns, odometry.stamps_ns, side="right") - 1, 0, len(r) - 2)
-            extra = (SE2(steps(old)).inverse() @ SE2(steps(T_odom_base)))[k]
+            extra = (SE2(old.steps()).inverse() @ SE2(T_odom_base.steps()))[k]
             spans = np.diff(r.stamps_ns)[k]
             share = np.clip((odometry.stamps_ns - r.stamps_ns[k]) / np.maximum(spans, 1), 0.0, 1.0)
             within = old[k].inverse() @ odometry.poses
@@ -167,11 +167,6 @@ def known(recording: Recording, reference: SE2, relations: Relations = NO_RELATI
 def chosen(relations: Relations, which: NDArray[Any]) -> Relations:
     """Some of the relations, by index or mask."""
     return Relations(relations.stamps_a_ns[which], relations.stamps_b_ns[which], relations.T_a_b[which])
-
-
-def steps(T: SE2) -> Array:
-    """Each pose as seen from the one before, (n - 1, 3)."""
-    return (T[:-1].inverse() @ T[1:]).xyt
 
 
 @njit(cache=True)

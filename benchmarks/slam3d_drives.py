@@ -88,7 +88,7 @@ def make_drive(
 
 def _wheeled(T: SE2, scale: float, veer: float) -> SE2:
     """What the wheels make of true poses."""
-    steps = (T[:-1].inverse() @ T[1:]).xyt.copy()
+    steps = T.steps()
     steps[:, 2] += veer * np.hypot(steps[:, 0], steps[:, 1])
     steps[:, :2] *= 1.0 + scale
     rows = [SE2.identity()]

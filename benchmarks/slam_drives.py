@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.known import Known, integrate, known, steps
+from benchmarks.known import Known, integrate, known
 from benchmarks.slam_plans import FloorPlan
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -167,7 +167,7 @@ def _pursue(path: Array, v_max: float, w_max: float, dv: float, dw: float, ahead
 
 def drifted(poses: Array, wheels: Wheels, lies: tuple[Lie, ...], rng: np.random.Generator) -> Array:
     """Odometry (n, 3) of true poses (n, 3), starting at the first of them."""
-    moved = steps(SE2.from_array(poses))
+    moved = SE2.from_array(poses).steps()
     distance = np.hypot(moved[:, 0], moved[:, 1])
     root = np.sqrt(distance + 0.2 * np.abs(moved[:, 2]))
     seen = moved.copy()

@@ -108,6 +108,10 @@ class SE2:
         x, y = self.xyt[..., 0], self.xyt[..., 1]
         return SE2(_joined(-c * x - s * y, s * x - c * y, wrap(-self.xyt[..., 2])))
 
+    def steps(self) -> Array:
+        """Each of n poses as seen from the one before, (n - 1, 3)."""
+        return (self[:-1].inverse() @ self[1:]).xyt
+
     def matrix(self) -> Array:
         """Homogeneous matrices, (..., 3, 3)."""
         out = np.zeros((*self.shape, 3, 3))

@@ -89,7 +89,7 @@ def drive(
 ) -> list[Step]:
     """Turn towards each waypoint, drive straight to it; odometry is off by percents in scale and turn."""
     true = _path(waypoints)
-    delta = (true[:-1].inverse() @ true[1:]).xyt.copy()
+    delta = true.steps()
     delta[:, 0] *= 1.02
     delta[:, 2] = delta[:, 2] * 0.985 + 0.01 * delta[:, 0] + 1e-4 * rng.standard_normal(len(delta))
     odometry = [true[0]]

@@ -61,7 +61,7 @@ def drifted(poses, *, scale=1.03, bias=0.004, seed=1):
     """Odometry (n, 3) of true poses: 3 % too long, turning `bias` radians a step, and noisy."""
     rng = np.random.default_rng(seed)
     T = SE2.from_array(poses)
-    steps = (T[:-1].inverse() @ T[1:]).xyt.copy()
+    steps = T.steps()
     steps[:, :2] *= scale + 0.02 * rng.normal(size=(len(steps), 1))
     steps[:, 2] += bias + 0.002 * rng.normal(size=len(steps))
     out = [poses[0]]

@@ -95,7 +95,7 @@ def calibrate(clouds: Clouds, keys: NDArray[np.int64], T_map_keys: SE2, T_odom_k
     `T_map_keys` (n,) only start the matches. Each pair counts in the directions its scans see;
     stretches where odometry lies are outvoted (Cauchy weights).
     """
-    steps = (T_odom_keys[:-1].inverse() @ T_odom_keys[1:]).xyt
+    steps = T_odom_keys.steps()
     pairs = _baseline_pairs(steps)
     if len(pairs) == 0:
         return Calibration()

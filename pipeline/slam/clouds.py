@@ -178,7 +178,7 @@ def sweep_motion_by_track(recording: Recording, T_track_base: SE2) -> SE2:
     """
     sweep_s = recording.lidar.time_increment * (recording.lidar.n_beams - 1)
     seconds = np.diff(recording.stamps_ns) * 1e-9
-    steps = (T_track_base[:-1].inverse() @ T_track_base[1:]).xyt
+    steps = T_track_base.steps()
     known = (seconds > 0.0) & (seconds < GAP_S)
     speed = np.where(known[:, None], steps / np.where(known, seconds, 1.0)[:, None], 0.0)
     around = np.concatenate([speed[:1], speed, speed[-1:]])

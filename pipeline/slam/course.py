@@ -124,7 +124,7 @@ class Course:
         begin, steps = self.keys[first], None
         placed, keys = self._placed[begin:], self.keys[first:]
         if self.odometry is not None:
-            steps = self.calibration.corrected(_steps(self.odometry[keys]))
+            steps = self.calibration.corrected(SE2(self.odometry[keys]).steps())
         return Track(
             SE2(np.array(self.poses[begin:])),
             np.array(keys) - begin,
@@ -190,9 +190,3 @@ def track_log(
         course.step()
     course.calibrate()
     return course.track()
-
-
-def _steps(poses: Array) -> Array:
-    """Motions (n - 1, 3) between successive poses (n, 3)."""
-    T = SE2(poses)
-    return (T[:-1].inverse() @ T[1:]).xyt

@@ -39,7 +39,7 @@ def with_gyro(recording: Recording) -> Recording:
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return recording
     gyro, stamps = _Gyro(recording.imu), recording.stamps_ns
-    steps = _steps(recording.T_odom_base)
+    steps = recording.T_odom_base.steps()
     trusted = _trusted(gyro, steps, stamps)
     if trusted is None:
         return recording
@@ -55,7 +55,7 @@ def with_gyro(recording: Recording) -> Recording:
     T = _turned(recording.T_odom_base, steps, np.where(slips, expected, steps[:, 2]))
     stream = recording.odometry
     if stream is not None and len(stream) > 1:
-        steps = _steps(stream.poses)
+        steps = stream.poses.steps()
         expected, known = _expected(gyro, steps, stream.stamps_ns, *trusted)
         within = np.clip(np.searchsorted(stamps, stream.stamps_ns[:-1], side="right") - 1, 0, len(slips) - 1)
         turns = np.where(known & slips[within], expected, steps[:, 2])
@@ -67,12 +67,8 @@ def turns_with(recording: Recording) -> bool:
     """Whether a gyro, as the recording says it is mounted, turns with the odometry."""
     if recording.imu is None or recording.T_odom_base is None or len(recording) < 2:
         return False
-    trusted = _trusted(_Gyro(recording.imu), _steps(recording.T_odom_base), recording.stamps_ns)
+    trusted = _trusted(_Gyro(recording.imu), recording.T_odom_base.steps(), recording.stamps_ns)
     return trusted is not None and trusted[0] > 0.0
-
-
-def _steps(T_odom_base: SE2) -> Array:
-    return (T_odom_base[:-1].inverse() @ T_odom_base[1:]).xyt
 
 
 def _trusted(gyro: _Gyro, steps: Array, stamps_ns: NDArray[np.int64]) -> tuple[float, Array] | None:

@@ -104,7 +104,7 @@ def _unsteadiness(track: Track, unseen: Array, scans: int) -> float:
     """Which share of the way over so many scans a steady motion is off by, where all is seen; 1 where that is
     hardly ever."""
     T = track.T_track_base
-    step = np.concatenate([[0.0], way_and_turn((T[:-1].inverse() @ T[1:]).xyt)[:, 0]])
+    step = np.concatenate([[0.0], way_and_turn(T.steps())[:, 0]])
     way, dark = np.cumsum(step), np.cumsum(unseen > 0.0)
     start = np.arange(1, len(step) - scans)
     start = start[dark[start + scans] == dark[start - 1]]

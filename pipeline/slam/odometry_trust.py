@@ -134,7 +134,7 @@ def disbelieved(
     doubted = np.zeros(n, dtype=bool)
     for order in (np.arange(n), np.arange(n)[::-1]):
         T = T_odom[order]
-        steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
+        steps = track.calibration.corrected(T.steps())
         wheels = OdometryTrust(noise)
         new = np.isin(order[1:], borders if order[0] == 0 else borders - 1)
         for scan, step, forget in zip(order[1:].tolist(), steps, new, strict=True):
@@ -152,7 +152,7 @@ def unwitnessed(
     way, T = np.zeros(len(track.T_track_base)), recording.T_odom_base
     way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
     if T is not None:
-        steps = track.calibration.corrected((T[:-1].inverse() @ T[1:]).xyt)
+        steps = track.calibration.corrected(T.steps())
         way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
     return way * (blind(track.information) & disbelieved(recording, track, noise, borders))
 

@@ -23,7 +23,7 @@ def step_constraints(
     T = track.T_track_base[track.keys]
     lies = np.zeros(len(track.T_track_base), dtype=bool) if disbelieved is None else disbelieved
     so_far = np.cumsum(lies)[track.keys]
-    matched = (T[:-1].inverse() @ T[1:]).xyt
+    matched = T.steps()
     constraints = []
     for k, step in enumerate(matched):
         seen = track.information[track.keys[k + 1]] / STEP_INFLATION

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, ScalarFormatter
 
-from turtlebag.datasets.se2 import Array, wrap
+from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
 from turtlebag.reports.figures.style import AMCL, BAD, INK, LINES, new_figure
 from turtlebag.reports.metrics.trajectory import PosePairs
@@ -34,9 +34,9 @@ def _stack(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
 def speeds(truth: Trajectory) -> tuple[Array, Array, Array]:
     """Seconds, forward speed [m/s] and yaw rate [rad/s] between successive true poses, (n - 1,) each."""
     dt = np.maximum(np.diff(truth.stamps_ns), 1) * 1e-9
-    step = truth.poses[:-1].inverse() @ truth.poses[1:]
+    step = truth.poses.steps()
     middle = (truth.stamps_ns[1:] + truth.stamps_ns[:-1]) / 2 - truth.stamps_ns[0]
-    return middle * 1e-9, step.x / dt, wrap(step.yaw) / dt
+    return middle * 1e-9, step[:, 0] / dt, step[:, 2] / dt
 
 
 def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: Trajectory) -> Figure:

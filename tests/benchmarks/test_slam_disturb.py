@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.disturb import KINDS, MODES, disturbed, mirror, reverse
-from benchmarks.known import Known, known, steps
+from benchmarks.known import Known, known
 from benchmarks.slam_cases import VARIANTS
 from benchmarks.slam_public import by_relations
 from benchmarks.slam_scores import errors
@@ -112,16 +112,16 @@ def test_gaps_lie_in_turns_and_are_as_long_as_they_say():
     assert [int((gap > 1.5e9 * PERIOD).sum()) for gap in gaps] == [5, 3]
     assert np.allclose([gap.max() * 1e-9 for gap in gaps], [3.2, 20.2], atol=0.25)
     log = a_log()
-    turn = np.abs(steps(log.odometry)[:, 2])
+    turn = np.abs(log.odometry.steps()[:, 2])
     assert turn[log.around(log.places(5), 3.0)[:-1]].mean() > 1.3 * turn.mean()
 
 
 def test_odometry_goes_wrong_by_as_much_as_the_mode_says():
     log = a_log()
-    true = steps(log.odometry)
-    assert np.allclose(steps(disturbed(log, "bias").odometry)[:, 0], 1.05 * true[:, 0], atol=1e-9)
-    assert (np.abs(steps(disturbed(log, "stuck").odometry)).max(axis=1) < 1e-9).sum() == 5 * 15
-    jumps = np.linalg.norm(steps(disturbed(log, "jump").odometry)[:, :2] - true[:, :2], axis=1)
+    true = log.odometry.steps()
+    assert np.allclose(disturbed(log, "bias").odometry.steps()[:, 0], 1.05 * true[:, 0], atol=1e-9)
+    assert (np.abs(disturbed(log, "stuck").odometry.steps()).max(axis=1) < 1e-9).sum() == 5 * 15
+    jumps = np.linalg.norm(disturbed(log, "jump").odometry.steps()[:, :2] - true[:, :2], axis=1)
     assert np.allclose(jumps[jumps > 1e-6], 2.0)
     assert (jumps > 1e-6).sum() == 3
     late = disturbed(log, "late").odometry

@@ -70,3 +70,12 @@ def test_yaw_is_wrapped_to_half_open_interval():
 def test_wrong_shape_is_refused():
     with pytest.raises(ValueError, match="shape"):
         SE2.from_array(np.zeros((3, 2)))
+
+
+def test_steps_lead_from_each_pose_to_the_next():
+    T = SE2.from_array(np.random.default_rng(3).normal(0.0, 2.0, (6, 3)))
+    steps = T.steps()
+    assert steps.shape == (5, 3)
+    for k, step in enumerate(steps):
+        np.testing.assert_allclose((T[k] @ SE2(step)).xyt, T[k + 1].xyt, atol=1e-12)
+    assert T[:1].steps().shape == (0, 3)

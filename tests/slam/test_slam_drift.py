@@ -21,7 +21,7 @@ def there_and_back(n: int = 41) -> SE2:
 
 def steps_of(T: SE2, sigma=SIGMA) -> list[Constraint]:
     told = HONEST * np.diag(np.asarray(sigma) ** -2.0)
-    moves = (T[:-1].inverse() @ T[1:]).xyt
+    moves = T.steps()
     return [Constraint(k, k + 1, move, told, "step") for k, move in enumerate(moves)]
 
 

@@ -35,7 +35,7 @@ def drive() -> tuple[Recording, Clouds, Track]:
 
 def held(T_keys, sigma):
     """Steps from key to key, known to so many metres and radians."""
-    steps = (T_keys[:-1].inverse() @ T_keys[1:]).xyt
+    steps = T_keys.steps()
     return [Constraint(k, k + 1, step, np.eye(3) / sigma**2, "step") for k, step in enumerate(steps)]
 
 
@@ -108,7 +108,7 @@ def test_a_map_whose_graph_leaves_it_free_to_bend_is_told(drive):
 
 def slipping(T, scans, times):
     """Odometry (n,) that tells so many times the way at some steps."""
-    steps = (T[:-1].inverse() @ T[1:]).xyt.copy()
+    steps = T.steps()
     steps[scans, :2] *= times
     return SE2.from_array(integrate(T.xyt[0], steps))
 

@@ -124,21 +124,17 @@ def test_bias_and_shares_between_gyro_and_wheels_are_found_robustly():
     found = gyros._apart(turns, steps, waits)
     assert found == pytest.approx([0.004, 0.03, 0.006], abs=6e-3)
     np.testing.assert_allclose(gyros._parts(turns, steps, waits), np.column_stack([waits, turns, way]))
-    np.testing.assert_allclose(
-        gyros._steps(SE2(random_poses(5, 1))),
-        (SE2(random_poses(5, 1))[:-1].inverse() @ SE2(random_poses(5, 1))[1:]).xyt,
-    )
 
 
 def test_odometry_is_bent_by_other_turns_on_arcs_of_the_same_length():
     poses = SE2(random_poses(12, 11))
-    steps = (poses[:-1].inverse() @ poses[1:]).xyt
+    steps = poses.steps()
     same = gyros._turned(poses, steps, steps[:, 2])
     np.testing.assert_allclose(same.xy, poses.xy, atol=1e-9)
     np.testing.assert_allclose(wrap(same.yaw - poses.yaw), 0.0, atol=1e-9)
     turns = steps[:, 2] + np.random.default_rng(12).normal(0.0, 0.3, 11)
     bent = gyros._turned(poses, steps, turns)
-    found = (bent[:-1].inverse() @ bent[1:]).xyt
+    found = bent.steps()
     np.testing.assert_allclose(np.hypot(*found[:, :2].T), np.hypot(*steps[:, :2].T))
     np.testing.assert_allclose(wrap(found[:, 2] - turns), 0.0, atol=1e-9)
     bearing = np.arctan2(found[:, 1], found[:, 0]) - np.arctan2(steps[:, 1], steps[:, 0])
