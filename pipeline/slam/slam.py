@@ -237,7 +237,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
     recording = without_repeats(without_own_body(recording), usable)
-    recording = in_step(recording, *compared_turns(recording))
+    recording = in_step(recording, compared_turns(recording))
     recording = with_gyro(recording) if config.gyro else recording
     motion, clouds_of, track = _tracked(recording, run, config)
     if config.front_end != "wheels" and track.calibration.tells_nothing:

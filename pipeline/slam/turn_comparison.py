@@ -1,4 +1,5 @@
-"""Odometry that comes late, or runs ahead, by a constant, or turns the other way than the scans: undone.
+"""Odometry that comes late, or runs ahead, by a constant, or turns the other way than the scans, and sweeps
+that turn the other way than said, or are not said to be any: undone.
 
 In stretches where the robot turns, the scans alone say how it turned; the delay is the one at which the
 odometry says the same. A lidar that turns has its sweeps undone by the odometry, so they are undone
@@ -7,7 +8,9 @@ again by what was found until that stays the same.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +38,30 @@ SPAN = 3
 # So much likelier (logarithm) must all stretches together make a delay, or a lidar upside down, and this
 # many of equal weight or more must carry that: wheels that slip once are no clock that is late.
 LIKELIER, AGREEING = 30.0, 4.0
-ROUNDS = 4
+ROUNDS = 6
 
 
-def in_step(recording: Recording, late_s: float, over: bool) -> Recording:
-    """The recording with its odometry, so much late [s], at the time of its scans, and its lidar turned over
-    or not; as it is where nothing is to be done."""
+class Timing(NamedTuple):
+    """How late the odometry is [s], negative when it runs ahead, whether the lidar hangs the other way up
+    than said, and the time from beam to beam [s] where it is another than said."""
+
+    late_s: float = 0.0
+    over: bool = False
+    time_increment: float | None = None
+
+
+def in_step(recording: Recording, timing: Timing) -> Recording:
+    """The recording with its odometry at the time of its scans, its lidar turned over or not and its sweeps
+    undone as they were; as it is where nothing is to be done."""
+    late_s, over, time_increment = timing
+    if time_increment is not None:
+        way = (
+            "in the opposite direction to what"
+            if recording.lidar.time_increment
+            else "beam by beam, not at once as"
+        )
+        said = f"the lidar sweeps {way} the log says (judged by the turns of scans and odometry); corrected"
+        recording = replace(_sweeping(recording, time_increment), notes=(*recording.notes, said))
     if over:
         said = (
             "scans and odometry turn in opposite directions: assuming the laser is mounted the other way up"
@@ -69,11 +90,10 @@ def delay_metrics(recording: Recording | Recording3D) -> dict[str, float]:
     return {"odometry_late_s": late_s} if late_s else {}
 
 
-def compared_turns(recording: Recording) -> tuple[float, bool]:
-    """How late the odometry is [s], negative when it runs ahead, and whether the lidar hangs the other way up
-    than said; 0 and False where there is no odometry or nothing shows it."""
+def compared_turns(recording: Recording) -> Timing:
+    """What the turns of scans and odometry show; nothing where there is no odometry."""
     if recording.T_odom_base is None or len(recording) < 2:
-        return 0.0, False
+        return Timing()
     stream = _stream(recording)
     waits = np.diff(recording.stamps_ns) * 1e-9
     usual = float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
@@ -85,19 +105,49 @@ def compared_turns(recording: Recording) -> tuple[float, bool]:
         T_odom_base=recording.T_odom_base[thin],
         odometry=stream,
     )
-    late_s, over = 0.0, False
+    late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual)
     for _ in range(ROUNDS):
-        found, against = _delay(scans, late_s)
+        turns = _turns(scans, late_s)
+        found, against = _delay(turns)
         if against and not over:
             scans, over = replace(scans, lidar=turned_over(scans.lidar)), True
             continue
-        settled = recording.lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
+        settled = scans.lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
         if settled:
-            break
+            other, others = _other_sweep(scans, late_s, turns, others), []
+            if other is None:
+                break
+            sweep, scans = other, _sweeping(scans, other)
     interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), PERIOD_S)
-    return late_s if abs(late_s) >= least_s else 0.0, over
+    return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep)
+
+
+def _sweeps(recording: Recording, usual_s: float) -> list[float]:
+    """Times from beam to beam [s] that the lidar may have in place of what is said: the other way round, or,
+    where none is said, a turn from scan to scan."""
+    said = recording.lidar.time_increment
+    if said != 0.0:
+        return [-said]
+    turn = usual_s * abs(recording.lidar.angle_increment) / (2.0 * np.pi)
+    return [turn, -turn]
+
+
+def _sweeping(recording: Recording, time_increment: float) -> Recording:
+    return replace(recording, lidar=replace(recording.lidar, time_increment=time_increment))
+
+
+def _other_sweep(scans: Recording, late_s: float, turns: _Turns, others: Sequence[float]) -> float | None:
+    """The one of other times from beam to beam [s] with which scans and odometry surely agree better."""
+    best, gained = None, 0.0
+    for time_increment in others:
+        other = _turns(_sweeping(scans, time_increment), late_s)
+        sigma = min(turns.sigma, other.sigma)
+        gain = turns.least(sigma) - other.least(sigma)
+        if _surely(gain) and gain.sum() > gained:
+            best, gained = time_increment, float(gain.sum())
+    return best
 
 
 def _stream(recording: Recording) -> Trajectory:
@@ -108,29 +158,39 @@ def _stream(recording: Recording) -> Trajectory:
     return Trajectory(stamps, recording.T_odom_base[first])
 
 
-def _delay(scans: Recording, late_s: float) -> tuple[float, bool]:
-    """The delay [s] at which odometry and scans turn together, the sweeps undone as of `late_s`, else 0; and
-    whether they turn against each other."""
-    noise = range_noise(scans, USABLE_M)
-    spans = [_turns(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
-    spans = [one for one in spans if len(one)]
-    if not spans:
-        return 0.0, False
-    stream = _stream(scans)
-    times, yaw = (stream.stamps_ns - scans.stamps_ns[0]) * 1e-9, np.unwrap(stream.poses.yaw)
-    begin, end, turned = np.concatenate(spans).T
-    later = DELAYS_S[:, None]
-    told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
-    of_stretch = np.cumsum([0, *[len(one) for one in spans]])[:-1]
-    off = np.stack([turned - told, turned + told])
-    sigma = max(PER_MEDIAN * float(np.median(np.abs(off), axis=2).min()), 1e-3)
-    with_it, against = np.log1p((off / (CAUCHY * sigma)) ** 2)
+class _Turns(NamedTuple):
+    """What scans turned in spans (n,) of some stretches less and plus what the odometry turned at each delay,
+    (2, delays, n) [rad]."""
+
+    off: Array
+    stretch: NDArray[np.int64]
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation at the best delay [rad]."""
+        spread = np.median(np.abs(self.off), axis=2).min() if len(self.stretch) else 0.0
+        return max(PER_MEDIAN * float(spread), 1e-3)
+
+    def costs(self, sigma: float) -> Array:
+        """Of each stretch at each delay, (2, delays, STRETCHES)."""
+        of_stretch = self.stretch[:, None] == np.arange(STRETCHES)
+        return np.asarray(np.log1p((self.off / (CAUCHY * sigma)) ** 2) @ of_stretch)
+
+    def least(self, sigma: float) -> Array:
+        """Those of each stretch at the delay at which they turn together best."""
+        costs = self.costs(sigma)[0]
+        return np.asarray(costs[int(costs.sum(axis=1).argmin())])
+
+
+def _delay(turns: _Turns) -> tuple[float, bool]:
+    """The delay [s] at which odometry and scans turn together, else 0; and whether they turn against each
+    other."""
+    with_it, against = turns.costs(turns.sigma)
     best, none = int(with_it.sum(axis=1).argmin()), len(DELAYS_S) // 2
     mirrored = against[int(against.sum(axis=1).argmin())]
-    if _surely(np.add.reduceat(with_it[best] - mirrored, of_stretch)):
+    if _surely(with_it[best] - mirrored):
         return 0.0, True
-    sure = _surely(np.add.reduceat(with_it[none] - with_it[best], of_stretch))
-    return (float(DELAYS_S[best]) if sure else 0.0), False
+    return (float(DELAYS_S[best]) if _surely(with_it[none] - with_it[best]) else 0.0), False
 
 
 def _surely(gain: Array) -> bool:
@@ -152,7 +212,21 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     return [start + np.arange(SCANS) for start in starts[chosen]]
 
 
-def _turns(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
+def _turns(scans: Recording, late_s: float) -> _Turns:
+    """How scans and odometry turn, the sweeps undone as of an odometry so much late."""
+    noise = range_noise(scans, USABLE_M)
+    spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
+    stream = _stream(scans)
+    times, yaw = (stream.stamps_ns - scans.stamps_ns[0]) * 1e-9, np.unwrap(stream.poses.yaw)
+    begin, end, turned = np.concatenate([np.zeros((0, 3)), *spans]).T
+    later = DELAYS_S[:, None]
+    told = np.interp(end + later, times, yaw) - np.interp(begin + later, times, yaw)
+    return _Turns(
+        np.stack([turned - told, turned + told]), np.repeat(np.arange(len(spans)), [*map(len, spans)])
+    )
+
+
+def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
     """Begin and end [s] since the first scan, and turn [rad] by the scans alone, over each span, (n, 3)."""
     part = replace(scans, stamps_ns=scans.stamps_ns[rows], ranges=scans.ranges[rows], T_odom_base=None)
     late = replace(part, stamps_ns=part.stamps_ns + round(late_s * 1e9))

@@ -85,7 +85,7 @@ def localise(
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
-    recording = in_step(recording, *compared_turns(recording))
+    recording = in_step(recording, compared_turns(recording))
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)

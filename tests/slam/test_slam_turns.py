@@ -14,12 +14,12 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import ImuLog, Odometry, Trajectory, Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
+from turtlebag.pipeline.slam.turn_comparison import Timing, compared_turns, in_step
 
 CORNERS = [(16.0, 7.0), (27.0, 7.0), (27.0, 12.0), (27.0, 7.0), (10.1, 7.0), (10.1, 10.5), (10.1, 7.0)]
 ROUTE = np.array(CORNERS)
 DRIVE = Drive(v=0.7, w=1.2)
-IN_STEP = 0.0, False
+IN_STEP = Timing()
 
 
 def drive(spec, *, lies=(), route=ROUTE):
@@ -51,9 +51,10 @@ def late(recording, seconds):
 @pytest.mark.parametrize("seconds", [0.1, -0.1, 0.3, -0.5, 1.0])
 def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
-    found, over = compared_turns(recording)
-    assert found == pytest.approx(seconds, abs=0.03)
-    mended = in_step(recording, found, over)
+    timing = compared_turns(recording)
+    found = timing.late_s
+    assert timing == (pytest.approx(seconds, abs=0.03), False, None)
+    mended = in_step(recording, timing)
     inside = slice(10, -10)  # beyond its ends the odometry is held
     expected = turning.recording.T_odom_base[inside]
     np.testing.assert_allclose(mended.T_odom_base[inside].xy, expected.xy, atol=0.03)
@@ -75,7 +76,7 @@ def test_a_delay_of_odometry_that_comes_with_the_scans_is_found(paired, seconds)
 def test_odometry_in_time_stays_as_it_is(log, request):
     recording = request.getfixturevalue(log).recording
     assert compared_turns(recording) == IN_STEP
-    assert in_step(recording, 0.0, False) is recording
+    assert in_step(recording, IN_STEP) is recording
     assert compared_turns(replace(recording, T_odom_base=None, odometry=None)) == IN_STEP
     assert compared_turns(late(recording, 0.02)) == IN_STEP
 
@@ -98,11 +99,35 @@ def test_a_robot_that_never_turns_shows_no_delay():
 def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, request):
     recording = request.getfixturevalue(log).recording
     wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
-    found, over = compared_turns(wrong)
-    assert (found, over) == (pytest.approx(seconds, abs=0.06), True)
-    mended = in_step(wrong, found, over)
+    timing = compared_turns(wrong)
+    assert timing == (pytest.approx(seconds, abs=0.06), True, None)
+    mended = in_step(wrong, timing)
     np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
     assert mended.notes[0].startswith("scans and odometry turn in opposite directions")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("said", "seconds", "over"),
+    [("reversed", 0.0, False), ("reversed", 0.4, True), ("none", 0.4, False), ("none", 0.0, True)],
+)
+def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning, said, seconds, over):
+    recording = late(turning.recording, seconds)
+    true = recording.lidar.time_increment
+    lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
+    wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)
+    timing = compared_turns(wrong)
+    assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01))
+    mended = in_step(wrong, timing)
+    assert mended.lidar.time_increment == pytest.approx(true, rel=0.01)
+    assert ("in the opposite direction" in mended.notes[0]) is (said == "reversed")
+
+
+@pytest.mark.slow
+def test_a_lidar_that_sees_at_once_is_not_taken_for_one_that_turns():
+    recording = drive(replace(lds(), range_max=8.0, time_increment=0.0)).recording
+    stream = Trajectory(recording.stamps_ns, recording.T_odom_base)
+    assert compared_turns(replace(recording, odometry=stream)) == IN_STEP
 
 
 @pytest.mark.slow
@@ -143,5 +168,5 @@ def test_a_gyro_tells_whether_scans_or_odometry_are_mirrored(turning, sign, sure
         rate = sign * np.gradient(np.unwrap(stream.poses.yaw), stream.stamps_ns * 1e-9)
         turned = np.stack([0.0 * rate, 0.0 * rate, rate], axis=1)
         recording = replace(recording, imu=ImuLog(stream.stamps_ns, turned, 0.0 * turned))
-    assert in_step(recording, 0.0, True).turned_over is not sure
-    assert not in_step(recording, 0.0, False).turned_over
+    assert in_step(recording, Timing(over=True)).turned_over is not sure
+    assert not in_step(recording, IN_STEP).turned_over
