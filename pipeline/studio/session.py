@@ -41,14 +41,14 @@ class Session:
         self.setup, self._folder = setup, folder
         self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
         header, shelf = setup.header(), Shelf(folder, setup.map_path)
-        simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
+        tee, simulator = Tee(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
             shelf=shelf,
-            diary=Diary(folder, simulator),
+            diary=Diary(folder, simulator, tee),
             events=EventLog(say),
-            tee=Tee(),
+            tee=tee,
             tasks=[],
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
