@@ -29,7 +29,6 @@ class OnlineMap:
         self._stamps: list[int] = []
         self._odometry: list[SE2] = []
         self._imu: list[Imu] = []
-        self._finished: OccupancyGrid | None = None
 
     def observe(self, observation: Observation) -> None:
         """Take in odometry, and place the scan if there is one."""
@@ -46,7 +45,6 @@ class OnlineMap:
         """Place a scan; see `Mapper.add`."""
         self.mapper = self.mapper or Mapper(scan.lidar, self._T_base_lidar, self._config)
         self.mapper.add(scan, odometry, imu)
-        self._finished = None
         self.T_map_odom = self.mapper.T_map_odom
 
     def distrust(self) -> None:
@@ -56,7 +54,6 @@ class OnlineMap:
         """
         if self.mapper is not None:
             self.mapper.distrust(HERE_M)
-            self._finished = None
 
     @property
     def ready(self) -> bool:
@@ -70,14 +67,12 @@ class OnlineMap:
         return self.grid
 
     def finish(self) -> OccupancyGrid:
-        """The map of everything seen, as the offline mapper makes it; made once until more is seen."""
+        """The map of everything seen, as the offline mapper makes it."""
         assert self.mapper is not None
-        if self._finished is None:
-            trajectory, self._finished = self.mapper.finish()
-            T_odom_base = self.mapper.recording().T_odom_base
-            assert T_odom_base is not None
-            self.T_map_odom = trajectory.poses[-1] @ T_odom_base[len(trajectory) - 1].inverse()
-        self.grid = self._finished
+        trajectory, self.grid = self.mapper.finish()
+        T_odom_base = self.mapper.recording().T_odom_base
+        assert T_odom_base is not None
+        self.T_map_odom = trajectory.poses[-1] @ T_odom_base[len(trajectory) - 1].inverse()
         return self.grid
 
     def recording(self) -> Recording:
