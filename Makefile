@@ -34,7 +34,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 
 .DEFAULT_GOAL := help
 .PHONY: help setup doctor demo demo-world demo-house pictures studio record map navigate report verify dist docs lint test browser clean \
-  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants study-advice study-blame study-breaks
+  bench bench-sim bench-slam bench-slam-all bench-localise bench-plan bench-navigate bench-studio bench-bags bench-install bench-sweep bench-front-ends mutants pytest study-advice study-blame study-breaks
 .DELETE_ON_ERROR:
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(RUN_DIR)/manifest.json
@@ -153,7 +153,10 @@ lint: $(READY) ## ruff and mypy
 	$(PY) -m ruff format --check .
 	$(PY) -m mypy
 
-test: lint ## lint, then pytest
+test: $(READY) ## lint, and pytest beside it
+	@$(MAKE) --no-print-directory --jobs=2 lint pytest
+
+pytest: $(READY)
 	@# Three workers, because some tests wait more than they compute; each file's tests run on one, so that what
 	@# they share is made once; and bytecode is kept, or each of the many processes would compile all sources.
 	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder

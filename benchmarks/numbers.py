@@ -20,7 +20,9 @@ def counted(source: str) -> tuple[list[str], list[str]]:
     """Names of the settings and of the constants of a module; a tuple's name as often as it holds numbers."""
     settings, constants = [], []
     for node in ast.parse(source).body:
-        if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "BaseModel" for base in node.bases):
+        if isinstance(node, ast.ClassDef) and any(
+            ast.unparse(base) in ("BaseModel", "Settings") for base in node.bases
+        ):
             settings += [
                 f"{node.name}.{ast.unparse(item.target)}"
                 for item in node.body

@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.distance import distance_field
 
 Mask = NDArray[np.bool_]
@@ -23,10 +24,9 @@ TOUCH = 1e-6
 """A share of a cell: an outline along a border, but for rounding, reaches the cells on both sides of it."""
 
 
-class CostmapConfig(BaseModel):
+class CostmapConfig(Settings, allow_inf_nan=False):
     """Which cells count as obstacles; areas in m^2."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     unknown: Literal["blocked", "free"] = "blocked"
     """Whether cells never seen stop the robot."""
     speck_area: float = Field(default=0.06, ge=0.0)

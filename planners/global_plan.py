@@ -13,12 +13,13 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
@@ -46,10 +47,9 @@ OVER_CELLS, ORIENTED = "grid", "footprint lattice"
 """What finds a path when the planner asked does not: tightened ways over cells, or cells and headings."""
 
 
-class PlanConfig(BaseModel):
+class PlanConfig(Settings, allow_inf_nan=False):
     """Distances in metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     planner: Annotated[str, part_of("ompl")] = Field(default="ompl", exclude_if=lambda name: name == "ompl")
     """`ompl`, or a class of yours."""
     ompl: OmplConfig = OmplConfig()

@@ -7,21 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance import distance_field
 
 NEVER = -1.0e9
 
 
-class LiveConfig(BaseModel):
+class LiveConfig(Settings, allow_inf_nan=False):
     """Names as in costmap_2d where the idea is the same; metres and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     obstacle_range: float = Field(default=2.5, gt=0.0)
     """Beams that end beyond this mark nothing."""
     raytrace_range: float = Field(default=3.5, gt=0.0)

@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.footprint import Field32, disc_segment_free
 from turtlebag.planners.planner_names import PlannerName
 
@@ -31,10 +32,9 @@ RANGE_M = 1.5
 """Longest motion of the tree planners."""
 
 
-class OmplConfig(BaseModel):
+class OmplConfig(Settings, allow_inf_nan=False):
     """Which planner, and how long it may search."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     planner: PlannerName | None = None
     """None: BITstar for a disc, RRTConnect elsewhere."""
     space: Literal["disc", "se2", "reeds_shepp", "dubins"] = "disc"

@@ -8,10 +8,11 @@ from collections import deque
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Imu, Scan, Twist
+from turtlebag.datasets.yaml_files import Settings
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Spans = tuple[tuple[NonNegative, NonNegative], ...]
@@ -19,10 +20,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
 
-class FaultConfig(BaseModel):
+class FaultConfig(Settings):
     """Delays and spans in seconds since the start. By default nothing goes wrong."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     command_delay: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
     """From a command to the motors hearing it."""
     scan_delay: NonNegative = 0.0

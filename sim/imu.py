@@ -6,10 +6,11 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Imu, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.robots import RobotSpec
 
 RATE_HZ = 100
@@ -18,10 +19,9 @@ GRAVITY = 9.81
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 
-class ImuConfig(BaseModel):
+class ImuConfig(Settings):
     """Standard deviations: white noise a sample, bias at the start, and bias walk a root-second."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
     gyro_noise: NonNegative = 2e-4
     gyro_bias: NonNegative = 5e-4

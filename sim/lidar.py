@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import LidarSpec
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
 from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import LidarErrors, RobotSpec
@@ -20,7 +21,7 @@ GAZEBO_SIGMA = 0.01
 """White noise of the tutorial's lidar in Gazebo [m]."""
 
 
-class LidarConfig(BaseModel):
+class LidarConfig(Settings):
     """How the lidar measures.
 
     `sensor`: with the errors of the robot's own lidar, as its file has them. `gazebo`: Gaussian noise
@@ -28,7 +29,6 @@ class LidarConfig(BaseModel):
     read as three standard deviations of a beam.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     turning: bool = True
     noise: Literal["sensor", "gazebo", "datasheet", "none"] | None = None
     """None: by `sim.sensors`; a lidar without a simulator: `gazebo`."""

@@ -6,13 +6,13 @@ import math
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.bodies import create_body, create_compound, groups
 from turtlebag.sim.bullet import bullet
 from turtlebag.sim.robots import RobotSpec
@@ -25,10 +25,9 @@ CONTACT_GAP_M = 5e-4
 """Bullet keeps points of bodies that are merely near; nearer than this they touch."""
 
 
-class PhysicsConfig(BaseModel):
+class PhysicsConfig(Settings):
     """Friction coefficients are of the pairing with floor and solids (whose own is 1)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     friction: Annotated[float, Field(gt=0.0)] | None = None
     """Wheels on the floor; none: as the robot's file says."""
     body_friction: Annotated[float, Field(ge=0.0)] = 0.1
@@ -59,9 +58,7 @@ class Physics:
     def __enter__(self) -> Physics:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, RobotModel
-from turtlebag.datasets.yaml_files import find_named, known_names, load_model
+from turtlebag.datasets.yaml_files import Settings, find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
 
@@ -22,11 +22,7 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-class _Spec(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Limits(_Spec):
+class Limits(Settings):
     """What the motor layer allows, whoever commands: speeds, accelerations, and rim acceleration."""
 
     max_v: Positive
@@ -36,7 +32,7 @@ class Limits(_Spec):
     wheel_acceleration: Positive
 
 
-class _Part(_Spec):
+class _Part(Settings):
     """A rigid part of the body: collision shape at `center`, mass at `com`, all in base_footprint."""
 
     name: str
@@ -63,7 +59,7 @@ class SpherePart(_Part):
 Part = Annotated[BoxPart | SpherePart, Field(discriminator="kind")]
 
 
-class Wheels(_Spec):
+class Wheels(Settings):
     """Two driven wheels; `joint_y` is where they stand, `separation` what the controller believes."""
 
     radius: Positive
@@ -78,7 +74,7 @@ class Wheels(_Spec):
     """On the floor; what a run's own `physics.friction` replaces."""
 
 
-class LidarErrors(_Spec):
+class LidarErrors(Settings):
     """How its readings differ from the distances; standard deviations where nothing else is said.
 
     Of a beam: `sigma` [m] and `sigma_square` [1/m], which grows with the square of the distance as a
@@ -111,7 +107,7 @@ class LidarErrors(_Spec):
         return delay
 
 
-class Lidar(_Spec):
+class Lidar(Settings):
     """A planar lidar at `pose` in base_footprint, `height` over the floor."""
 
     pose: Vector
@@ -140,7 +136,7 @@ class Lidar(_Spec):
         )
 
 
-class Lidar3dMount(_Spec):
+class Lidar3dMount(Settings):
     """A turning 3D lidar at `position` in base_footprint: rings at even elevations."""
 
     position: Vector
@@ -152,13 +148,13 @@ class Lidar3dMount(_Spec):
     rate_hz: Positive
 
 
-class ImuMount(_Spec):
+class ImuMount(Settings):
     """Where the IMU sits in base_footprint."""
 
     position: Vector
 
 
-class RobotSpec(_Spec):
+class RobotSpec(Settings):
     """A robot file."""
 
     name: str

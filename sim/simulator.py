@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.faults import FaultConfig, Faults
 from turtlebag.sim.imu import ImuConfig, ImuSensor
 from turtlebag.sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig
@@ -38,14 +37,13 @@ CONTACT_REACH_M = 0.05
 """Contacts are looked for when the robot's centre is this much farther from a solid than its own radius."""
 
 
-class SimConfig(BaseModel):
+class SimConfig(Settings):
     """Everything that can be switched in the simulator.
 
     `sensors` chooses what the lidar and the wheels are where nothing else is set: `realistic` like the
     hardware, `clean` like Gazebo's, with white noise of the lidar and nothing random in the wheels.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     sensors: Sensors = "realistic"
     physics: PhysicsConfig = PhysicsConfig()
     lidar: LidarConfig = LidarConfig()
@@ -125,9 +123,7 @@ class Simulator:
     def __enter__(self) -> Simulator:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
+from turtlebag.datasets.yaml_files import Settings, checked, find_named, known_names, read_mapping
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route
@@ -39,10 +39,9 @@ CIRCLE_M = 0.2
 """Radius of the circles it drives where there is room."""
 
 
-class Step(BaseModel):
+class Step(Settings):
     """One action: exactly one of its keys (`steps` belongs to `repeat`)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     drive: Finite | None = None
     """Metres straight on (negative: backwards)."""
     turn_deg: Finite | None = None
@@ -61,7 +60,7 @@ class Step(BaseModel):
     """Metres of driving to places drawn at random, all within reach and clear of everything."""
     repeat: Annotated[int, Field(ge=1)] | None = None
     """How often to do `steps`."""
-    steps: list[Step] = []
+    steps: list[Step] = Field([])
 
     @model_validator(mode="after")
     def _one_action(self) -> Step:
@@ -71,10 +70,9 @@ class Step(BaseModel):
         return self
 
 
-class Script(BaseModel):
+class Script(Settings):
     """A teleop script: speeds [m/s, rad/s] and steps."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     name: str
     v: Positive = 0.16
     w: Positive = 0.6

@@ -6,14 +6,15 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.robots import RobotSpec
 
 
-class OdometryConfig(BaseModel):
+class OdometryConfig(Settings):
     """What wheel odometry is off by.
 
     Calibration: the believed wheel radius and track are off by up to these fractions, drawn once a run.
@@ -21,7 +22,6 @@ class OdometryConfig(BaseModel):
     of what both do in opposite senses [rad] after a turn of a radian; both grow with the square root.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     radius_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
     track_error: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.01
     slip: Annotated[float, Field(ge=0.0, le=0.1)] | None = None

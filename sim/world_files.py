@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.movers import Mover
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
@@ -17,14 +18,10 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 
 
-class _Spec(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _AnyShapeSpec(_Spec):
+class _AnyShapeSpec(Settings):
     name: str = ""
     reflectivity: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
-    when: dict[str, str] = {}
+    when: dict[str, str] = Field({})
     """Options of the world under which it is there, e.g. `{gate: shut}`; none: always."""
 
 
@@ -88,7 +85,7 @@ class MeshSpec(_AnyShapeSpec):
 ShapeSpec = Annotated[BoxSpec | CylinderSpec | PrismSpec | MeshSpec, Field(discriminator="kind")]
 
 
-class MoverSpec(_Spec):
+class MoverSpec(Settings):
     """A box or a cylinder that moves: its section, and a path or an area to wander in."""
 
     name: str = ""
@@ -116,24 +113,24 @@ class MoverSpec(_Spec):
         return Mover(solid, path, self.speed, self.loop, self.wander is not None, area, self.yields)
 
 
-class WorldSpec(_Spec):
+class WorldSpec(Settings):
     """A world file."""
 
     name: str
     robot: str = "burger"
     spawn: tuple[Finite, Finite, Finite]
-    options: dict[str, list[str]] = {}
+    options: dict[str, list[str]] = Field({})
     """Choices, the default first, made as in `name:key=value`."""
     bounds: tuple[Finite, Finite, Finite, Finite] | None = None
     shapes: list[ShapeSpec]
-    movers: list[MoverSpec] = []
-    keepout: list[list[Point]] = []
-    routes: dict[str, list[Point]] = {}
+    movers: list[MoverSpec] = Field([])
+    keepout: list[list[Point]] = Field([])
+    routes: dict[str, list[Point]] = Field({})
 
 
-class GeneratorSpec(_Spec):
+class GeneratorSpec(Settings):
     """A world file that asks for a generated world."""
 
     generator: str
     seed: Annotated[int, Field(ge=0)]
-    options: dict[str, float] = {}
+    options: dict[str, float] = Field({})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 
 import yaml
 
@@ -45,9 +44,7 @@ class BagFolder:
     def __enter__(self) -> BagFolder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.leave(kind)
 
     def leave(self, kind: type[BaseException] | None) -> None:

@@ -23,11 +23,12 @@ from turtlebag.datasets.bags.mcap import (
     METADATA_INDEX,
     SCHEMA,
 )
-from turtlebag.datasets.bags.mcap_scan import Damage, Fields, McapChannel, McapState, register
+from turtlebag.datasets.bags.mcap_scan import Damage, Fields, McapState, register
+from turtlebag.datasets.bags.messages import Topic
 
 Read = Callable[[int, int], bytes]
 """Bytes of the file from the first offset up to the second."""
-Choice = Callable[[Mapping[int, McapChannel]], Collection[int]]
+Choice = Callable[[Mapping[int, Topic]], Collection[int]]
 """Which of the channels, by their numbers, are asked for."""
 _TAIL = 256 << 10
 """The index of most files is within the last bytes."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from turtlebag.datasets.bags.mcap import (
     SCHEMA,
     STATISTICS,
 )
+from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
@@ -42,31 +43,12 @@ class Damage(Exception):
     """A record that cannot be what was written."""
 
 
-@dataclass(frozen=True, slots=True)
-class McapSchema:
-    """A message definition of the file."""
-
-    name: str
-    encoding: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class McapChannel:
-    """A topic of the file."""
-
-    topic: str
-    schema: McapSchema
-    encoding: str
-    metadata: dict[str, str]
-
-
 @dataclass(slots=True)
 class McapState:
     """What is known of a file after reading it: its parts, and what was wrong."""
 
-    channels: dict[int, McapChannel] = field(default_factory=dict)
-    schemas: dict[int, McapSchema] = field(default_factory=dict)
+    channels: dict[int, Topic] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     stopped: bool = False
@@ -121,12 +103,13 @@ def register(state: McapState, opcode: int, body: bytes) -> None:
     if opcode == SCHEMA:
         number = fields.number("H")
         name, encoding = fields.text(), fields.text()
-        state.schemas[number] = McapSchema(name, encoding, fields.text())
+        state.schemas[number] = (full_type(name), fields.text(), encoding)
     elif opcode == CHANNEL:
         number, schema = fields.number("H"), fields.number("H")
         topic, encoding, metadata = fields.text(), fields.text(), fields.map()
-        known = state.schemas.get(schema, McapSchema("", "", ""))
-        state.channels.setdefault(number, McapChannel(topic, known, encoding, metadata))
+        qos, type_hash = (metadata.get(key, "") for key in ("offered_qos_profiles", "topic_type_hash"))
+        known = state.schemas.get(schema, ("", "", ""))
+        state.channels.setdefault(number, Topic(topic, *known, qos, type_hash, encoding))
     elif opcode == METADATA:
         name = fields.text()
         state.metadata[name] = fields.map()
@@ -151,10 +134,8 @@ class McapScan:
         if self._data[: len(MAGIC)] != MAGIC:
             raise InputError(f"{path}: not an MCAP file (its first bytes are damaged or of another format)")
 
-    def messages(
-        self, wanted: Callable[[McapChannel], bool] | None = None, *, step_over: bool = False
-    ) -> Iterator[tuple[McapChannel, int, bytes]]:
-        """(channel, log time [ns], data) in file order, of the `wanted` channels.
+    def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
+        """Messages of the wanted topics in file order.
 
         At the first damage reading stops, or with `step_over` goes on at the next record that is whole.
         """
@@ -247,9 +228,7 @@ class McapScan:
         except Damage:
             self.state.channels.clear()
 
-    def _chunk_messages(
-        self, records: bytes, wanted: Callable[[McapChannel], bool] | None
-    ) -> Iterator[tuple[McapChannel, int, bytes]]:
+    def _chunk_messages(self, records: bytes, wanted: Wanted | None) -> Iterator[Message]:
         state, channels = self.state, self.state.channels
         choice = {number: wanted is None or wanted(channel) for number, channel in channels.items()}
         at, end = 0, len(records)
@@ -263,7 +242,7 @@ class McapScan:
                     raise Damage("a message of an unknown topic, or too long")
                 state.messages += 1
                 if choice[number]:
-                    yield channel, log_time, records[start:at]
+                    yield Message(channel, log_time, records[start:at])
             elif at + _RECORD.size <= end:
                 opcode, size = _RECORD.unpack_from(records, at)
                 start, at = at + _RECORD.size, at + _RECORD.size + size

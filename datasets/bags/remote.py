@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.bags.mcap_ranges import partial_mcap
-from turtlebag.datasets.bags.mcap_scan import Damage, McapChannel
+from turtlebag.datasets.bags.mcap_scan import Damage
+from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.source import SUFFIXES, TRUTH_PREFIX
-from turtlebag.datasets.bags.storage import full_type
 from turtlebag.datasets.bags.topics import CLOUD, IMU, METADATA_FILE, ODOMETRY, SCAN, TRANSFORMS
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.urls import filesystem, is_local, reason_of
@@ -64,14 +64,12 @@ def _bring(files: Any, path: str, place: Path, topics: Collection[str]) -> None:
     files.get_file(path, str(place))
 
 
-def _asked_for(channels: Mapping[int, McapChannel], topics: Collection[str]) -> list[int]:
-    kinds = {number: full_type(channel.schema.name) for number, channel in channels.items()}
-    planar = SCAN in kinds.values()
+def _asked_for(channels: Mapping[int, Topic], topics: Collection[str]) -> list[int]:
+    planar = any(channel.msgtype == SCAN for channel in channels.values())
 
-    def needed(number: int, kind: str) -> bool:
-        topic = channels[number].topic
-        if kind == CLOUD:
-            return not planar or topic in topics
-        return kind in _NEEDED and not topic.startswith(TRUTH_PREFIX)
+    def needed(channel: Topic) -> bool:
+        if channel.msgtype == CLOUD:
+            return not planar or channel.name in topics
+        return channel.msgtype in _NEEDED and not channel.name.startswith(TRUTH_PREFIX)
 
-    return [number for number, kind in kinds.items() if needed(number, kind)]
+    return [number for number, channel in channels.items() if needed(channel)]

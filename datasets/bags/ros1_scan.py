@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import bz2
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import lz4.frame
 
 from turtlebag.datasets.bags.mcap_scan import Damage
+from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
+from turtlebag.datasets.bags.topics import TOPICS, metadata_text
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
@@ -25,29 +27,16 @@ _CHUNK_MARK = b"\x04\x00\x00\x00op=\x05"
 _LONGEST_HEADER = 1 << 24
 
 
-@dataclass(frozen=True, slots=True)
-class Ros1Connection:
-    """A topic of the file."""
-
-    topic: str
-    msgtype: str
-    definition: str
-    latching: bool
-
-
 @dataclass(slots=True)
 class Ros1State:
     """What is known of a file after reading it, and what was wrong."""
 
-    connections: dict[int, Ros1Connection] = field(default_factory=dict)
+    connections: dict[int, Topic] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     stopped: bool = False
     indexed: bool = False
     chunks: int = 0
     claimed_chunks: int = 0
-
-
-Wanted = Callable[[Ros1Connection], bool]
 
 
 class Ros1Scan:
@@ -60,10 +49,8 @@ class Ros1Scan:
         if self._data[: len(ROS1_MAGIC)] != ROS1_MAGIC:
             raise InputError(f"{path}: not a ROS 1 bag of version 2.0 (its first bytes are damaged?)")
 
-    def messages(
-        self, wanted: Wanted | None = None, *, step_over: bool = False
-    ) -> Iterator[tuple[Ros1Connection, int, bytes]]:
-        """(connection, log time [ns], data) in file order; damage stops it or is stepped over."""
+    def messages(self, wanted: Wanted | None = None, *, step_over: bool = False) -> Iterator[Message]:
+        """Messages of the wanted topics in file order; damage stops it or is stepped over."""
         self.state = state = Ros1State()
         at, end = len(ROS1_MAGIC), len(self._data)
         self._total = Unpacked(self.path, end)
@@ -87,7 +74,7 @@ class Ros1Scan:
 
     def _record_messages(
         self, header: dict[str, bytes], body: bytes, size: int, wanted: Wanted | None
-    ) -> Iterator[tuple[Ros1Connection, int, bytes]]:
+    ) -> Iterator[Message]:
         operation = header["op"][0]
         if operation == _CHUNK:
             self.state.chunks += 1
@@ -102,7 +89,7 @@ class Ros1Scan:
             self.state.indexed = any(header.get("index_pos", b""))
             self.state.claimed_chunks = _number(header, "chunk_count")
 
-    def _chunk(self, records: bytes, wanted: Wanted | None) -> Iterator[tuple[Ros1Connection, int, bytes]]:
+    def _chunk(self, records: bytes, wanted: Wanted | None) -> Iterator[Message]:
         at, end = 0, len(records)
         connections = self.state.connections
         while at < end:
@@ -120,19 +107,17 @@ class Ros1Scan:
                 if wanted is None or wanted(connection):
                     time = _number(header, "time", "<Q")
                     seconds, nanoseconds = time & 0xFFFFFFFF, time >> 32
-                    yield connection, seconds * 1_000_000_000 + nanoseconds, records[start:at]
+                    yield Message(connection, seconds * 1_000_000_000 + nanoseconds, records[start:at])
 
     def _connection(self, header: dict[str, bytes], body: bytes) -> None:
         number = _number(header, "conn")
         if number in self.state.connections:
             return
         details = _fields(body)
-        self.state.connections[number] = Ros1Connection(
-            _text(header, "topic"),
-            _text(details, "type"),
-            _text(details, "message_definition"),
-            details.get("latching", b"0") == b"1",
-        )
+        topic, msgtype = _text(header, "topic"), full_type(_text(details, "type"))
+        qos = metadata_text(TOPICS["/map"].qos()) if details.get("latching") == b"1" else ""
+        text = _text(details, "message_definition")
+        self.state.connections[number] = Topic(topic, msgtype, text, "ros1msg", qos, "", "ros1")
 
     def _next_chunk(self, at: int) -> int:
         """Where the next plausible chunk begins; the end of the file if none does."""

@@ -11,8 +11,9 @@ import yaml
 from turtlebag.datasets.bags.decode import Cursor, Ros1Cursor
 from turtlebag.datasets.bags.mcap import MAGIC
 from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.messages import Message, Wanted
 from turtlebag.datasets.bags.ros1_scan import ROS1_MAGIC
-from turtlebag.datasets.bags.storage import READERS, Message, Wanted
+from turtlebag.datasets.bags.storage import READERS
 from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
@@ -59,8 +60,7 @@ class Bag:
         a file has changed since the bag was opened.
         """
         for file in self.files:
-            source = READERS[self.kind](file)
-            messages = source.messages(wanted, self.notes, step_over=step_over)
+            messages = READERS[self.kind](file, wanted, self.notes, step_over)
             yield from self._unpacked(messages, file) if self._packed else messages
             require_same(file, self._before[file])
 

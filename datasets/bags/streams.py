@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.columns import OdometryColumns, imu, odometry
 from turtlebag.datasets.bags.frames import FrameTree
+from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.source import TRUTH_PREFIX, Bag
-from turtlebag.datasets.bags.storage import Topic
 from turtlebag.datasets.bags.topics import CLOUD, IMU, ODOMETRY, SCAN, TRANSFORMS, typestore
 from turtlebag.datasets.types import ImuLog
 

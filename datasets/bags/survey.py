@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.bags import decode
 from turtlebag.datasets.bags.frames import BASES, FrameTree
+from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.source import Bag, open_bag
-from turtlebag.datasets.bags.storage import Topic
 from turtlebag.datasets.bags.topics import IMU, ODOMETRY, SCAN, TRANSFORMS
 
 _SOME = 200

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
+from turtlebag.datasets.yaml_files import Settings, checked, find_named, read_mapping
 from turtlebag.reports.numbers import UNITS
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"
@@ -18,18 +18,16 @@ COLUMNS = frozenset({"case", "failed", "error"})
 Scalar = bool | int | float | str
 
 
-class Range(BaseModel):
+class Range(Settings):
     """Whole numbers from `first` to `last`, both included."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     first: int
     last: int
 
 
-class Uniform(BaseModel):
+class Uniform(Settings):
     """A number drawn anew for each case; only with `sample`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     low: float
     high: float
 
@@ -37,10 +35,9 @@ class Uniform(BaseModel):
 Levels = list[Scalar] | Range | Uniform | dict[str, str]
 
 
-class Result(BaseModel):
+class Result(Settings):
     """A number to keep: `at` is `stage:path` in that stage's metrics.json; how it is called and shown."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     at: str
     label: str = ""
     unit: str = "plain"
@@ -61,14 +58,13 @@ def _check_unit(unit: str) -> None:
         raise ValueError(f"unit {unit}: known are {', '.join(UNITS)}")
 
 
-class Figure(BaseModel):
+class Figure(Settings):
     """One figure: result `y` over factor `x`, intervals by bootstrap.
 
     One line for each level of `lines`, in one panel for each level of `panels`; `unit`: other than the
     result's own.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     x: str
     y: str
     lines: str | None = None
@@ -78,7 +74,7 @@ class Figure(BaseModel):
     log: bool = False
 
 
-class Campaign(BaseModel):
+class Campaign(Settings):
     """The campaign file.
 
     `bags`: URLs of bags and logs, or of folders of them, also with *; they are the levels of the factor
@@ -92,20 +88,19 @@ class Campaign(BaseModel):
     levels are paired with.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$")]
     question: str = ""
     seed: int = 1
-    bags: list[str] = []
-    factors: dict[str, Levels] = {}
+    bags: list[str] = Field([])
+    factors: dict[str, Levels] = Field({})
     sample: Annotated[int, Field(ge=1)] | None = None
     stages: dict[str, str]
-    shared: list[str] = []
+    shared: list[str] = Field([])
     results: dict[str, Result]
     compare: str | None = None
     against: Scalar | None = None
-    figures: list[Figure] = []
-    keep: list[str] = ["metrics.json", "manifest.json", "config.yaml"]
+    figures: list[Figure] = Field([])
+    keep: list[str] = Field(["metrics.json", "manifest.json", "config.yaml"])
 
     @field_validator("bags", mode="before")
     @classmethod

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.types import LidarSpec
+from turtlebag.datasets.yaml_files import Settings
 
 
-class AmclConfig(BaseModel):
+class AmclConfig(Settings, allow_inf_nan=False):
     """Settings of `turtlebag.pipeline.localisation.amcl.Amcl`; lengths in m, angles in rad.
 
     Names shared with ROS amcl mean the same here. Values differ where measured better for a lidar of
     3.5 m and 1 cm: ROS's sigma_hit of 0.2 m and its odometry noise are far too wide to reach 1 cm.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     min_particles: int = Field(default=500, ge=2)
     max_particles: int = Field(default=2000, ge=2)

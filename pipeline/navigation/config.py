@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.parts import part_of
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore import ExploreConfig
@@ -28,10 +29,9 @@ from turtlebag.sim.simulator import SimConfig
 ControllerName = Annotated[str, part_of("pursuit", "dwa")]
 
 
-class MaplessConfig(BaseModel):
+class MaplessConfig(Settings, allow_inf_nan=False):
     """Goals without a map: the costmap is a window about the robot with what the scans showed."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     window: float = Field(default=16.0, ge=4.0, le=100.0)
     """Side of the window [m]; what leaves it is forgotten."""
     controller: ControllerName = "dwa"
@@ -53,10 +53,9 @@ class MaplessConfig(BaseModel):
     live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
 
 
-class NavigateConfig(BaseModel):
+class NavigateConfig(Settings, allow_inf_nan=False):
     """One section for each part."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     sim: SimConfig = SimConfig()
     localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()

@@ -68,7 +68,7 @@ def drive(
         if driver.finished or ended:
             break
         observation = simulator.step(command)
-    estimate = recorder.odometry() if localiser is None else trajectory_of(localiser.scan_poses)
+    estimate = recorder.own() if localiser is None else trajectory_of(localiser.scan_poses)
     truth, log = recorder.truth(), recorder.log()
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
     goals = [goal_of(outcome) for outcome in sequence.outcomes] if sequence is not None else []

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Observation, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
@@ -26,10 +26,9 @@ from turtlebag.planners.tasks.frontier import FrontierConfig, next_view
 MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
 
 
-class ExploreConfig(BaseModel):
+class ExploreConfig(Settings, allow_inf_nan=False):
     """Seconds and metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     frontier: FrontierConfig = FrontierConfig()
     slam: SlamConfig = SlamConfig()
     costmap: CostmapConfig = CostmapConfig()

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from enum import Enum, StrEnum, auto
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.yaml_files import Settings
 
 
 class State(StrEnum):
@@ -71,10 +72,9 @@ PUSHED_S = 2.0
 """For so long after it was pushed the robot stands still: whoever pushes may not have done yet."""
 
 
-class RelocaliseConfig(BaseModel):
+class RelocaliseConfig(Settings, allow_inf_nan=False):
     """Seconds, but for `doubts` and `restarts`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     doubts: int = Field(default=2, ge=1)
     """Filter updates in a row that find the robot lost before it stops."""
     settled: Seconds = 1.0

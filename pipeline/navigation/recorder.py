@@ -26,17 +26,23 @@ class NoBag(BagWriter):
 
 
 class RunRecorder:
-    """Writes each tick of a run to the bag and keeps its rows."""
+    """Writes each tick of a run to the bag and keeps its rows; at the stamps of the scans also the true pose
+    and the robot's own, which is `T_frame_odom` @ odometry."""
 
     def __init__(self, simulator: Simulator, bag: BagWriter) -> None:
         self._simulator = simulator
         self._bag = bag
+        self._owner = "navigation"
+        self._begin()
+
+    def _begin(self) -> None:
         self._rows = RunLogBuilder()
         self._truth: list[tuple[int, SE2]] = []
-        self._odometry: list[tuple[int, SE2]] = []
-        self._owner = "navigation"
+        self._own: list[tuple[int, SE2]] = []
 
-    def tick(self, observation: Observation, owner: CommandOwner, command: Twist) -> None:
+    def tick(
+        self, observation: Observation, owner: CommandOwner, command: Twist, T_frame_odom: SE2 | None = None
+    ) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         truth = self._simulator.truth
         self._bag.observation(observation)
@@ -48,7 +54,8 @@ class RunRecorder:
         if observation.scan is not None:
             stamp = observation.scan.stamp_ns
             self._truth.append((stamp, self._simulator.scan_truth))
-            self._odometry.append((stamp, owner.driver.sensing.odometry.at(stamp)))
+            T_odom_base = owner.driver.sensing.odometry.at(stamp)
+            self._own.append((stamp, T_odom_base if T_frame_odom is None else T_frame_odom @ T_odom_base))
         self._rows.append(
             observation.stamp_ns,
             T_world_base=truth.T_world_base,
@@ -71,9 +78,9 @@ class RunRecorder:
         """True base poses at the stamps of the scans."""
         return trajectory_of(self._truth)
 
-    def odometry(self) -> Trajectory:
-        """Odometry at the stamps of the scans."""
-        return trajectory_of(self._odometry)
+    def own(self) -> Trajectory:
+        """The robot's own poses at the stamps of the scans."""
+        return trajectory_of(self._own)
 
 
 def trajectory_of(samples: list[tuple[int, SE2]]) -> Trajectory:

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Observation, RobotModel, Twist
-from turtlebag.datasets.yaml_files import checked, parsed
+from turtlebag.datasets.yaml_files import Settings, checked, parsed
 from turtlebag.pipeline.navigation.driver import Task, require_task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
@@ -29,10 +29,9 @@ LATEST_S = 1e9
 """Stamps are whole nanoseconds of 64 bits."""
 
 
-class Interval(BaseModel):
+class Interval(Settings, allow_inf_nan=False):
     """Someone asks for one command from a time on until before another [s, m/s, rad/s]."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     begin: float = Field(ge=0.0)
     end: float = Field(le=LATEST_S)
     v: float = 0.0
@@ -45,10 +44,9 @@ class Interval(BaseModel):
         return self
 
 
-class TakeoverConfig(BaseModel):
+class TakeoverConfig(Settings, allow_inf_nan=False):
     """Who may take over, and what holds then."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     monitor: bool = True
     """Whether the collision monitor limits what is asked for, too; without it a person may push."""
     speed: float = Field(default=1.0, gt=0.0)

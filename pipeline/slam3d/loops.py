@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -21,7 +22,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
-from turtlebag.pipeline.slam3d.open3d_match import pose_by_features
+from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor
 from turtlebag.pipeline.slam3d.surfels import INFLATION, observable
 
@@ -29,6 +30,8 @@ GATE_VOXELS, RETURN_VOXELS = 5.0, 25.0
 """How far off a key may lie to be aligned from where it is, and the way since that makes a return."""
 CONTEXT_M, UNLIKE, LIKEST = 20.0, 0.35, 2
 """Radius of the scan context; places less similar are not compared, nor more than so many for each key."""
+LOOKS = 64
+"""Places whose features are kept: neighbours look like the same ones."""
 SUPPORT = 2
 """Keys that must be recognised at a place."""
 MIN_OVERLAP, MAX_TILT_RAD = 0.6, 0.1
@@ -108,6 +111,7 @@ class CloudLoops(LoopSearch):
         """Each key aligned with the places that look like its own, out of the reach of distance."""
         n, found, ways = len(self.keys), list[Loop](), drift.ways(self.loops)
         contexts: Contexts | None = None
+        looks = lru_cache(LOOKS)(lambda k: featured(self.places.points(k)[0], self.voxel))
         for i in range(0, n, self.config.every):
             off = reach(read_at(ways(i)[:i], self.poses[i]))[0]
             apart = np.linalg.norm(self.poses[:i, :2] - self.poses[i, :2], axis=1)
@@ -119,9 +123,8 @@ class CloudLoops(LoopSearch):
                 contexts = Contexts([descriptor(self.places.points(k)[0], CONTEXT_M) for k in range(n)])
             for j, yaw in contexts.like(i, far, LIKEST, UNLIKE):
                 alike = se3.exp(np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0]))
-                place, there = (self.places.points(k)[0] for k in (i, j))
-                featured = pose_by_features(place, there, self.voxel, seed=1 + i * n + j)
-                tried = [self._judged(i, j, start, float(off[j])) for start in (alike, featured)]
+                matched = pose_by_features(looks(i), looks(j), self.voxel, seed=1 + i * n + j)
+                tried = [self._judged(i, j, start, float(off[j])) for start in (alike, matched)]
                 found.append(max(tried, key=lambda loop: (loop.accepted, loop.overlap)))
         return found
 

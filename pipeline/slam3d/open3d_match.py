@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,17 +14,33 @@ THINNED, NORMALS, FEATURES, NEAR = 0.5, 2.0, 4.0, 2.0
 ITERATIONS = 20_000
 
 
-def pose_by_features(source: Array, target: Array, voxel: float, seed: int) -> Array:
-    """Pose (4, 4) of points (n, 3) in points (m, 3); the identity for none."""
+class Featured(NamedTuple):
+    """Open3D's thinned cloud of a place, and a feature for each of its points."""
+
+    cloud: Any
+    features: Any
+
+
+def featured(points: Array, voxel: float) -> Featured:
+    """Points (n, 3) with what they look like."""
+    o3d = open3d()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(THINNED * voxel)
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(NORMALS * voxel, 30))
+    cloud.orient_normals_towards_camera_location(np.zeros(3))
+    search = o3d.geometry.KDTreeSearchParamHybrid(FEATURES * voxel, 100)
+    return Featured(cloud, o3d.pipelines.registration.compute_fpfh_feature(cloud, search))
+
+
+def pose_by_features(source: Featured, target: Featured, voxel: float, seed: int) -> Array:
+    """Pose (4, 4) of one place in another; the identity for none."""
     o3d = open3d()
     registration = o3d.pipelines.registration
-    clouds = [_cloud(points, voxel) for points in (source, target)]
-    search = o3d.geometry.KDTreeSearchParamHybrid(FEATURES * voxel, 100)
-    features = [registration.compute_fpfh_feature(cloud, search) for cloud in clouds]
     o3d.utility.random.seed(seed % 2**31)
     found = registration.registration_ransac_based_on_feature_matching(
-        *clouds,
-        *features,
+        source.cloud,
+        target.cloud,
+        source.features,
+        target.features,
         True,
         NEAR * voxel,
         registration.TransformationEstimationPointToPoint(False),
@@ -36,11 +52,3 @@ def pose_by_features(source: Array, target: Array, voxel: float, seed: int) -> A
         registration.RANSACConvergenceCriteria(ITERATIONS, 0.999),
     )
     return np.array(found.transformation)
-
-
-def _cloud(points: Array, voxel: float) -> Any:
-    o3d = open3d()
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(THINNED * voxel)
-    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(NORMALS * voxel, 30))
-    cloud.orient_normals_towards_camera_location(np.zeros(3))
-    return cloud

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -21,7 +20,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory, seconds
-from turtlebag.datasets.yaml_files import config_text, read_mapping
+from turtlebag.datasets.yaml_files import Settings, config_text, read_mapping
 from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
@@ -33,10 +32,9 @@ from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.reports.metrics.navigation import localisation_errors
 
 
-class LocaliseConfig(BaseModel):
+class LocaliseConfig(Settings, allow_inf_nan=False):
     """Settings of the stage."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map, map_files
@@ -16,7 +16,7 @@ from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, wri
 from turtlebag.datasets.parts import is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.yaml_files import config_text
+from turtlebag.datasets.yaml_files import Settings, config_text
 from turtlebag.pipeline.navigation.pose_check import require_free
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
@@ -27,10 +27,9 @@ from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.sim.robots import RobotSpec, load_robot
 
 
-class PlanStageConfig(BaseModel):
+class PlanStageConfig(Settings, allow_inf_nan=False):
     """Settings of the stage."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     costmap: CostmapConfig = CostmapConfig()
     plan: PlanConfig = PlanConfig()
 

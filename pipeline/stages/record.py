@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from pydantic import BaseModel, ConfigDict
-
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.output_rules import check_free
@@ -18,7 +16,7 @@ from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, wr
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
-from turtlebag.datasets.yaml_files import config_text
+from turtlebag.datasets.yaml_files import Settings, config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.replay import is_recording, load_commands
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
@@ -30,17 +28,15 @@ from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world, own_files
 
 
-class RecordOptions(BaseModel):
+class RecordOptions(Settings):
     """What --config and --set may change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     sim: SimConfig = SimConfig()
 
 
-class RecordConfig(BaseModel):
+class RecordConfig(Settings):
     """The resolved settings of a recording."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     world: str
     robot: str
     teleop: str

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.pipeline.studio.inputs import KNOWN, Input, parse_input
 
 MESSAGE_BYTES = 64 * 1024
@@ -19,29 +20,25 @@ def _zero_or_more_than_a_tenth(factor: float) -> float:
     return factor
 
 
-class _Control(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Pause(_Control):
+class Pause(Settings):
     """Let the simulated time stand still."""
 
     do: Literal["pause"] = "pause"
 
 
-class Resume(_Control):
+class Resume(Settings):
     """Let it go on."""
 
     do: Literal["resume"] = "resume"
 
 
-class Step(_Control):
+class Step(Settings):
     """One tick, while it stands still."""
 
     do: Literal["step"] = "step"
 
 
-class Speed(_Control):
+class Speed(Settings):
     """Simulated seconds a second; 0: as fast as it goes."""
 
     do: Literal["speed"] = "speed"
@@ -50,14 +47,14 @@ class Speed(_Control):
     ]
 
 
-class Layers(_Control):
+class Layers(Settings):
     """What this client wants to be sent. The page has layers of its own, too: unknown names do nothing."""
 
     do: Literal["layers"] = "layers"
     layers: Annotated[list[Annotated[str, Field(max_length=64)]], Field(max_length=64)]
 
 
-class TakeControl(_Control):
+class TakeControl(Settings):
     """This client drives from now on."""
 
     do: Literal["take_control"] = "take_control"

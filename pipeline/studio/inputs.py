@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.yaml_files import Settings
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e4, le=1e4, allow_inf_nan=False)]
@@ -18,11 +19,7 @@ Outline = Annotated[list[Point], Field(min_length=3, max_length=200)]
 MOST_WAYPOINTS = 500
 
 
-class _Input(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Drive(_Input):
+class Drive(Settings):
     """Someone asks for a speed [m/s, rad/s], until another is asked for."""
 
     do: Literal["drive"] = "drive"
@@ -30,78 +27,78 @@ class Drive(_Input):
     w: Speed = 0.0
 
 
-class Stop(_Input):
+class Stop(Settings):
     """Someone asks to stand still."""
 
     do: Literal["stop"] = "stop"
 
 
-class Release(_Input):
+class Release(Settings):
     """Nobody drives by hand any more: the task goes on."""
 
     do: Literal["release"] = "release"
 
 
-class Record(_Input):
+class Record(Settings):
     """Begin a bag, `bags/NAME`."""
 
     do: Literal["record"] = "record"
     name: Name
 
 
-class RecordStop(_Input):
+class RecordStop(Settings):
     """Finish the bag."""
 
     do: Literal["record_stop"] = "record_stop"
 
 
-class MapStart(_Input):
+class MapStart(Settings):
     """Begin a new map."""
 
     do: Literal["map_start"] = "map_start"
 
 
-class MapStop(_Input):
+class MapStop(Settings):
     """Add nothing more to the map."""
 
     do: Literal["map_stop"] = "map_stop"
 
 
-class MapSave(_Input):
+class MapSave(Settings):
     """Write `maps/NAME.pgm` and `.yaml` of the map made here, or of the one that is loaded."""
 
     do: Literal["map_save"] = "map_save"
     name: Name
 
 
-class MapLoad(_Input):
+class MapLoad(Settings):
     """Go by a map that was saved here; without a name, by the one that the session was started with."""
 
     do: Literal["map_load"] = "map_load"
     name: Name | Literal[""] = ""
 
 
-class PoseEstimate(_Input):
+class PoseEstimate(Settings):
     """Tell the robot where it is."""
 
     do: Literal["pose_estimate"] = "pose_estimate"
     pose: Pose
 
 
-class LocaliseGlobal(_Input):
+class LocaliseGlobal(Settings):
     """Let the robot find out where it is."""
 
     do: Literal["localise_global"] = "localise_global"
 
 
-class SetGoal(_Input):
+class SetGoal(Settings):
     """Go there."""
 
     do: Literal["goal"] = "goal"
     pose: Pose
 
 
-class Stopover(_Input):
+class Stopover(Settings):
     """A place of a patrol, and how long to stay there [s]; without `wait`, as long as patrols do."""
 
     pose: Pose
@@ -111,7 +108,7 @@ class Stopover(_Input):
 Stopovers = Annotated[list[Stopover], Field(min_length=1, max_length=MOST_WAYPOINTS)]
 
 
-class Patrol(_Input):
+class Patrol(Settings):
     """Go to one place after the other."""
 
     do: Literal["patrol"] = "patrol"
@@ -119,7 +116,7 @@ class Patrol(_Input):
     laps: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
 
 
-class WaypointsSave(_Input):
+class WaypointsSave(Settings):
     """Write `waypoints/NAME.yaml`."""
 
     do: Literal["waypoints_save"] = "waypoints_save"
@@ -127,45 +124,45 @@ class WaypointsSave(_Input):
     waypoints: Stopovers
 
 
-class WaypointsLoad(_Input):
+class WaypointsLoad(Settings):
     """Show the waypoints that were saved under a name; without one, the tutorial's."""
 
     do: Literal["waypoints_load"] = "waypoints_load"
     name: Name | Literal[""] = ""
 
 
-class Avoid(_Input):
+class Avoid(Settings):
     """Drive about and touch nothing, until something else is asked for."""
 
     do: Literal["avoid"] = "avoid"
 
 
-class Explore(_Input):
+class Explore(Settings):
     """Map what there is to see."""
 
     do: Literal["explore"] = "explore"
 
 
-class TurnToAndFro(_Input):
+class TurnToAndFro(Settings):
     """Turn to and fro until the particles have drawn together."""
 
     do: Literal["wiggle"] = "wiggle"
 
 
-class Cancel(_Input):
+class Cancel(Settings):
     """End the task."""
 
     do: Literal["cancel"] = "cancel"
 
 
-class Kidnap(_Input):
+class Kidnap(Settings):
     """Carry the robot to a true pose; its wheels notice nothing."""
 
     do: Literal["kidnap"] = "kidnap"
     pose: Pose
 
 
-class DropBox(_Input):
+class DropBox(Settings):
     """Put a box, square and unturned, on the floor of the true world: its middle and its side [m]."""
 
     do: Literal["box"] = "box"
@@ -173,21 +170,21 @@ class DropBox(_Input):
     size: Annotated[float, Field(strict=True, ge=0.05, le=2.0, allow_inf_nan=False)] = 0.3
 
 
-class Keepout(_Input):
+class Keepout(Settings):
     """Places to keep out of, in place of those there were."""
 
     do: Literal["keepout"] = "keepout"
     outlines: Annotated[list[Outline], Field(max_length=100)]
 
 
-class Seek(_Input):
+class Seek(Settings):
     """Go on with the bag from this time after its start [s]."""
 
     do: Literal["seek"] = "seek"
     t: Annotated[float, Field(strict=True, ge=0.0, le=1e7, allow_inf_nan=False)]
 
 
-class MapBuild(_Input):
+class MapBuild(Settings):
     """Map the whole bag, as `turtlebag map` does, and show its loops."""
 
     do: Literal["map_build"] = "map_build"
@@ -196,7 +193,7 @@ class MapBuild(_Input):
 ScanNumber = Annotated[int, Field(strict=True, ge=0, le=10**8)]
 
 
-class LoopShow(_Input):
+class LoopShow(Settings):
     """Lay the two scans of a loop on each other."""
 
     do: Literal["loop_show"] = "loop_show"
@@ -204,7 +201,7 @@ class LoopShow(_Input):
     place: ScanNumber
 
 
-class LoopReject(_Input):
+class LoopReject(Settings):
     """These scans did not see the same place."""
 
     do: Literal["loop_reject"] = "loop_reject"
@@ -212,7 +209,7 @@ class LoopReject(_Input):
     place: ScanNumber
 
 
-class LoopAdd(_Input):
+class LoopAdd(Settings):
     """These scans did: `scan` lies at `pose`, roughly, seen from `place`."""
 
     do: Literal["loop_add"] = "loop_add"
@@ -221,19 +218,19 @@ class LoopAdd(_Input):
     pose: Pose
 
 
-class EditsClear(_Input):
+class EditsClear(Settings):
     """Forget what was said of loops."""
 
     do: Literal["edits_clear"] = "edits_clear"
 
 
-class Reset(_Input):
+class Reset(Settings):
     """Begin anew, with what was saved."""
 
     do: Literal["reset"] = "reset"
 
 
-class End(_Input):
+class End(Settings):
     """End the session."""
 
     do: Literal["end"] = "end"

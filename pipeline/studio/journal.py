@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import checked, read_mapping
+from turtlebag.datasets.yaml_files import Settings, checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
 from turtlebag.pipeline.studio.inputs import Deed, Driving, parse_input
 from turtlebag.sim.simulator import SimConfig
@@ -27,23 +27,21 @@ EVERY_NS = 10**9
 """No longer than this is a session silent: what is lost by a kill is shorter."""
 
 
-class Header(BaseModel):
+class Header(Settings):
     """What a session began with. `sha256` holds those of the files named, by their part in it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     version: Literal[1] = 1
     world: str
     robot: str
     seed: int = Field(ge=0)
     map: str | None = None
-    sha256: dict[str, str] = {}
+    sha256: dict[str, str] = Field({})
     sim: SimConfig = SimConfig()
 
 
-class BagHeader(BaseModel):
+class BagHeader(Settings):
     """What playing a bag began with; `sha256` by file of the bag."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     version: Literal[1] = 1
     bag: str
     sha256: dict[str, str]

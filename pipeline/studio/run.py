@@ -108,7 +108,7 @@ class Run:
         observation, room, pilot = self.observation, self.room, self.pilot
         self.command = self.owner.step(observation)
         del self.owner.asked[:-1]  # the journal has them
-        room.diary.tick(observation, pilot, self.owner, self.command, room.tee)
+        room.diary.tick(observation, self.owner, self.command, pilot.T_map_odom)
         task = pilot.task
         sequence = None if task is None else task.sequence
         self._news.tick(observation.stamp_ns, self.owner, sequence, room.simulator.truth)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
@@ -41,14 +40,14 @@ class Session:
         self.setup, self._folder = setup, folder
         self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
         header, shelf = setup.header(), Shelf(folder, setup.map_path)
-        simulator = Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
+        tee, simulator = Tee(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
             shelf=shelf,
-            diary=Diary(folder, simulator),
+            diary=Diary(folder, simulator, tee),
             events=EventLog(say),
-            tee=Tee(),
+            tee=tee,
             tasks=[],
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
@@ -62,9 +61,7 @@ class Session:
     def __enter__(self) -> Session:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
         else:  # nothing of it is kept

@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.types import Cloud, Observation, Twist
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.navigation.recorder import NoBag
+
+
+class _Passed:
+    """A method of the bag that is open."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, tee: Tee, owner: type) -> Any:
+        return getattr(tee.bag, self._name)
 
 
 class Tee(BagWriter):
     """Passes everything on to `bag`, and remembers the newest map and plan."""
+
+    static_transforms = _Passed()
+    cloud = _Passed()
+    truth = _Passed()
+    command = _Passed()
+    owner = _Passed()
+    amcl_pose = _Passed()
+    map_to_odom = _Passed()
+    particles = _Passed()
+    goal = _Passed()
 
     def __init__(self) -> None:
         self.bag: BagWriter = NoBag()
@@ -21,54 +41,18 @@ class Tee(BagWriter):
         self.path: SE2 | None = None
         """The newest plan, (n,) in the frame of whoever planned it."""
 
-    def static_transforms(
-        self, stamp_ns: int, links: Sequence[tuple[str, str, tuple[float, float, float], float]]
-    ) -> None:
-        """As the bag's."""
-        self.bag.static_transforms(stamp_ns, links)
-
     def observation(self, observation: Observation) -> None:
-        """As the bag's."""
+        """As the bag's, with the cloud."""
         self.bag.observation(observation)
-
-    def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
-        """As the bag's."""
-        self.bag.cloud(log_time_ns, stamp_ns, cloud, frame)
-
-    def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
-        """As the bag's."""
-        self.bag.truth(stamp_ns, T_world_base, twist)
-
-    def command(self, stamp_ns: int, twist: Twist) -> None:
-        """As the bag's."""
-        self.bag.command(stamp_ns, twist)
-
-    def owner(self, stamp_ns: int, owner: str) -> None:
-        """As the bag's."""
-        self.bag.owner(stamp_ns, owner)
+        if observation.cloud is not None:
+            self.bag.cloud(observation.stamp_ns, *observation.cloud, "lidar_3d")
 
     def map(self, stamp_ns: int, grid: OccupancyGrid) -> None:
         """As the bag's."""
         self.grid = grid
         self.bag.map(stamp_ns, grid)
 
-    def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
-        """As the bag's."""
-        self.bag.amcl_pose(stamp_ns, T_map_base, covariance)
-
-    def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
-        """As the bag's."""
-        self.bag.map_to_odom(stamp_ns, T_map_odom)
-
-    def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
-        """As the bag's."""
-        self.bag.particles(stamp_ns, T_map_base)
-
     def plan(self, stamp_ns: int, T_map_base: SE2) -> None:
         """As the bag's."""
         self.path = T_map_base
         self.bag.plan(stamp_ns, T_map_base)
-
-    def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
-        """As the bag's."""
-        self.bag.goal(stamp_ns, T_map_goal)

@@ -10,11 +10,12 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
@@ -30,10 +31,9 @@ from turtlebag.planners.footprint import (
 from turtlebag.planners.wavefront import wave
 
 
-class DwaConfig(BaseModel):
+class DwaConfig(Settings, allow_inf_nan=False):
     """Names as in dwa_local_planner where the idea is the same; SI units."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     preset: Literal["own", "tutorial"] = "own"
     """`tutorial`: turtlebot3_navigation's numbers (TUTORIAL) in place of all below but the acceleration."""
     max_v: float = Field(default=1.4, gt=0.0)

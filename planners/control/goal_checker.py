@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Twist, yaw_difference
+from turtlebag.datasets.yaml_files import Settings
 
 Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}
@@ -21,10 +22,9 @@ STOPPED_V, STOPPED_W = 0.01, 0.06
 """Slower than this the robot stands still [m/s, rad/s]."""
 
 
-class GoalCheckerConfig(BaseModel):
+class GoalCheckerConfig(Settings, allow_inf_nan=False):
     """Tolerances by preset: `default` 0.03 m and 0.05 rad, `tutorial` 0.05 m and 0.17 rad."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     preset: Preset = "default"
     xy_goal_tolerance: float | None = Field(default=None, gt=0.0)
     yaw_goal_tolerance: float | None = Field(default=None, gt=0.0)

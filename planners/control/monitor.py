@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 
-class MonitorConfig(BaseModel):
+class MonitorConfig(Settings, allow_inf_nan=False):
     """Metres and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     padding: float = Field(default=0.02, ge=0.0)
     """The footprint is checked this much larger."""
     reaction: float = Field(default=0.1, ge=0.0)

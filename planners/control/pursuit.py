@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
@@ -27,10 +28,9 @@ RELEASE_M = 0.028
 """Drifting this far off while turning makes the robot settle again."""
 
 
-class PursuitConfig(BaseModel):
+class PursuitConfig(Settings, allow_inf_nan=False):
     """SI units; angles in radians."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     max_v: float = Field(default=2.0, gt=0.0)
     """Asked top speed; the robot's own limit is kept anyway."""
     max_w: float = Field(default=1.4, gt=0.0)

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Scan, Twist
+from turtlebag.datasets.yaml_files import Settings
 
 
-class AvoidConfig(BaseModel):
+class AvoidConfig(Settings, allow_inf_nan=False):
     """The tutorial's numbers; metres, m/s, rad/s."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     mode: Literal["guarded", "tutorial"] = "guarded"
     """`tutorial` is the exact rule; `guarded` the same for a robot that knows its own shape."""
     stop_distance: float = Field(default=0.5, gt=0.0)

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, nearest_free
 from turtlebag.planners.wavefront import wave
 
@@ -23,10 +24,9 @@ VIEW_M = 0.8
 """From how near a frontier is looked at."""
 
 
-class FrontierConfig(BaseModel):
+class FrontierConfig(Settings, allow_inf_nan=False):
     """Metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     gain: float = Field(default=1.0, ge=0.0)
     """How many metres of way a metre of frontier is worth."""
     most_gain: float = Field(default=3.0, ge=0.0)

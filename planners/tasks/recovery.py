@@ -8,27 +8,26 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.spans import LONGEST_S, Seconds
 from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import Settings
 
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 
 
-class Rung(BaseModel):
+class Rung(Settings, allow_inf_nan=False):
     """One manoeuvre: seconds to wait, metres to back up, radians to turn; nothing for `clear`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: Kind
     amount: float = Field(default=0.0, ge=-LONGEST_S, le=LONGEST_S)
 
 
-class RecoveryConfig(BaseModel):
+class RecoveryConfig(Settings, allow_inf_nan=False):
     """The ladder and when it is climbed; seconds and metres."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     ladder: tuple[Rung, ...] = (
         Rung(kind="wait", amount=2.0),
         Rung(kind="clear"),

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.spans import Seconds
+from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.tasks.waypoints import Waypoint
 
 Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]
 
 
-class SequenceConfig(BaseModel):
+class SequenceConfig(Settings, allow_inf_nan=False):
     """Simulated seconds; the defaults are the tutorial's patrol."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     initial_wait: Seconds = 3.0
     timeout: Seconds = Field(default=60.0, gt=0.0)
     """For each goal, from the moment it is set."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Twist
+from turtlebag.datasets.yaml_files import Settings
 
 
-class WiggleConfig(BaseModel):
+class WiggleConfig(Settings, allow_inf_nan=False):
     """Radians and seconds."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     angle: float = Field(default=1.2, gt=0.0)
     """It turns this far to the left, twice as far to the right, and so on."""
     w: float = Field(default=0.7, gt=0.0)

@@ -16,6 +16,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import interpolate, inverse, quaternions
 from turtlebag.datasets.tracks import Track
 from turtlebag.datasets.types import Stamps
+from turtlebag.reports.metrics.relations import nearest
 
 MATCH_NS = 10_000_000
 """Stamps this near are one instant: evo's --t_max_diff."""
@@ -70,7 +71,7 @@ def pair(estimate: Track, reference: Track) -> Paired:
     stamps do not meet like this, the reference is interpolated at the estimate's, but never over a gap.
     """
     sparse, dense = (estimate, reference) if len(estimate) <= len(reference) else (reference, estimate)
-    near, met = nearest_stamps(dense.stamps_ns, sparse.stamps_ns)
+    near, met = nearest(dense.stamps_ns, sparse.stamps_ns, MATCH_NS)
     shared = _within(sparse.stamps_ns, dense.stamps_ns)
     if met.sum() > 0 and met.sum() >= ENOUGH * shared.sum():
         chosen = sparse[met], dense[near[met]]
@@ -83,14 +84,6 @@ def pair(estimate: Track, reference: Track) -> Paired:
 
 def _within(stamps: Stamps, others: Stamps) -> NDArray[np.bool_]:
     return np.asarray((stamps >= others[0]) & (stamps <= others[-1]))
-
-
-def nearest_stamps(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """For each wanted stamp the index of the nearest of increasing ones, and whether it is near enough."""
-    right = np.clip(np.searchsorted(stamps, wanted, side="right"), 0, len(stamps) - 1)
-    left = np.maximum(right - 1, 0)
-    best = np.where(np.abs(wanted - stamps[left]) <= np.abs(stamps[right] - wanted), left, right)
-    return best, np.abs(stamps[best] - wanted) <= MATCH_NS
 
 
 def at(track: Track, stamps: Stamps) -> Track:

@@ -62,7 +62,9 @@ def relations_metrics(estimate: Trajectory, relations: Relations) -> RelationErr
     return {"relations": _summary(trans, rot), "relations_cartographer": _summary(trans_c, rot_c)}
 
 
-def nearest(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def nearest(
+    stamps: Stamps, wanted: Stamps, within_ns: int = MATCH_NS
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """For each wanted stamp the index of the nearest (in any order), and whether it is near enough."""
     order = np.argsort(stamps, kind="stable")
     ordered = stamps[order]
@@ -71,7 +73,7 @@ def nearest(stamps: Stamps, wanted: Stamps) -> tuple[NDArray[np.int64], NDArray[
     left = np.maximum(right - 1, 0)
     nearer_left = np.abs(wanted - ordered[left]) <= np.abs(ordered[right] - wanted)
     best = np.where(nearer_left, left, right)
-    return order[best], np.abs(ordered[best] - wanted) <= MATCH_NS
+    return order[best], np.abs(ordered[best] - wanted) <= within_ns
 
 
 def _summary(trans: Array, rot: Array) -> Relation:

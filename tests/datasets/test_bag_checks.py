@@ -11,7 +11,7 @@ from foreign_bags import ODOMETRY, SCAN, TF
 
 from turtlebag.datasets.bags import doctor, impossible
 from turtlebag.datasets.bags.decode import RawTransform
-from turtlebag.datasets.bags.storage import Topic, full_type
+from turtlebag.datasets.bags.messages import Topic, full_type
 from turtlebag.datasets.bags.survey import ScanSurvey, Survey, TopicSurvey
 
 S = 10**9

@@ -20,9 +20,10 @@ from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
 from turtlebag.datasets.bags.decode import BadMessage, Cursor
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
+from turtlebag.datasets.bags.messages import Message, Topic
 from turtlebag.datasets.bags.reader import bag_info
 from turtlebag.datasets.bags.source import open_bag
-from turtlebag.datasets.bags.storage import Message, Topic, _note_problems
+from turtlebag.datasets.bags.storage import _note_problems
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording

@@ -8,6 +8,7 @@ import pytest
 import zstandard
 
 from turtlebag.datasets.bags.mcap_scan import McapScan
+from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,7 +29,9 @@ def record(opcode, *parts):
 
 HEADER = record(1, text("ros2"), text("hand"))
 SCHEMA = record(3, struct.pack("<H", 4), text("pkg/A"), text("ros2msg"), text("int32 x"))
-CHANNEL = record(4, struct.pack("<HH", 7, 4), text("/a"), text("cdr"), sized(text("k") + text("v")))
+SAID = ("offered_qos_profiles", "- depth: 1", "k", "v", "topic_type_hash", "h")
+METADATA = sized(b"".join(text(part) for part in SAID))
+CHANNEL = record(4, struct.pack("<HH", 7, 4), text("/a"), text("cdr"), METADATA)
 OTHER = record(4, struct.pack("<HH", 8, 9), text("/b"), text("json"), sized(b""))
 NOTE = record(12, text("seed"), sized(text("n") + text("3") + text("m") + text("")))
 
@@ -71,7 +74,7 @@ def read(tmp_path, content, wanted=None, **options):
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
     scan = McapScan(path)
-    found = [(channel.topic, time, data) for channel, time, data in scan.messages(wanted, **options)]
+    found = [(channel.name, time, data) for channel, time, data in scan.messages(wanted, **options)]
     return found, scan.state, scan
 
 
@@ -85,13 +88,7 @@ def test_a_whole_file_gives_its_messages_and_says_what_it_holds(tmp_path):
     assert found == [A, B, ("/a", 13, b"bare")]
     assert (state.problems, state.stopped, state.complete) == ([], False, True)
     assert (state.messages, state.claimed) == (3, 3)
-    channel = state.channels[7]
-    assert (channel.encoding, channel.metadata) == ("cdr", {"k": "v"})
-    assert (channel.schema.name, channel.schema.encoding, channel.schema.text) == (
-        "pkg/A",
-        "ros2msg",
-        "int32 x",
-    )
+    assert state.channels[7] == Topic("/a", "pkg/msg/A", "int32 x", "ros2msg", "- depth: 1", "h", "cdr")
     assert state.metadata == {"seed": {"n": "3", "m": ""}}
     assert scan.leading_metadata("seed") == {"n": "3", "m": ""}
     assert scan.leading_metadata("other") == {}
@@ -108,8 +105,8 @@ def test_chunks_bring_their_own_topics_and_only_what_is_wanted_is_given(tmp_path
     content = whole([HEADER, chunk(inside, compression)], count=3)
     found, state, _ = read(tmp_path, content)
     assert found == [A, ("/b", 20, b"x" * 300), B]
-    assert state.channels[8].schema.name == ""
-    found, state, _ = read(tmp_path, content, lambda channel: channel.topic == "/b")
+    assert state.channels[8].msgtype == ""
+    found, state, _ = read(tmp_path, content, lambda channel: channel.name == "/b")
     assert found == [("/b", 20, b"x" * 300)]
     assert (state.messages, state.problems) == (3, [])
 

@@ -6,6 +6,7 @@ import struct
 import lz4.frame
 import pytest
 
+from turtlebag.datasets.bags.messages import Topic
 from turtlebag.datasets.bags.ros1_scan import Ros1Scan
 from turtlebag.datasets.errors import InputError
 
@@ -50,7 +51,7 @@ def ros1_read(tmp_path, parts, wanted=None, **options):
     path = tmp_path / "x.bag"
     path.write_bytes(START + b"".join(parts))
     scan = Ros1Scan(path)
-    return [(c.topic, time, data) for c, time, data in scan.messages(wanted, **options)], scan.state
+    return [(c.name, time, data) for c, time, data in scan.messages(wanted, **options)], scan.state
 
 
 TWO = connection(1) + said(1, 3, 5, b"one") + connection(2, "/b", b"1") + said(2, 4, 0, b"")
@@ -70,9 +71,9 @@ def test_a_ros1_bag_gives_its_messages(tmp_path, compression):
     assert found == expected
     assert (state.problems, state.indexed, state.chunks, state.claimed_chunks) == ([], True, 2, 2)
     one, two = state.connections[1], state.connections[2]
-    assert (one.topic, one.msgtype, one.definition, one.latching) == ("/a", "pkg/A", "int32 x", False)
-    assert (two.topic, two.latching) == ("/b", True)
-    assert ros1_read(tmp_path, parts, lambda c: c.topic == "/b")[0] == expected[1:2]
+    assert one == Topic("/a", "pkg/msg/A", "int32 x", "ros1msg", encoding="ros1")
+    assert (two.name, "durability: transient_local" in two.qos) == ("/b", True)
+    assert ros1_read(tmp_path, parts, lambda c: c.name == "/b")[0] == expected[1:2]
     for index, chunks, says in ((0, 2, "no index"), (9, 3, "3 chunks were written, 2 could be read")):
         assert says in ros1_read(tmp_path, [ros1_head(index, chunks), *parts[1:]])[1].problems[0]
 

@@ -51,10 +51,11 @@ def with_pictures(folder, *, pictures=20):
     rng = np.random.default_rng(1)
     channels = {}
     for count, (channel, time, data) in enumerate(McapScan(folder / "drive/bag_0.mcap").messages()):
-        if channel.topic not in channels:
-            schema = writer.add_schema(channel.schema.name, channel.schema.text)
-            channels[channel.topic] = writer.add_channel(channel.topic, schema, channel.metadata)
-        writer.write(channels[channel.topic], time, data)
+        if channel.name not in channels:
+            schema = writer.add_schema(channel.msgtype, channel.definition)
+            qos = {"offered_qos_profiles": channel.qos, "topic_type_hash": channel.type_hash}
+            channels[channel.name] = writer.add_channel(channel.name, schema, qos)
+        writer.write(channels[channel.name], time, data)
         if count == 0:
             camera = writer.add_channel("/camera", writer.add_schema("sensor_msgs/msg/Image", ""), {})
         if count % 40 == 0 and count // 40 < pictures:
@@ -119,7 +120,7 @@ def test_point_clouds_come_only_where_nothing_else_is_mapped(tmp_path, memory):
 
     def topics(name, *asked):
         return [
-            c.topic for c, _, _ in McapScan(brought(f"memory://{name}", tmp_path / "here", asked)).messages()
+            c.name for c, _, _ in McapScan(brought(f"memory://{name}", tmp_path / "here", asked)).messages()
         ]
 
     assert topics("2.mcap") == ["/LaserScan"]

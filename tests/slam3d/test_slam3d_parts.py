@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam3d import cloud_map
 from turtlebag.pipeline.slam3d.cloud_map import CloudMap, finished, save_ply
 from turtlebag.pipeline.slam3d.floor import find_floor, levelled
 from turtlebag.pipeline.slam3d.loops import MIN_OVERLAP
-from turtlebag.pipeline.slam3d.open3d_match import pose_by_features
+from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features
 from turtlebag.pipeline.slam3d.scan_context import Contexts, descriptor, dissimilarity
 from turtlebag.pipeline.slam3d.slices import SliceConfig, SliceGrid
 from turtlebag.pipeline.slam3d.surfels import fit, make_surfels, normal_equations, observable
@@ -192,7 +192,7 @@ def test_features_find_the_pose_from_nothing_and_another_room_does_not_fit():
     other = room_points(1500) * np.array([1.6, 0.5, 1.0])
 
     def found(seen):
-        start = pose_by_features(seen, here, 0.3, seed=5)
+        start = pose_by_features(*(featured(points, 0.3) for points in (seen, here)), 0.3, seed=5)
         return fit(place(here), seen, start, origin=np.zeros(3), gate=0.2, iterations=8)
 
     for seen in (here, room_points(1500)):

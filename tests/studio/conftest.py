@@ -10,7 +10,7 @@ window.WebSocket = class extends WebSocket { constructor(url) { super(url); wind
 """
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser(tmp_path_factory):
     with Browser(find_browser(), tmp_path_factory.mktemp("profile")) as browser:
         browser.call("Page.addScriptToEvaluateOnNewDocument", source=KEEP_SOCKET)
