@@ -5,6 +5,8 @@ from collections import Counter
 import pytest
 from hypothesis import settings
 
+from turtlebag.pipeline.terminal.messages import verbosity_kept
+
 settings.register_profile("turtlebag", derandomize=True, deadline=None)
 settings.load_profile("turtlebag")
 
@@ -19,6 +21,13 @@ def pytest_terminal_summary(terminalreporter):
     reports = [r for r in terminalreporter.getreports("skipped") if isinstance(r.longrepr, tuple)]
     for reason, count in sorted(Counter(r.longrepr[2].removeprefix("Skipped: ") for r in reports).items()):
         terminalreporter.write_line(f"skipped {count}: {reason}")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def messages_as_before():
+    """The commands of one file leave the others as quiet as they were."""
+    with verbosity_kept():
+        yield
 
 
 @pytest.fixture(scope="session")
