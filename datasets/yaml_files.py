@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from turtlebag.datasets.errors import InputError
 
@@ -15,12 +15,6 @@ Model = TypeVar("Model", bound=BaseModel)
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same in a tenth of the time
 DEEPEST = 100
 """Collections within collections; libyaml would go on until the stack is full, and the process gone."""
-
-
-class Settings(BaseModel):
-    """Values that do not change, under names of which none may be misspelt."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

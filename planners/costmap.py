@@ -14,7 +14,7 @@ from pydantic import Field
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.planners.distance import distance_field
 
 Mask = NDArray[np.bool_]

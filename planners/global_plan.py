@@ -17,9 +17,9 @@ from pydantic import Field
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free

@@ -11,8 +11,8 @@ from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance import distance_field
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.planners.footprint import Field32, disc_segment_free
 from turtlebag.planners.planner_names import PlannerName
 

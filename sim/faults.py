@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Imu, Scan, Twist
-from turtlebag.datasets.yaml_files import Settings
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Spans = tuple[tuple[NonNegative, NonNegative], ...]

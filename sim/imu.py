@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Imu, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.robots import RobotSpec
 
 RATE_HZ = 100

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.lidar_errors import LidarUnit, incidence
 from turtlebag.sim.raycast import beam_rays, cast
 from turtlebag.sim.robots import LidarErrors, RobotSpec

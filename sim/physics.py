@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.sim.bodies import create_body, create_compound, groups
 from turtlebag.sim.bullet import bullet
 from turtlebag.sim.robots import RobotSpec

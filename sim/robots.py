@@ -11,8 +11,9 @@ from pydantic import Field, field_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec, RobotModel
-from turtlebag.datasets.yaml_files import Settings, find_named, known_names, load_model
+from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
 

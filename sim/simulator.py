@@ -10,8 +10,8 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Cloud, Joints, Observation, Odometry, Scan, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.faults import FaultConfig, Faults
 from turtlebag.sim.imu import ImuConfig, ImuSensor
 from turtlebag.sim.lidar import GAZEBO_SIGMA, Lidar, LidarConfig

@@ -18,8 +18,9 @@ from pydantic import Field, model_validator
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import Settings, checked, find_named, known_names, read_mapping
+from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.routes import EXACT_SIDE_M, SIDE_M, RoutePlanner, random_goals, route

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.sim.robots import RobotSpec
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.movers import Mover
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism

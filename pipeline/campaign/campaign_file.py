@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, field_validator, model_validator
 
-from turtlebag.datasets.yaml_files import Settings, checked, find_named, read_mapping
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.yaml_files import checked, find_named, read_mapping
 from turtlebag.reports.numbers import UNITS
 
 FOLDER = Path(__file__).parents[2] / "reports" / "studies"

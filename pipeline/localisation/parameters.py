@@ -6,8 +6,8 @@ import math
 
 from pydantic import Field, model_validator
 
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.datasets.yaml_files import Settings
 
 
 class AmclConfig(Settings, allow_inf_nan=False):

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from turtlebag.datasets.parts import part_of
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.localisation.localisers import LocaliserName
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.navigation.explore import ExploreConfig

@@ -8,8 +8,8 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools

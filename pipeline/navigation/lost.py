@@ -9,8 +9,8 @@ from enum import Enum, StrEnum, auto
 
 from pydantic import Field
 
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
-from turtlebag.datasets.yaml_files import Settings
 
 
 class State(StrEnum):

@@ -15,8 +15,9 @@ import yaml
 from pydantic import Field, model_validator
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Observation, RobotModel, Twist
-from turtlebag.datasets.yaml_files import Settings, checked, parsed
+from turtlebag.datasets.yaml_files import checked, parsed
 from turtlebag.pipeline.navigation.driver import Task, require_task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor

@@ -18,9 +18,10 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory, seconds
-from turtlebag.datasets.yaml_files import Settings, config_text, read_mapping
+from turtlebag.datasets.yaml_files import config_text, read_mapping
 from turtlebag.pipeline.localisation.interface import Localiser, require_estimate
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2

@@ -16,7 +16,8 @@ from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, wri
 from turtlebag.datasets.parts import is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.yaml_files import Settings, config_text
+from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.pose_check import require_free
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid

@@ -14,9 +14,10 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
-from turtlebag.datasets.yaml_files import Settings, config_text
+from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
 from turtlebag.pipeline.stages.replay import is_recording, load_commands
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time

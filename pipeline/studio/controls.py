@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.pipeline.studio.inputs import KNOWN, Input, parse_input
 
 MESSAGE_BYTES = 64 * 1024

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, TypeAdapter, ValidationError
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e4, le=1e4, allow_inf_nan=False)]

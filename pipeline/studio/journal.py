@@ -15,8 +15,9 @@ import yaml
 from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import Settings, checked, read_mapping
+from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
 from turtlebag.pipeline.studio.inputs import Deed, Driving, parse_input
 from turtlebag.sim.simulator import SimConfig

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig

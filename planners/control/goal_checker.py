@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Twist, yaw_difference
-from turtlebag.datasets.yaml_files import Settings
 
 Preset = Literal["default", "tutorial"]
 TOLERANCES: dict[str, tuple[float, float]] = {"default": (0.03, 0.05), "tutorial": (0.05, 0.17)}

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.datasets.yaml_files import Settings
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along

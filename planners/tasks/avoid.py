@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Scan, Twist
-from turtlebag.datasets.yaml_files import Settings
 
 
 class AvoidConfig(Settings, allow_inf_nan=False):

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.yaml_files import Settings
+from turtlebag.datasets.settings import Settings
 from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, nearest_free
 from turtlebag.planners.wavefront import wave
 

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import Field
 
 from turtlebag.datasets.se2 import SE2, wrap
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import LONGEST_S, Seconds
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import Settings
 
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 

@@ -6,9 +6,9 @@ import math
 
 from pydantic import Field
 
+from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Twist
-from turtlebag.datasets.yaml_files import Settings
 
 
 class WiggleConfig(Settings, allow_inf_nan=False):
