@@ -114,8 +114,8 @@ def check_map(
         reasons.append(f"{len(lost)} scans do not fit the map (first: scan {lost[0]})")
     if len(breaks):
         reasons.append(
-            f"{len(breaks)} breaks where scans are missing and nothing confirms the odometry "
-            f"(first: before scan {breaks[0]}): the map after them may be misplaced"
+            f"{len(breaks)} breaks where scans are missing, or fit nothing seen before, and nothing confirms "
+            f"the odometry (first: before scan {breaks[0]}): the map after them may be misplaced"
         )
     if recording.turned_over:
         reasons.append(

@@ -1,9 +1,9 @@
 """How far the chain of key scans can be trusted: what no witness saw may be anything.
 
 Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
-while and the two do not confirm each other, the chain is broken: the robot may be anywhere. Where scans
-are blind along a corridor, drift grows faster than elsewhere. Both say how far off a place may be when
-the robot returns to it.
+while, or one fits nothing that was seen before it, and the two do not confirm each other, the chain is
+broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than elsewhere.
+Both say how far off a place may be when the robot returns to it.
 """
 
 from __future__ import annotations
@@ -96,7 +96,11 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
     unseen = blind(track.information)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
-    waited = gaps_between(recording.stamps_ns, track.usable)
+    # the first scan that fits nothing of what was seen just before follows a gap, whatever the stamps say
+    strange = track.usable & (track.overlap < LEAST_OVERLAP)
+    first = 1 + np.flatnonzero(strange[1:] & ~strange[:-1])
+    missing = gaps_between(recording.stamps_ns, track.usable)
+    waited = np.unique(np.concatenate([missing, np.stack([first - 1, first], axis=1)]), axis=0)
     for (before, after), fast in zip(waited, too_fast(recording, track, T, *waited.T), strict=True):
         step = int(np.searchsorted(keys, after)) - 1
         if not 0 <= step < len(keys) - 1:

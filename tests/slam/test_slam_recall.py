@@ -174,6 +174,22 @@ def test_gap_breaks_the_chain_unless_scans_and_odometry_confirm_each_other(agree
     assert chain.gaps.tolist() == ([] if agrees else [[29, 30]])
 
 
+def test_a_scan_that_fits_nothing_seen_before_breaks_the_chain_though_none_is_missing():
+    """Scans of another place for a tenth of a log: 13 m off, and called good."""
+    log, track = scans_with_a_gap(odometry_agrees=True)
+    log = replace(log, stamps_ns=np.arange(60, dtype=np.int64) * 200_000_000)
+    assert not witnessed_chain(log, track).broken.any()
+    overlap = track.overlap.copy()
+    overlap[[20, 21]] = 0.1
+    chain = witnessed_chain(log, replace(track, overlap=overlap))
+    step = int(np.searchsorted(track.keys, 20)) - 1
+    assert np.flatnonzero(chain.broken).tolist() == np.flatnonzero(chain.alone).tolist() == [step]
+    assert chain.gaps.tolist() == [[19, 20]]
+    # of a scan without surfaces nothing is asked
+    usable = track.usable & ~np.isin(np.arange(60), [20, 21])
+    assert not witnessed_chain(log, replace(track, overlap=overlap, usable=usable)).broken.any()
+
+
 @pytest.mark.parametrize(("wait_s", "moved_m", "broken"), [(3, 0.2, 0), (3, 0.8, 0), (9, 0.2, 1)])
 def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, moved_m, broken):
     """Far from the map's origin, heading along its y, in a bare corridor."""
