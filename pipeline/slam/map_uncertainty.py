@@ -6,7 +6,7 @@ motions, and the graph's information is the Laplacian of these springs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import scipy
@@ -21,10 +21,13 @@ from turtlebag.pipeline.slam.track import Track
 
 # So many keys are asked, evenly spread over the log.
 ASKED = 50
+Shared = tuple[NDArray[np.int64], Array]
+"""Constraints (k,), and what one standard deviation of errors that they share moves their ends by, in these
+ends' frames (k, 3, errors)."""
 
 
 def position_sigmas(
-    T_map_keys: SE2, constraints: Sequence[Constraint], shared: Array
+    T_map_keys: SE2, constraints: Sequence[Constraint], shared: Iterable[Shared] = ()
 ) -> tuple[NDArray[np.int64], Array]:
     """Up to ASKED keys (m,), and the standard deviation [m] of each along the direction it is known least in.
 
@@ -58,11 +61,11 @@ def position_sigmas(
     rigid = np.linalg.qr(lever)[0]
     moved -= rigid @ (rigid.T @ moved)
     spread = moved @ answers((np.arange(3 * n) == row).astype(float) for row in rows) @ moved.T
-    if shared.shape[2]:
-        pulls = weights @ plane_motions(T_map_keys.xyt[j]) @ shared
-        pushes = np.zeros((n, 3, shared.shape[2]))
-        np.add.at(pushes, j, pulls)
-        np.subtract.at(pushes, i, pulls)
+    for of, errors in shared:
+        pulls = weights[of] @ plane_motions(T_map_keys.xyt[j[of]]) @ errors
+        pushes = np.zeros((n, 3, errors.shape[2]))
+        np.add.at(pushes, j[of], pulls)
+        np.subtract.at(pushes, i[of], pulls)
         together = moved @ answers(pushes.reshape(3 * n, -1).T)
         spread += together @ together.T
     xx, yy, xy = np.diag(spread)[0::2], np.diag(spread)[1::2], np.diag(spread, 1)[0::2]
@@ -70,20 +73,18 @@ def position_sigmas(
     return asked, np.sqrt(np.maximum(largest, 0.0))
 
 
-def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array) -> Array:
-    """Errors that are the same in many constraints (k,): what one standard deviation of each moves the
-    constraints' ends by, in these ends' frames (k, 3, m).
+def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array) -> Iterator[Shared]:
+    """Errors that are the same in many constraints.
 
     The first three are what the calibration leaves open of the odometry's shares. Then, for each stretch that
     nobody saw (`unseen` [m] of each scan's step (n,)), the way along both axes of the robot: it was taken for
     steady, and is as wrong as it would be elsewhere in this log for so many scans.
     """
-    kinds = np.array([c.kind for c in constraints])
-    odometry = np.flatnonzero(kinds == "odometry")
-    steps = np.array([c.T_i_j for c in constraints if c.kind == "odometry"]).reshape(-1, 3)
-    shares = np.zeros((len(constraints), 3, 3))
-    shares[odometry] = track.calibration.effects(steps) @ np.linalg.cholesky(track.calibration.covariance)
-    out = [shares]
+    odometry = [k for k, c in enumerate(constraints) if c.kind == "odometry"]
+    if odometry:
+        effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
+        yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
+    steady = {c.i: k for k, c in enumerate(constraints) if c.kind == "steady"}
     way = np.diff(np.cumsum(unseen)[track.keys])
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():
@@ -91,13 +92,15 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array
         # where the log ends, it may have ended anywhere on the way
         last = end == len(way)
         off = 1.0 if last else _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
-        error = np.zeros((len(constraints), 3, 2))
-        for k, c in enumerate(constraints):
-            if c.kind == "steady" and begin <= c.i < end:
-                cos, sin = np.cos(c.T_i_j[2]), np.sin(c.T_i_j[2])
-                error[k, :2] = off * way[c.i] * np.array([[cos, sin], [-sin, cos]])
-        out.append(error)
-    return np.concatenate(out, axis=2)
+        keys = [i for i in range(begin, end) if i in steady]
+        if keys:
+            of = np.array([steady[i] for i in keys])
+            yaw = np.array([constraints[k].T_i_j[2] for k in of.tolist()])
+            error = np.zeros((len(keys), 3, 2))
+            error[:, 0, 0] = error[:, 1, 1] = off * way[keys] * np.cos(yaw)
+            error[:, 0, 1] = off * way[keys] * np.sin(yaw)
+            error[:, 1, 0] = -error[:, 0, 1]
+            yield of, error
 
 
 def _unsteadiness(track: Track, unseen: Array, scans: int) -> float:

@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.track import Track
 
 def position_sigmas(T, constraints, covariance=None):
     """With a calibration of the wheels' three shares, of so much covariance (3, 3), or without."""
-    shared = np.zeros((len(constraints), 3, 0))
+    shared = ()
     if covariance is not None:
         n = len(T)
         track = Track(
