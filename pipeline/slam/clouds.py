@@ -161,12 +161,15 @@ def sweep_motion(recording: Recording) -> SE2 | None:
     if recording.odometry is None or len(recording.odometry) < 2:
         return None
     sweep_ns = recording.lidar.time_increment * (recording.lidar.n_beams - 1) * 1e9
-    after_ns = np.round(np.arange(1, KNOTS + 1) / KNOTS * sweep_ns).astype(np.int64)
-    start = recording.odometry.at(recording.stamps_ns)
+    after_ns = np.round(np.arange(KNOTS + 1) / KNOTS * sweep_ns).astype(np.int64)
     during = recording.odometry.at((recording.stamps_ns[:, None] + after_ns).ravel())
-    motion = start[:, None].inverse() @ SE2(during.xyt.reshape(-1, KNOTS, 3))
-    moved, sweep_s = way_and_turn(motion.xyt[:, -1]), np.full(len(motion), max(sweep_ns * 1e-9, 1e-9))
-    jumps = (moved > fastest(moved, sweep_s) * sweep_s[:, None]).any(axis=1)
+    T_odom_knots = SE2(during.xyt.reshape(-1, KNOTS + 1, 3))
+    # a jump may end within a sweep, and move its end by little: each part is asked
+    moved = way_and_turn((T_odom_knots[:, :-1].inverse() @ T_odom_knots[:, 1:]).xyt.reshape(-1, 3))
+    part_s = np.full(len(moved), max(sweep_ns * 1e-9 / KNOTS, 1e-9))
+    too_far = moved > fastest(moved, part_s) * part_s[:, None]
+    jumps = too_far.reshape(len(T_odom_knots), -1).any(axis=1)
+    motion = T_odom_knots[:, :1].inverse() @ T_odom_knots[:, 1:]
     return motion[np.maximum.accumulate(np.where(jumps, 0, np.arange(len(motion))))]
 
 

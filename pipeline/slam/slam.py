@@ -18,7 +18,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
-from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, make_clouds, sweep_motion, sweep_motion_by_track
+from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.course import Maker, track_log
 from turtlebag.pipeline.slam.edits import Edits, KeyEdits
@@ -270,12 +270,18 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
         make = run.steps.front_end or front_end_maker(config.front_end)
         return track_log(recording, clouds, config.tracking, usable, scans, make)
 
-    if motion is None and turning and len(recording) > 1:
-        # nobody says how the robot moved during a sweep but the scans themselves, placed once before
-        first = front_end(make_clouds(recording, usable))
-        motion = sweep_motion_by_track(recording, first.T_track_base)
     clouds_of = clouds_maker(recording, usable, motion)
-    return motion, clouds_of, front_end(clouds_of(None))
+    track = front_end(clouds_of(None))
+    if turning and len(recording) > 1:
+        # where nobody who is believed says how the robot moved during a sweep, the scans do, once placed
+        unknown = disbelieved(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
+        if unknown.any():
+            by_track = sweep_motion_by_track(recording, track.T_track_base)
+            known = by_track if motion is None else motion
+            motion = SE2(np.where(unknown[:, None, None], by_track.xyt, known.xyt))
+            clouds_of = clouds_maker(recording, usable, motion)
+            track = front_end(clouds_of(None))
+    return motion, clouds_of, track
 
 
 def _range_errors(

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.slam_logs import arena, posts
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.open3d_icp import match_points
@@ -90,6 +91,30 @@ def test_sweep_motion_by_true_poses_is_that_of_true_odometry():
     difference = (by_odometry.inverse() @ by_track).xyt[1:-1]
     assert np.percentile(np.abs(difference[:, :2]), 90) < 0.004
     assert np.percentile(np.abs(difference[:, 2]), 90) < 0.03
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+def test_a_jump_of_the_odometry_bends_no_sweep_however_little_of_it_lies_within(share):
+    log = arena(1, "slow")
+    r = log.recording
+    stamps, poses = log.truth.stamps_ns, log.truth.poses.xyt.copy()
+    within = r.stamps_ns[50] + round(share * (r.stamps_ns[51] - r.stamps_ns[50]))
+    poses[stamps > within] += [2.0, 0.0, 0.0]
+    jumped, true = (
+        sweep_motion(replace(r, odometry=Trajectory(stamps, SE2(p)))).xyt
+        for p in (poses, log.truth.poses.xyt)
+    )
+    np.testing.assert_allclose(jumped[45:55, -1], true[45:55, -1], atol=0.02)
+
+
+def test_sweeps_are_undone_by_the_scans_where_the_wheels_are_not_believed():
+    """Wheels that count backwards for ten seconds bent each of these sweeps by twice the motion: 7 cm."""
+    log = arena(1, "fast").with_scans(slice(0, 220))
+    moved = log.odometry.steps()
+    moved[80:130] *= -1.0
+    wrong = log.with_steps(moved)
+    e = errors(run_slam(wrong.recording, SlamConfig()).trajectory.poses, wrong.reference)
+    assert e["worst_m"] < 0.035
 
 
 def test_a_gap_in_the_log_is_no_motion_of_a_sweep():
