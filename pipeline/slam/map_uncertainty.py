@@ -84,7 +84,7 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array
     if odometry:
         effects = track.calibration.effects(np.array([constraints[k].T_i_j for k in odometry]))
         yield np.array(odometry), effects @ np.linalg.cholesky(track.calibration.covariance)
-    steady = {c.i: k for k, c in enumerate(constraints) if c.kind == "steady"}
+    told = {c.i: k for k, c in enumerate(constraints) if c.kind in ("steady", "odometry")}
     way = np.diff(np.cumsum(unseen)[track.keys])
     stretches = np.flatnonzero(np.diff(np.concatenate([[0.0], way > 0.0, [0.0]])))
     for begin, end in stretches.reshape(-1, 2).tolist():
@@ -92,9 +92,9 @@ def shared_errors(track: Track, constraints: Sequence[Constraint], unseen: Array
         # where the log ends, it may have ended anywhere on the way
         last = end == len(way)
         off = 1.0 if last else _unsteadiness(track, unseen, int(np.count_nonzero(scans)))
-        keys = [i for i in range(begin, end) if i in steady]
+        keys = [i for i in range(begin, end) if i in told]
         if keys:
-            of = np.array([steady[i] for i in keys])
+            of = np.array([told[i] for i in keys])
             yaw = np.array([constraints[k].T_i_j[2] for k in of.tolist()])
             error = np.zeros((len(keys), 3, 2))
             error[:, 0, 0] = error[:, 1, 1] = off * way[keys] * np.cos(yaw)

@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import contradiction
 from turtlebag.pipeline.slam.calibration import GROSS
-from turtlebag.pipeline.slam.clouds import fastest, way_and_turn
+from turtlebag.pipeline.slam.clouds import FASTER, NEARLY_ALWAYS, fastest, way_and_turn
 from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, blind, confirms
 
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
@@ -148,13 +148,24 @@ def disbelieved(
 def unwitnessed(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> Array:
-    """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere."""
+    """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere.
+
+    Where scans are blind the odometry saw it, unless it is not believed there, or says that the robot drove
+    faster than scans ever saw it drive.
+    """
     way, T = np.zeros(len(track.T_track_base)), recording.T_odom_base
     way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
+    unseen, alone = blind(track.information), disbelieved(recording, track, noise, borders)
     if T is not None:
+        seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
+        waits = np.diff(recording.stamps_ns) * 1e-9
+        waits = np.maximum(waits, np.median(np.abs(waits)))
+        if seen.any():
+            usual = np.quantile(way[1:][seen] / waits[seen], NEARLY_ALWAYS)
+            alone[1:] |= way[1:] > FASTER * usual * waits
         steps = track.calibration.corrected(T.steps())
         way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
-    return way * (blind(track.information) & disbelieved(recording, track, noise, borders))
+    return way * (unseen & alone)
 
 
 def moves(odometry_step: Array, noise: OdometryNoise) -> bool:

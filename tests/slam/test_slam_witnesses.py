@@ -61,6 +61,19 @@ def test_wheels_caught_lying_have_no_say_where_scans_see_little_either():
     assert not unwitnessed(log, track, OdometryNoise(), border).any()
 
 
+def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
+    """Wheels that spin in a bare corridor, at three times the robot's speed: 3.9 m off, and called good."""
+    n = np.arange(60)
+    step = np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0)
+    poses = np.column_stack([np.cumsum(step), 0.0 * n, 0.0 * n])
+    log = recording(ROOM, poses, odometry=poses)
+    seen = np.where((n > 30)[:, None, None], BLIND, SEES)
+    source, none = np.zeros(60, np.int8), np.zeros(60)
+    track = Track(SE2(poses), n, none + 1.0, none, seen, source, np.zeros((59, 3)), Calibration(), n >= 0)
+    way = unwitnessed(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
+    np.testing.assert_allclose(way, np.where(step > 0.2, step, 0.0))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_contradiction_is_in_standard_deviations_of_both(seed):
     rng = np.random.default_rng(seed)
