@@ -80,7 +80,10 @@ def _source(
     if driven_in_millimetres(stamps, xyt[:, :2]):
         notes.append(f"{name}: the robot would be faster than any; taken for millimetres")
         xyt = xyt * (1e-3, 1e-3, 1.0)
-    return OdometrySource(base, _increasing(stamps, xyt, name, notes), _increasing(times, xyt, name, []))
+    by_stamp, by_log_time = _increasing(stamps, xyt, name, notes), _increasing(times, xyt, name, [])
+    return OdometrySource(
+        base, without_repeats(by_stamp, name, notes), without_repeats(by_log_time, name, [])
+    )
 
 
 def running(stamps: Stamps, log_times: Stamps, name: str, notes: list[str]) -> Stamps:
@@ -98,6 +101,22 @@ def _increasing(stamps: Stamps, xyt: Array, name: str, notes: list[str]) -> Traj
         notes.append(f"{name}: stamps go back {backwards} times; sorted")
     stamps, first = np.unique(stamps, return_index=True)
     return Trajectory(stamps, SE2.from_array(xyt[first]))
+
+
+def without_repeats(odometry: Trajectory, name: str, notes: list[str]) -> Trajectory:
+    """The poses without those that a driver sends again and again until it has a new one: the robot moved
+    evenly from one to the next, and did not stand still and jump. Where it stands for longer they stay."""
+    new = np.append(True, (np.diff(odometry.poses.xyt, axis=0) != 0.0).any(axis=1))
+    first = np.flatnonzero(new)
+    # the last run has no end; a robot that hardly moves says nothing of how often a pose is sent
+    runs = np.diff(first)
+    usual = int(np.median(runs)) if len(runs) else 1
+    if usual < 2:
+        return odometry
+    following = np.append(first, len(new) + usual)[np.cumsum(new)]
+    keep = new | (following - np.arange(len(new)) >= usual)
+    notes.append(f"{name}: each pose is sent some {usual} times; taken once")
+    return Trajectory(odometry.stamps_ns[keep], odometry.poses[keep])
 
 
 def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: list[str]) -> Array:

@@ -20,6 +20,7 @@ from turtlebag.datasets.bags.odometry import (
     odometry_at,
     running,
     sensor_matrix,
+    without_repeats,
 )
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.streams import Streams
@@ -62,6 +63,29 @@ def test_odometry_is_cleaned_of_places_that_are_none_and_of_millimetres():
     assert "taken for millimetres" in notes[0]
     nothing = _source("base", stamps[:1], stamps[:1], np.full((1, 3), np.nan), "/odom", [])
     assert (nothing.base, nothing.poses, nothing.by_log_time) == ("base", None, None)
+
+
+@pytest.mark.parametrize("times", [2, 6, 30])
+def test_poses_sent_again_until_there_are_new_ones_are_taken_once(times):
+    """Six times each they bent every sweep: a house drive was 0.16 m off, not 0.02, and called good."""
+    stamps, notes = np.arange(600) * S // 30, []
+    moving = np.minimum(np.abs(np.arange(600) - 300), 200)  # a rest, there, back, and a rest
+    true = Trajectory(stamps, SE2(straight(-moving * S // 30)))
+    held = Trajectory(stamps, true.poses[np.arange(600) // times * times])
+    found = without_repeats(held, "/odom", notes)
+    assert notes == [f"/odom: each pose is sent some {times} times; taken once"]
+    np.testing.assert_allclose(found.at(stamps).xy[:-times], true.poses.xy[:-times], atol=1.1 * times / 30)
+    on = (moving < 200 - 2 * times) & (np.abs(np.arange(600) - 300) > times)
+    np.testing.assert_allclose(found.at(stamps).xy[on], true.poses.xy[on], atol=1e-6)
+    assert np.diff(found.stamps_ns).max() <= times * S // 30 + 1
+
+
+@pytest.mark.parametrize("poses", [np.zeros(50), np.arange(50.0), np.maximum(np.arange(50.0), 30.0), [7.0]])
+def test_a_robot_that_stands_sends_no_repeats(poses):
+    stamps, notes = np.arange(len(poses)) * S, []
+    whole = Trajectory(stamps, SE2.from_xyt(poses, 0.0, 0.0))
+    assert without_repeats(whole, "/odom", notes) is whole
+    assert notes == []
 
 
 def test_a_clock_that_never_ran_gives_way_to_the_times_of_recording():
