@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
@@ -156,13 +157,14 @@ def unwitnessed(
     way, T = np.zeros(len(track.T_track_base)), recording.T_odom_base
     way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
     unseen, alone = blind(track.information), disbelieved(recording, track, noise, borders)
-    if T is not None:
-        seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
+    if T is not None and len(way) > 1:
         waits = np.diff(recording.stamps_ns) * 1e-9
         waits = np.maximum(waits, np.median(np.abs(waits)))
+        # of several steps together: odometry held back for a moment is fast in the next
+        speed = np.divide(*(scipy.ndimage.uniform_filter1d(told, RECENT) for told in (way[1:], waits)))
+        seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
         if seen.any():
-            usual = np.quantile(way[1:][seen] / waits[seen], NEARLY_ALWAYS)
-            alone[1:] |= way[1:] > FASTER * usual * waits
+            alone[1:] |= speed > FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
         steps = track.calibration.corrected(T.steps())
         way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
     return way * (unseen & alone)

@@ -71,7 +71,19 @@ def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
     source, none = np.zeros(60, np.int8), np.zeros(60)
     track = Track(SE2(poses), n, none + 1.0, none, seen, source, np.zeros((59, 3)), Calibration(), n >= 0)
     way = unwitnessed(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
-    np.testing.assert_allclose(way, np.where(step > 0.2, step, 0.0))
+    np.testing.assert_allclose(way[42:50], 0.3)
+    assert not way[:39].any()
+    assert not way[53:].any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_of_one_scan_has_no_way_to_see():
+    log, one = recording(ROOM, np.zeros((1, 3)), odometry=np.zeros((1, 3))), np.ones(1)
+    track = Track(
+        SE2(np.zeros((1, 3))), np.zeros(1, np.int64), one, one, BLIND[None], np.zeros(1, np.int8),
+        np.zeros((0, 3)), Calibration(), one > 0,
+    )  # fmt: skip
+    assert unwitnessed(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("seed", range(4))
