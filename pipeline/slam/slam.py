@@ -27,6 +27,7 @@ from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
 from turtlebag.pipeline.slam.loops import Loop, LoopConfig
+from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
@@ -237,7 +238,7 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
     recording = without_repeats(without_own_body(recording), usable)
-    recording = in_step(recording, compared_turns(recording))
+    recording = facing(in_step(recording, compared_turns(recording)))
     recording = with_gyro(recording) if config.gyro else recording
     motion, clouds_of, track = _tracked(recording, run, config)
     if config.front_end != "wheels" and track.calibration.tells_nothing:

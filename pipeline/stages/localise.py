@@ -26,6 +26,7 @@ from turtlebag.pipeline.localisation.interface import Localiser, require_estimat
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
@@ -84,7 +85,7 @@ def localise(
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
-    recording = in_step(recording, compared_turns(recording))
+    recording = facing(in_step(recording, compared_turns(recording)))
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)

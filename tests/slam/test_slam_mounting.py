@@ -1,0 +1,56 @@
+"""A laser that faces another way than its transform says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.disturb import KINDS
+from benchmarks.known import Known
+from benchmarks.slam_logs import arena
+from benchmarks.slam_scores import errors
+from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.slam.mounting import facing, turned_by_deg
+from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
+
+
+@pytest.fixture(scope="module")
+def log() -> Known:
+    return arena(1, "fast").with_scans(slice(0, 500))
+
+
+def said_turned(log: Known, degrees: float) -> Known:
+    """The log with its laser said to face so many degrees from where it does."""
+    x, y, yaw = log.recording.T_base_lidar.xyt
+    return log.recorded(T_base_lidar=SE2.from_xyt(x, y, yaw - np.deg2rad(degrees)))
+
+
+@pytest.mark.parametrize("degrees", [180.0, 90.0, -90.0, -35.0, 10.0])
+def test_a_laser_said_to_face_elsewhere_is_turned_back(log, degrees):
+    mended = facing(said_turned(log, degrees).recording)
+    np.testing.assert_allclose(mended.T_base_lidar.xyt, log.recording.T_base_lidar.xyt, atol=1e-9)
+    assert f"the laser faces {degrees:.0f} degrees from where it is said to" in mended.notes[-1]
+
+
+def test_laser_turned_by_a_right_angle_makes_the_map_that_it_makes_unturned(log):
+    wrong = said_turned(log, 90.0)
+    turned, right = (run_slam(one.recording, SlamConfig()) for one in (wrong, log))
+    assert errors(turned.trajectory.poses, log.reference)["worst_m"] < 0.02
+    np.testing.assert_allclose(turned.trajectory.poses.xyt, right.trajectory.poses.xyt, atol=0.005)
+
+
+@pytest.mark.parametrize("kind", ["slipped", "counted back", "jump", "stuck", "mirrored odometry", "bias"])
+def test_odometry_that_lies_turns_no_laser(log, kind):
+    assert turned_by_deg(KINDS[kind](log, stream(1, kind)).recording) == 0.0
+
+
+def test_without_odometry_or_way_nothing_tells(log):
+    r = log.recording
+    standing = replace(r, T_odom_base=SE2(np.zeros((len(r), 3))))
+    for one in (
+        replace(r, T_odom_base=None),
+        standing,
+        said_turned(log.with_scans(slice(0, 6)), 180.0).recording,
+    ):
+        assert facing(one) is one
