@@ -10,7 +10,8 @@ from turtlebag.datasets.bags.source import SUFFIXES
 from turtlebag.datasets.bags.topics import METADATA_FILE
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
-from turtlebag.datasets.urls import filesystem, is_local, reason_of
+from turtlebag.datasets.urls import filesystem, is_local
+from turtlebag.pipeline.campaign.store import or_else
 
 RECORDED = (*SUFFIXES, ".clf", ".log")
 PACKED = ("", ".gz", ".bz2", ".zstd")
@@ -25,12 +26,8 @@ def find_bags(patterns: Sequence[str]) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for pattern in patterns:
-        try:
+        with or_else(f"bags: {pattern}: cannot be listed"):
             bags = _of_pattern(pattern)
-        except InputError:
-            raise
-        except Exception as error:  # a store's client raises whatever its own libraries do
-            raise InputError(f"bags: {pattern}: cannot be listed ({reason_of(error)})") from None
         if not bags:
             raise InputError(f"bags: {pattern}: no bag or log fits it; check the pattern")
         found |= dict(sorted(bags.items()))

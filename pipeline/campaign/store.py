@@ -10,19 +10,31 @@ import os
 import secrets
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.urls import filesystem, is_local
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.urls import filesystem, is_local, reason_of
 
 UNFINISHED = ".unfinished"
 """Folder of a local store in which objects grow, to be moved to their names."""
 _MANY = 1000
 _memory = threading.Lock()
+
+
+@contextmanager
+def or_else(failure: str) -> Iterator[None]:
+    """InputError, `failure` and why, for whatever a store's client raises: errors of its own libraries."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{failure} ({reason_of(error)})") from None
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
 from turtlebag.datasets.output_rules import check_free
 from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, sha256_tree, write_manifest
-from turtlebag.datasets.urls import reason_of
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
@@ -26,7 +25,7 @@ from turtlebag.pipeline.campaign.cases import Case, cases
 from turtlebag.pipeline.campaign.engine import THREADS, require_scheduler, run_cases
 from turtlebag.pipeline.campaign.progress import Progress
 from turtlebag.pipeline.campaign.results import PAGE, write_results
-from turtlebag.pipeline.campaign.store import UNFINISHED, Store
+from turtlebag.pipeline.campaign.store import UNFINISHED, Store, or_else
 from turtlebag.pipeline.terminal.messages import log, track
 
 TELL_S = 60.0
@@ -111,7 +110,7 @@ def _where(
 def _begin(where: Where, campaign: Campaign, *, force: bool) -> None:
     """Mark a store with the campaign and the maker of its rows; InputError when it holds others."""
     runs, marks = where.runs, {"config.yaml": config_text(campaign), MARK: where.maker + "\n"}
-    try:
+    with or_else(f"{runs.url}: cannot be written"):
         if maker := _other_maker(runs, marks):
             if not force:
                 raise InputError(f"{runs.url}: left by {maker}; remove it or pass --force to start over")
@@ -119,10 +118,6 @@ def _begin(where: Where, campaign: Campaign, *, force: bool) -> None:
                 runs.delete_below(part)
         for name, text in marks.items():
             runs.put(name, text.encode())
-    except InputError:
-        raise
-    except Exception as error:  # a store's client raises whatever its own libraries do
-        raise InputError(f"{runs.url}: cannot be written ({reason_of(error)})") from None
 
 
 def _other_maker(runs: Store, marks: Mapping[str, str]) -> str:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.urls import reason_of
-from turtlebag.pipeline.campaign.store import Store
+from turtlebag.pipeline.campaign.store import Store, or_else
 
 RESULTS = "results"
 INDEX = "results.json"
@@ -68,14 +67,9 @@ def write_table(rows: Sequence[dict[str, Any]], partition: str, store: Store) ->
 def query(store: Store, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """(column names, rows) of a query in which the table is called `runs`; InputError for bad SQL, and for a
     store without a table."""
-    try:
+    content = None
+    with or_else(f"{store.url}: cannot be read"), suppress(NotADirectoryError):
         content = store.read(INDEX)
-    except InputError:
-        raise
-    except NotADirectoryError:
-        content = None
-    except Exception as error:  # a store's client raises whatever its own libraries do
-        raise InputError(f"{store.url}: cannot be read ({reason_of(error)})") from None
     if content is None:
         raise InputError(f"{store.url}: not a finished sweep (it has no {INDEX})")
     index = json.loads(content)

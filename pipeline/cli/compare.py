@@ -44,17 +44,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _compare_outputs(args: argparse.Namespace) -> None:
-    from turtlebag.pipeline.stages.compare import compare_outputs, write_comparison
+    from turtlebag.pipeline.stages.compare import compare_outputs
 
     if len(args.b) > 1:
         raise InputError("compare takes two outputs, or one and files of other systems")
     if args.rival_base or args.rival_times or args.rival_shift:
         raise InputError(f"{args.b[0]}: is an output of ours; --rival options are for others' files")
     b = Path(args.b[0])
-    if args.out is None:
-        found = compare_outputs(args.a, b)
-    else:
-        found = write_comparison(args.a, b, args.out, force=args.force, command=args.command_line)
+    found = compare_outputs(args.a, b, args.out, force=args.force, command=args.command_line)
     for key, one, other in found.settings:
         print(f"{key}: {one} -> {other}")
     width = max((len(row.label) for row in found.rows), default=0)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import io
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
@@ -57,11 +57,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_silently(words: list[str]) -> int:
     """Run a command line; what it says is not for the reader of a verification."""
     from turtlebag.pipeline.cli.main import main
-    from turtlebag.pipeline.terminal.messages import log
+    from turtlebag.pipeline.terminal.messages import verbosity_kept
 
-    level = log.level
-    try:
-        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            return main([*words, "--quiet"])
-    finally:
-        log.setLevel(level)
+    with verbosity_kept(), redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+        return main([*words, "--quiet"])

@@ -12,22 +12,22 @@ from turtlebag.reports.beside import Beside, beside, write_pairs
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.page import render_beside, render_comparison
-from turtlebag.reports.stages import Stage, load_stage
+from turtlebag.reports.stages import load_stage
 
 
-def compare_outputs(a: Path, b: Path) -> Comparison:
-    """Numbers, settings and files of two outputs of one stage."""
-    return compare(load_stage(a), load_stage(b))
-
-
-def write_comparison(
-    a: Path, b: Path, out: Path, *, force: bool = False, command: Sequence[str] = ()
+def compare_outputs(
+    a: Path, b: Path, out: Path | None = None, *, force: bool = False, command: Sequence[str] = ()
 ) -> Comparison:
-    """Also write `index.html`, `figures/*.png`, `metrics.json` and the manifest into `out`."""
+    """Numbers, settings and files of two outputs of one stage.
+
+    With `out` also `index.html`, `figures/*.png`, `metrics.json` and the manifest.
+    """
     watch = Stopwatch()
     stages = load_stage(a), load_stage(b)
     found = compare(*stages)
-    names = _names(*stages)
+    if out is None:
+        return found
+    names = f"A: {a.resolve().name}", f"B: {b.resolve().name}"
     with staged_output(out, force=force) as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
@@ -35,11 +35,6 @@ def write_comparison(
         write_json(folder / "metrics.json", {row.path: row.values for row in found.rows})
         write_manifest(folder, "compare", command, {"A": a, "B": b}, wall_s=watch.seconds())
     return found
-
-
-def _names(a: Stage, b: Stage) -> tuple[str, str]:
-    """Folder names, told apart by A and B."""
-    return f"A: {a.folder.resolve().name}", f"B: {b.folder.resolve().name}"
 
 
 def compare_rivals(

@@ -101,10 +101,6 @@ class Scene:
         spec = load_robot(name)
         return Scene(world, name, loaded, spec, (sim or SimConfig()).resolved(spec), start, seed)
 
-    def files(self) -> dict[str, Path]:
-        """World and robot as far as they are files of the user's own."""
-        return own_files(self.world_name, self.robot_name)
-
     def config(self, teleop: str) -> RecordConfig:
         """The resolved settings, to be saved."""
         start = None if self.start is None else tuple(self.start.xyt.tolist())
@@ -154,7 +150,7 @@ def record_drive(
             folder,
             stage="record",
             command=command,
-            inputs={**scene.files(), **(inputs or {})},
+            inputs={**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
             seed=scene.seed,
             wall_s=wall,
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},

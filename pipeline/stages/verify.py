@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import html
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,19 +23,21 @@ from turtlebag.pipeline.stages.recompute import (
     robot_of,
     truth_disagreement,
 )
+from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, recalled
 from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
-from turtlebag.pipeline.stages.verify_rivals import measured_again, unit_of
-from turtlebag.reports.beside import Beside
+from turtlebag.reports.beside import Beside, beside
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
+from turtlebag.reports.spec_systems import SYSTEMS
 from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import (
     MARK,
     Group,
+    Manifest,
     Stage,
     changed_files,
     changed_parts,
@@ -92,7 +94,8 @@ def verify(report: Path, run: Run | None = None) -> Verification:
     found = Verification()
     groups = group_stages([load_stage(folder) for folder in stage_folders(report)])
     reported = read_json(_file(report, "metrics.json"))
-    _check_report_files(report, groups, found)
+    manifest = read_manifest(report / "manifest.json")
+    _check_report_files(report, manifest, groups, found)
     places = places_of(groups)
 
     def again(stage: Stage) -> Remade | None:
@@ -106,16 +109,13 @@ def verify(report: Path, run: Run | None = None) -> Verification:
                 found.problems.append(f"{group.name}/{stage.label}: not in the report's metrics.json")
                 continue
             _check_stage(stage, group, metrics, places, again, found)
-    rivals, done, problems = measured_again(report, read_manifest(report / "manifest.json"), groups, reported)
-    found.checks += done
-    found.problems += problems + [_differs(check) for check in done if not check.agrees]
+    rivals = _check_rivals(report, manifest, groups, reported, found) if manifest.rivals else None
     _check_page(_file(report, "index.html"), found)
     _check_texts(_file(report, "index.html"), groups, rivals, found)
     return found
 
 
-def _check_report_files(report: Path, groups: list[Group], found: Verification) -> None:
-    manifest = read_manifest(report / "manifest.json")
+def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], found: Verification) -> None:
     for path, digest in manifest.outputs.items():
         found.files += 1
         if not (report / path).is_file() or sha256_file(report / path) != digest:
@@ -163,13 +163,42 @@ def _check_stage(
             found.notes.append(f"{name}: run again, different bytes in {', '.join(anew.other_bytes)}")
         done += [check for check in checks(name, metrics, anew.metrics) if check.key in left]
         left = _unknown(name, metrics, done)
-    found.checks += done
     found.unchecked += left
-    found.problems += [_differs(check) for check in done if not check.agrees]
+    _keep(done, found)
 
 
-def _differs(check: Check) -> str:
-    return f"{check.key}: reported {check.reported}, computed {check.found}"
+def _check_rivals(
+    report: Path, manifest: Manifest, groups: list[Group], reported: dict[str, Any], found: Verification
+) -> Beside | None:
+    """The rivals read and measured again; what the report should say of them, None when they cannot be."""
+    group = groups[0]
+    name = f"{group.name}/rivals"
+    try:
+        files = recalled(manifest, report)
+        changed = [
+            f"{what}: {path} changed since the report was made"
+            for what, path in inputs_of(files).items()
+            if not path.is_file() or sha256_file(path) not in manifest.inputs[what].sha256.values()
+        ]
+        known, systems = measured_in(groups, files)
+    except (InputError, KeyError) as error:
+        found.problems.append(f"{name}: {error}")
+        return None
+    expected = beside(systems, known, Album(None), f"{group.name}-rivals")
+    told = reported.get(group.name, {}).get("rivals", {})
+    found.problems += changed
+    if missing := {path for path, _ in leaves(expected.metrics)} - {path for path, _ in leaves(told)}:
+        found.problems.append(f"{name}: not in the report's metrics.json: {', '.join(sorted(missing)[:3])}")
+    _keep(checks(name, told, expected.metrics), found)
+    return expected
+
+
+def _keep(done: Iterable[Check], found: Verification) -> None:
+    """Add checks, and a problem for each that found another number."""
+    for check in done:
+        found.checks.append(check)
+        if not check.agrees:
+            found.problems.append(f"{check.key}: reported {check.reported}, computed {check.found}")
 
 
 def _unknown(name: str, metrics: dict[str, Any], done: list[Check]) -> list[str]:
@@ -274,7 +303,8 @@ def page_numbers(page: Path) -> Iterator[tuple[str, str, str]]:
 def _unit(key: str) -> str | None:
     path = key.partition(":")[2]
     if path.startswith("systems."):
-        return unit_of(path)
+        path = path.split(".", 2)[2]
+        return next((spec.unit for section in SYSTEMS for spec in section.specs if spec.path == path), None)
     last = path.rpartition(".")[2]
     if path.startswith("goals."):
         return GOAL_UNITS.get(last)

@@ -9,7 +9,7 @@ from report_fakes import fake_map, fake_record, fake_run
 
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.cli.arguments import pose
-from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
+from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.planners.tasks.waypoints import load_waypoints
 
@@ -59,7 +59,7 @@ def address(tmp_path_factory):
     run = fake_run(base / "run", fake_map(base / "map", record), missed=True)
     make_index([base], base / "index")
     fake_map(base / "other", record, sigma_m=0.02)
-    write_comparison(base / "map", base / "other", base / "comparison")
+    compare_outputs(base / "map", base / "other", base / "comparison")
     files = RivalFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
     compare_rivals(base / "map", [files], base / "rivals")
     return make_report([record, base / "map", run], base / "report").as_uri()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from report_fakes import fake_map, fake_record, fake_run, undrawn
 
-from turtlebag.pipeline.stages.compare import write_comparison
+from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.pipeline.stages.verify import verify, words_of
 from turtlebag.reports.content import verdict
@@ -188,7 +188,7 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
 
 @pytest.mark.slow
 def test_a_comparison_says_of_both_how_they_truly_went(folders):
-    write_comparison(folders / "lost", folders / "there", folders / "comparison")
+    compare_outputs(folders / "lost", folders / "there", folders / "comparison")
     text = (folders / "comparison/index.html").read_text()
     lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
     assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]

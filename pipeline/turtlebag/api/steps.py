@@ -289,7 +289,7 @@ def compare(
     `rivals` are files or `Rival`s by the systems' names, in place of `other`. InputError for outputs of two
     kinds, and for rivals that cannot be read or compared.
     """
-    from turtlebag.pipeline.stages.compare import compare_rivals, write_comparison
+    from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
     from turtlebag.pipeline.stages.rivals import inputs_of
 
     ours, files = path_of(output, "output"), rival_files(rivals)
@@ -304,7 +304,7 @@ def compare(
             found = compare_rivals(ours, files, now.out, force=force, command=command)
             now.notes += [f"{name}: {note}" for name, note in found.notes]
         else:
-            write_comparison(ours, path_of(other, "other"), now.out, force=force, command=command)
+            compare_outputs(ours, path_of(other, "other"), now.out, force=force, command=command)
         return Comparison.of(now)
 
 
