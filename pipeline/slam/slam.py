@@ -275,11 +275,12 @@ def _tracked(recording: Recording, run: _Run, config: SlamConfig) -> tuple[SE2 |
     track = front_end(clouds_of(None))
     if turning and len(recording) > 1:
         # where nobody who is believed says how the robot moved during a sweep, the scans do, once placed
-        unknown = disbelieved(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
-        if unknown.any():
+        noise, no_borders = config.tracking.odometry, np.zeros(0, dtype=np.int64)
+        unknown = motion is None or disbelieved(recording, track, noise, no_borders)
+        if np.any(unknown):
             by_track = sweep_motion_by_track(recording, track.T_track_base)
             known = by_track if motion is None else motion
-            motion = SE2(np.where(unknown[:, None, None], by_track.xyt, known.xyt))
+            motion = SE2(np.where(np.reshape(unknown, (-1, 1, 1)), by_track.xyt, known.xyt))
             clouds_of = clouds_maker(recording, usable, motion)
             track = front_end(clouds_of(None))
     return motion, clouds_of, track

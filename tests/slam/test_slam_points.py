@@ -107,6 +107,14 @@ def test_a_jump_of_the_odometry_bends_no_sweep_however_little_of_it_lies_within(
     np.testing.assert_allclose(jumped[45:55, -1], true[45:55, -1], atol=0.02)
 
 
+def test_sweeps_are_undone_where_the_odometry_comes_with_the_scans_alone():
+    log = arena(1, "fast").with_scans(slice(0, 220))
+    alone = log.recorded(odometry=None)
+    session = run_slam(alone.recording, SlamConfig()).session
+    true = sweep_motion(log.recorded(odometry=log.truth).recording).xyt[1:-1]
+    assert np.percentile(np.abs(session.motion.xyt[1:-1] - true)[..., 2], 90) < 0.05
+
+
 def test_sweeps_are_undone_by_the_scans_where_the_wheels_are_not_believed():
     """Wheels that count backwards for ten seconds bent each of these sweeps by twice the motion: 7 cm."""
     log = arena(1, "fast").with_scans(slice(0, 220))
