@@ -13,17 +13,15 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.clouds import USABLE_M, make_clouds
-from turtlebag.pipeline.slam.course import track_log
-from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.clouds import USABLE_M
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
-from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.turn_comparison import PERIOD_S, tracked_alone, usual_period
 
-# So many stretches of so many scans are asked, these so far apart at least [s]; so many must answer.
-STRETCHES, SCANS, PERIOD_S, ANSWERS = 24, 6, 0.2, 8
+# So many stretches of so many scans, PERIOD_S apart at least, are asked; so many must answer.
+STRETCHES, SCANS, ANSWERS = 24, 6, 8
 # A stretch answers where this much was driven at least [m], by scans and odometry alike but for such a share.
 LEAST_WAY_M, SHARE = 0.1, 0.2
-# Answers agree when their mean direction is as long as this: 0.94 to 1 in 27 logs that tell.
+# Answers agree when their mean direction is as long as this: 0.94 to 1 in 34 logs that tell.
 AGREEING = 0.9
 # Angles are told in such steps [deg], so that several recordings of one robot get the same, and smaller ones
 # not at all: in those logs the laser faces as said, to 2 degrees at worst.
@@ -67,9 +65,7 @@ def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
     """Rows of the scans of each stretch in which the robot goes farthest and turns least by its odometry."""
     T = recording.T_odom_base
     assert T is not None
-    waits = np.diff(recording.stamps_ns) * 1e-9
-    usual = float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
-    apart = max(1, round(PERIOD_S / usual))
+    apart = max(1, round(PERIOD_S / usual_period(recording)))
     starts = np.arange(0, len(recording) - apart * SCANS, apart * SCANS)
     x, y, turn = (T[starts].inverse() @ T[starts + apart * (SCANS - 1)]).xyt.T
     straight = np.hypot(x, y) * np.cos(np.clip(2.0 * turn, -np.pi, np.pi))
@@ -81,18 +77,8 @@ def _ways(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> N
     """Where a stretch ends seen from its begin, by the scans alone and by the odometry, x + iy [m]."""
     T_odom = recording.T_odom_base
     assert T_odom is not None
-    alone = replace(
-        recording,
-        stamps_ns=recording.stamps_ns[rows],
-        ranges=recording.ranges[rows],
-        # driven straight on, sweeps are all bent alike
-        lidar=replace(recording.lidar, time_increment=0.0),
-        T_odom_base=None,
-        odometry=None,
-        imu=None,
-    )
-    clouds = make_clouds(alone, USABLE_M, None, noise)
-    track = track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines).T_track_base
+    # driven straight on, sweeps are all bent alike: they are left as they are
+    track = tracked_alone(recording, rows, noise).T_track_base
     return np.array([_way(track[0], track[-1]), _way(T_odom[rows[0]], T_odom[rows[-1]])])
 
 

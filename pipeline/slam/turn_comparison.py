@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.scans import turned_over
-from turtlebag.datasets.se2 import Array, wrap
+from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, make_clouds, sweep_motion
@@ -24,7 +24,7 @@ from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.gyro import turns_with
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
-from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 # Delays looked at [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0
@@ -95,8 +95,7 @@ def compared_turns(recording: Recording) -> Timing:
     if recording.T_odom_base is None or len(recording) < 2:
         return Timing()
     stream = _stream(recording)
-    waits = np.diff(recording.stamps_ns) * 1e-9
-    usual = float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
+    usual = usual_period(recording)
     thin = slice(None, None, max(1, round(PERIOD_S / usual)))
     scans = replace(
         recording,
@@ -228,14 +227,34 @@ def _turns(scans: Recording, late_s: float) -> _Turns:
 
 def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
     """Begin and end [s] since the first scan, and turn [rad] by the scans alone, over each span, (n, 3)."""
-    part = replace(scans, stamps_ns=scans.stamps_ns[rows], ranges=scans.ranges[rows], T_odom_base=None)
-    late = replace(part, stamps_ns=part.stamps_ns + round(late_s * 1e9))
+    stamps_ns = scans.stamps_ns[rows]
+    late = replace(scans, stamps_ns=stamps_ns + round(late_s * 1e9))
     motion = sweep_motion(late) if scans.lidar.time_increment != 0.0 else None
-    alone = replace(part, odometry=None, imu=None)
-    clouds = make_clouds(alone, USABLE_M, motion, noise)
-    track = track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
-    seconds = (part.stamps_ns - scans.stamps_ns[0]) * 1e-9
+    track = tracked_alone(scans, rows, noise, motion)
+    seconds = (stamps_ns - scans.stamps_ns[0]) * 1e-9
     waits = np.diff(seconds)
     known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
     return np.column_stack([seconds[:-SPAN], seconds[SPAN:], yaw[SPAN:] - yaw[:-SPAN]])[known == SPAN]
+
+
+def tracked_alone(
+    recording: Recording, rows: NDArray[np.int64], noise: RangeNoise, motion: SE2 | None = None
+) -> Track:
+    """Some scans (n,) tracked by themselves, each sweep undone by `motion` (n, KNOTS), or not."""
+    alone = replace(
+        recording,
+        stamps_ns=recording.stamps_ns[rows],
+        ranges=recording.ranges[rows],
+        T_odom_base=None,
+        odometry=None,
+        imu=None,
+    )
+    clouds = make_clouds(alone, USABLE_M, motion, noise)
+    return track_log(alone, clouds, TrackingConfig(), USABLE_M, range(1, len(rows)), Lines)
+
+
+def usual_period(recording: Recording) -> float:
+    """Median time from scan to scan [s]; PERIOD_S where the clock stands still."""
+    waits = np.diff(recording.stamps_ns) * 1e-9
+    return float(np.median(waits[waits > 0.0])) if (waits > 0.0).any() else PERIOD_S
