@@ -146,27 +146,41 @@ def disbelieved(
     return doubted
 
 
+def _unlikely(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether the odometry says of scans that see nothing (n,) what no scan ever confirmed, (n,).
+
+    That the robot drove faster than scans ever saw it drive; or anything of a way in the dark on which it
+    turned round at once, its speed changed by more than the fastest they saw.
+    """
+    unlikely, steps = np.zeros(len(unseen), dtype=bool), track.T_track_base.steps()
+    seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
+    if not seen.any():
+        return unlikely
+    waits = np.diff(recording.stamps_ns) * 1e-9
+    waits = np.maximum(waits, np.median(np.abs(waits)))
+    # of several steps together: odometry held back for a moment is fast in the next
+    moved = scipy.ndimage.uniform_filter1d([way_and_turn(steps)[:, 0], steps[:, 0], waits], RECENT, axis=1)
+    speed, ahead = moved[:2] / moved[2]
+    top = FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
+    unlikely[1:] = unseen[1:] & (speed > top)
+    turned = RECENT // 2 + 1 + np.flatnonzero(np.abs(ahead[RECENT:] - ahead[:-RECENT]) > top)
+    dark, _ = scipy.ndimage.label(unseen)
+    return np.asarray(unlikely | np.isin(dark, dark[turned[unseen[turned]]]))
+
+
 def unwitnessed(
     recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
 ) -> Array:
     """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere.
 
-    Where scans are blind the odometry saw it, unless it is not believed there, or says that the robot drove
-    faster than scans ever saw it drive.
+    Where scans are blind the odometry saw it, unless it is not believed there, or says what is unlikely.
     """
-    way, T = np.zeros(len(track.T_track_base)), recording.T_odom_base
-    way[1:] = _moved(track.T_track_base, np.arange(len(way) - 1), 1)[:, 0]
-    unseen, alone = blind(track.information), disbelieved(recording, track, noise, borders)
-    if T is not None and len(way) > 1:
-        waits = np.diff(recording.stamps_ns) * 1e-9
-        waits = np.maximum(waits, np.median(np.abs(waits)))
-        # of several steps together: odometry held back for a moment is fast in the next
-        speed = np.divide(*(scipy.ndimage.uniform_filter1d(told, RECENT) for told in (way[1:], waits)))
-        seen = ~unseen[1:] & track.usable[1:] & track.usable[:-1]
-        if seen.any():
-            alone[1:] |= speed > FASTER * np.quantile(speed[seen], NEARLY_ALWAYS)
-        steps = track.calibration.corrected(T.steps())
-        way[1:] = np.maximum(way[1:], np.hypot(steps[:, 0], steps[:, 1]))
+    way = np.append(0.0, way_and_turn(track.T_track_base.steps())[:, 0])
+    unseen = blind(track.information)
+    alone = disbelieved(recording, track, noise, borders) | _unlikely(recording, track, unseen)
+    if recording.T_odom_base is not None:
+        told = track.calibration.corrected(recording.T_odom_base.steps())
+        way[1:] = np.maximum(way[1:], way_and_turn(told)[:, 0])
     return way * (unseen & alone)
 
 
