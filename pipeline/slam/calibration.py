@@ -58,15 +58,6 @@ class Calibration:
     pairs: int = 0
     covariance: Array = field(default_factory=lambda: ODOMETRY_SHARE**2 * np.eye(3))
 
-    @property
-    def tells_nothing(self) -> bool:
-        """Whether the odometry is off by as large a share of the way, usually, as makes one step a lie.
-
-        Of 17 logs, wheels that jump, slip, stick or drift among them, none was off by more than 0.07 m in a
-        baseline of 1.5 m; with the odometry of another drive four were off by 1.1 m or more.
-        """
-        return bool(self.noise[0] > GROSS * BASELINE_M)
-
     def corrected(self, steps: Array) -> Array:
         """Odometry steps (..., 3) with the systematic error taken out."""
         out = np.array(steps, dtype=np.float64)

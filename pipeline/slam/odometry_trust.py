@@ -18,6 +18,8 @@ from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, 
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
+# Wheels are asked for the way ahead and the turn: they do not see that the robot slides sideways.
+ASKED = np.array([True, False, True])
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
 
@@ -92,27 +94,25 @@ class OdometryTrust:
     ) -> None:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
-        A lie is one of the last steps together, and of the last of them: a jump is over at once. Wheels at
-        rest confirm nothing, nor do those that the pose may have been taken from (not `independent`).
+        A lie, about the way ahead or the turn, is one of the last steps together, and of the last of them: a
+        jump is over at once. Wheels at rest confirm nothing, nor do those that the pose may have been taken
+        from (not `independent`).
         """
         self._odometry = compose(self._odometry, odometry_step)
         self._last.append((self._odometry, T_map_base))
         if len(self._last) < 2:
             return
         told, error = self._apart(-2)
-        surprising = error @ self._along(told) @ error > LIE_SIGMAS**2
-        if independent and not surprising and moves(odometry_step, self._noise):
+        surprising = ASKED & (error**2 * self._noise.information(told).diagonal() > LIE_SIGMAS**2)
+        if independent and not surprising.any() and moves(odometry_step, self._noise):
             self._lies = 0
         told, error = self._apart(0)
-        gross = abs(error[0]) > GROSS * max(abs(told[0]), abs(told[0] + error[0]))
-        if surprising and gross and contradiction(error, self._along(told), seen) > LIE_SIGMAS**2:
-            self._lies += 1
-
-    def _along(self, told: Array) -> Array:
-        """Information (3, 3) of the way driven alone: scans that are blind along it see all else."""
-        along = np.zeros((3, 3))
-        along[0, 0] = self._noise.information(told)[0, 0]
-        return along
+        gross = np.abs(error) > GROSS * np.maximum(np.abs(told), np.abs(told + error))
+        # each by itself: scans that are blind along the way see the turn
+        alone = [np.diag(part) for part in np.diag(self._noise.information(told).diagonal())]
+        self._lies += any(
+            contradiction(error, alone[k], seen) > LIE_SIGMAS**2 for k in np.flatnonzero(surprising & gross)
+        )
 
     def _apart(self, since: int) -> tuple[Array, Array]:
         """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""

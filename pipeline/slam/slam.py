@@ -238,12 +238,13 @@ def _session(recording: Recording, run: _Run) -> Session:
     recording, config = _with_sensors(recording, run.config)
     usable = config.usable(recording.lidar)
     recording = without_repeats(without_own_body(recording), usable)
-    recording = facing(in_step(recording, compared_turns(recording)))
+    turns = compared_turns(recording)
+    if turns.alike:
+        recording = facing(in_step(recording, turns))
+    elif config.front_end != "wheels":
+        recording = _without_odometry(recording)
     recording = with_gyro(recording) if config.gyro else recording
     motion, clouds_of, track = _tracked(recording, run, config)
-    if config.front_end != "wheels" and track.calibration.tells_nothing:
-        recording = _without_odometry(recording)
-        motion, clouds_of, track = _tracked(recording, run, config)
     ranges = _range_errors(recording, clouds_of, track, config)
     if ranges != RangeCalibration():
         recording = ranges.applied(recording)
@@ -256,8 +257,8 @@ def _session(recording: Recording, run: _Run) -> Session:
 
 
 def _without_odometry(recording: Recording) -> Recording:
-    """The recording without an odometry that the scans contradict from end to end: another drive's, say."""
-    said = "the scans contradict the odometry nearly everywhere: it is not used"
+    """The recording without an odometry that does not turn when the scans do: another drive's, say."""
+    said = "the odometry does not turn when the scans do, as if it were that of another drive: not used"
     return replace(recording, T_odom_base=None, odometry=None, notes=(*recording.notes, said))
 
 

@@ -85,7 +85,8 @@ def localise(
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
-    recording = facing(in_step(recording, compared_turns(recording)))
+    turns = compared_turns(recording)
+    recording = facing(in_step(recording, turns)) if turns.alike else recording
     truth = None if truth is None else truth_folder(truth)
     true_trajectory = None if truth is None else load_tum(truth / "trajectory.tum")
     odometry = checked_odometry(recording)

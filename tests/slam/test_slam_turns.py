@@ -53,7 +53,7 @@ def test_a_delay_is_found_and_undone(turning, seconds):
     recording = late(turning.recording, seconds)
     timing = compared_turns(recording)
     found = timing.late_s
-    assert timing == (pytest.approx(seconds, abs=0.03), False, None)
+    assert timing == (pytest.approx(seconds, abs=0.03), False, None, True)
     mended = in_step(recording, timing)
     inside = slice(10, -10)  # beyond its ends the odometry is held
     expected = turning.recording.T_odom_base[inside]
@@ -93,6 +93,20 @@ def test_a_robot_that_never_turns_shows_no_delay():
     assert compared_turns(late(log.recording, 0.5)) == IN_STEP
 
 
+def test_the_odometry_of_another_drive_is_known_by_its_turns():
+    log = drive(replace(lds(), range_max=8.0), route=ROUTE[:3])
+    own = log.recording.T_odom_base
+    for other in (own[::-1], SE2(np.zeros_like(own.xyt)), SE2(own.xyt * [1.0, 1.0, -0.5])):
+        assert compared_turns(replace(log.recording, T_odom_base=other, odometry=None)) == (
+            0.0,
+            False,
+            None,
+            False,
+        )
+    late_and_off = late(log.recording, 0.4)
+    assert compared_turns(late_and_off).alike
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("log", ["turning", "paired"])
 @pytest.mark.parametrize("seconds", [0.0, 0.4])
@@ -100,7 +114,7 @@ def test_a_lidar_said_to_hang_the_wrong_way_up_is_turned_over(log, seconds, requ
     recording = request.getfixturevalue(log).recording
     wrong = late(replace(recording, lidar=turned_over(recording.lidar)), seconds)
     timing = compared_turns(wrong)
-    assert timing == (pytest.approx(seconds, abs=0.06), True, None)
+    assert timing == (pytest.approx(seconds, abs=0.06), True, None, True)
     mended = in_step(wrong, timing)
     np.testing.assert_allclose(mended.lidar.angles, recording.lidar.angles)
     assert mended.notes[0].startswith("scans and odometry turn in opposite directions")
@@ -117,7 +131,7 @@ def test_sweeps_said_to_turn_the_other_way_or_to_take_no_time_are_undone(turning
     lidar = replace(recording.lidar, time_increment=-true if said == "reversed" else 0.0)
     wrong = replace(recording, lidar=turned_over(lidar) if over else lidar)
     timing = compared_turns(wrong)
-    assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01))
+    assert timing == (pytest.approx(seconds, abs=0.06), over, pytest.approx(true, rel=0.01), True)
     mended = in_step(wrong, timing)
     assert mended.lidar.time_increment == pytest.approx(true, rel=0.01)
     assert ("in the opposite direction" in mended.notes[0]) is (said == "reversed")
