@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
 
@@ -91,7 +92,7 @@ def agreeing_sets(found: Sequence[Recognised], agree: NDArray[np.bool_]) -> list
     sets = []
     while left:
         among = np.array(sorted(left))
-        grown = [_grow(seed, among, agree, overlap) for seed in among.tolist()]
+        grown = [_grow(seed, among, agree, overlap).tolist() for seed in among.tolist()]
         best = max(grown, key=lambda members: (support(found, members), len(members)))
         sets.append(sorted(best))
         left -= set(best)
@@ -103,15 +104,29 @@ def support(found: Sequence[Recognised], members: Sequence[int]) -> int:
     return len({found[k].i for k in members})
 
 
-def _grow(seed: int, left: NDArray[np.int64], agree: NDArray[np.bool_], overlap: Array) -> list[int]:
+@njit(cache=True)
+def _grow(seed: int, left: NDArray, agree: NDArray, overlap: Array) -> NDArray:
+    """The set grown from one place among those `left` (n,): next comes whichever agrees with most that may
+    still come, of several the one that fits best."""
     members, candidates = [seed], left[(left != seed) & agree[seed, left]]
-    while len(candidates):
-        inside = np.count_nonzero(agree[np.ix_(candidates, candidates)], axis=1)
-        best = np.where(inside == inside.max(), overlap[candidates], -np.inf).argmax()
-        chosen = int(candidates[best])
+    inside = np.zeros(len(candidates), dtype=np.int64)
+    for a in range(len(candidates)):
+        for b in range(len(candidates)):
+            inside[a] += agree[candidates[a], candidates[b]]
+    while len(candidates) > 0:
+        best = 0
+        for a in range(1, len(candidates)):
+            more = inside[a] - inside[best]
+            if more > 0 or (more == 0 and overlap[candidates[a]] > overlap[candidates[best]]):
+                best = a
+        chosen = candidates[best]
         members.append(chosen)
-        candidates = candidates[(candidates != chosen) & agree[chosen, candidates]]
-    return members
+        stays = np.array([k != chosen and agree[chosen, k] for k in candidates])
+        for gone in candidates[~stays]:
+            for a in range(len(candidates)):
+                inside[a] -= agree[candidates[a], gone]
+        candidates, inside = candidates[stays], inside[stays]
+    return np.array(members)
 
 
 def competing(

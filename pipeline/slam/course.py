@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.calibration import Calibration, calibrate
-from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES, Clouds
+from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.correlative import Field, best_pose, make_field
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed, require_placed
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
@@ -153,8 +153,7 @@ class Course:
         self.pose = placed.T_track_base
         self.poses.append(self.pose)
         self._placed.append(placed)
-        some_lines = self.clouds.lines(self.scan) >= MIN_LINES
-        self._usable.append(some_lines or self.clouds.placed_by(self.scan) == "points")
+        self._usable.append(self.clouds.placed_by(self.scan) != "nothing")
 
     def _moved_enough(self, pose: Array) -> bool:
         delta, config = between(self.key_poses[-1], pose), self.config

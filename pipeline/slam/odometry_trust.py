@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
+import math
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.se2 import SE2, Array, between, compose
+from turtlebag.datasets.kernels import njit
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import contradiction
 from turtlebag.pipeline.slam.calibration import GROSS
@@ -18,8 +19,6 @@ from turtlebag.pipeline.slam.track import AGREE, AGREE_M, OdometryNoise, Track, 
 # A step of the odometry is a lie when scan and odometry are this many standard deviations apart; so many of
 # its last steps are taken together.
 LIE_SIGMAS, RECENT = 2.5, 5
-# Wheels are asked for the way ahead and the turn: they do not see that the robot slides sideways.
-ASKED = np.array([True, False, True])
 # So many lies in a row are wheels that slip; one is a jump, or odometry held back for a moment.
 SEVERAL = 3
 
@@ -76,49 +75,116 @@ class OdometryTrust:
     """
 
     def __init__(self, noise: OdometryNoise) -> None:
-        self._noise = noise
-        self._odometry = np.zeros(3)
+        self._noise, self._last = noise, np.zeros((RECENT + 1, 2, 3))
         self.forget()
 
     def forget(self) -> None:
         """Nothing is known of them any more."""
-        self._lies, self._last = 0, deque[tuple[Array, Array]](maxlen=RECENT + 1)
+        self._held, self._lies = 0, 0
 
     @property
     def believed(self) -> bool:
         """Whether its next step is believed."""
         return self._lies < SEVERAL
 
-    def judge(
-        self, odometry_step: Array, T_map_base: Array, seen: Array, *, independent: bool = True
-    ) -> None:
+    def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie, about the way ahead or the turn, is one of the last steps together, and of the last of them: a
-        jump is over at once. Wheels at rest confirm nothing, nor do those that the pose may have been taken
-        from (not `independent`).
+        jump is over at once. Wheels at rest confirm nothing.
         """
-        self._odometry = compose(self._odometry, odometry_step)
-        self._last.append((self._odometry, T_map_base))
-        if len(self._last) < 2:
-            return
-        told, error = self._apart(-2)
-        surprising = ASKED & (error**2 * self._noise.information(told).diagonal() > LIE_SIGMAS**2)
-        if independent and not surprising.any() and moves(odometry_step, self._noise):
-            self._lies = 0
-        told, error = self._apart(0)
-        gross = np.abs(error) > GROSS * np.maximum(np.abs(told), np.abs(told + error))
-        # each by itself: scans that are blind along the way see the turn
-        alone = [np.diag(part) for part in np.diag(self._noise.information(told).diagonal())]
-        self._lies += any(
-            contradiction(error, alone[k], seen) > LIE_SIGMAS**2 for k in np.flatnonzero(surprising & gross)
+        floor, share = self._noise.floor, self._noise.share
+        self._held, self._lies = _judged(
+            self._last, self._held, self._lies, odometry_step, T_map_base, seen, True, floor, share
         )
 
-    def _apart(self, since: int) -> tuple[Array, Array]:
-        """The motion since an earlier scan by the odometry, and the scans' as seen from where it ends."""
-        (odometry, pose), (odometry_now, pose_now) = self._last[since], self._last[-1]
-        told = between(odometry, odometry_now)
-        return told, between(told, between(pose, pose_now))
+
+@njit(cache=True, nogil=True)
+def _judged(
+    last: Array,
+    held: int,
+    lies: int,
+    step: Array,
+    pose: Array,
+    seen: Array,
+    independent: bool,
+    floor: float,
+    share: float,
+) -> tuple[int, int]:
+    """`OdometryTrust.judge`: how many of `last` are held, and lies so far.
+
+    `last` (RECENT + 1, 2, 3) are poses by odometry and by the scans, the newest at its end. Odometry that the
+    pose may have been taken from (not `independent`) confirms nothing.
+    """
+    newest = _composed(last[-1, 0], step)
+    for k in range(len(last) - 1):
+        last[k] = last[k + 1]
+    last[-1, 0], last[-1, 1] = newest, pose
+    held = min(held + 1, len(last))
+    if held < 2:
+        return held, lies
+    limit = LIE_SIGMAS * LIE_SIGMAS
+    told, error = _apart(last[-2], last[-1])
+    sigma = _sigmas(told, floor, share)
+    surprising = (error / sigma) ** 2 > limit
+    moved = max(math.hypot(step[0], step[1]), abs(step[2])) > 2.0 * floor
+    if independent and moved and not (surprising[0] or surprising[2]):
+        lies = 0
+    told, error = _apart(last[-held], last[-1])
+    sigma = _sigmas(told, floor, share)
+    # each by itself: scans that are blind along the way see the turn; how far it slides no wheel sees
+    for k in (0, 2):
+        if surprising[k] and abs(error[k]) > GROSS * max(abs(told[k]), abs(told[k] + error[k])):
+            alone = np.zeros((3, 3))
+            alone[k, k] = sigma[k] ** -2.0
+            if contradiction(error, alone, seen) > limit:
+                return held, lies + 1
+    return held, lies
+
+
+@njit(cache=True, nogil=True)
+def _composed(a: Array, b: Array) -> Array:
+    """Pose `b` (3,), seen from pose `a` (3,), in the frame of `a`."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2]])
+
+
+@njit(cache=True, nogil=True)
+def _between(a: Array, b: Array) -> Array:
+    """Pose `b` (3,) seen from pose `a` (3,)."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy, turn = b[0] - a[0], b[1] - a[1], (b[2] - a[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return np.array([c * dx + s * dy, -s * dx + c * dy, turn])
+
+
+@njit(cache=True, nogil=True)
+def _apart(before: Array, now: Array) -> tuple[Array, Array]:
+    """The motion by the odometry (3,), and the scans' as seen from where it ends (3,)."""
+    told = _between(before[0], now[0])
+    return told, _between(told, _between(before[1], now[1]))
+
+
+@njit(cache=True, nogil=True)
+def _sigmas(motion: Array, floor: float, share: float) -> Array:
+    """As in `OdometryNoise`, (3,)."""
+    way = math.hypot(motion[0], motion[1])
+    return floor + share * np.array([way, way, way + abs(motion[2])])
+
+
+@njit(cache=True, nogil=True)
+def _caught(
+    steps: Array, poses: Array, seen: Array, independent: NDArray, new: NDArray, floor: float, share: float
+) -> NDArray:
+    """Whether the odometry is not believed after each of its steps (n, 3), which end at `poses` (n, 3); at
+    those that are `new` (n,) nothing is known of what was before."""
+    caught = np.zeros(len(steps), dtype=np.bool_)
+    last, held, lies = np.zeros((RECENT + 1, 2, 3)), 0, 0
+    for k in range(len(steps)):
+        if new[k]:
+            held, lies = 0, 0
+        held, lies = _judged(last, held, lies, steps[k], poses[k], seen[k], independent[k], floor, share)
+        caught[k] = lies >= SEVERAL
+    return caught
 
 
 def disbelieved(
@@ -134,15 +200,10 @@ def disbelieved(
         return np.ones(n, dtype=bool)
     doubted = np.zeros(n, dtype=bool)
     for order in (np.arange(n), np.arange(n)[::-1]):
-        T = T_odom[order]
-        steps = track.calibration.corrected(T.steps())
-        wheels = OdometryTrust(noise)
-        new = np.isin(order[1:], borders if order[0] == 0 else borders - 1)
-        for scan, step, forget in zip(order[1:].tolist(), steps, new, strict=True):
-            if forget:
-                wheels.forget()
-            wheels.judge(step, poses[scan], track.information[scan], independent=not unseen[scan])
-            doubted[scan] |= not wheels.believed
+        steps, scans = track.calibration.corrected(T_odom[order].steps()), order[1:]
+        new = np.isin(scans, borders if order[0] == 0 else borders - 1)
+        seen = track.information[scans]
+        doubted[scans] |= _caught(steps, poses[scans], seen, ~unseen[scans], new, noise.floor, noise.share)
     return doubted
 
 
@@ -182,9 +243,3 @@ def unwitnessed(
         told = track.calibration.corrected(recording.T_odom_base.steps())
         way[1:] = np.maximum(way[1:], way_and_turn(told)[:, 0])
     return way * (unseen & alone)
-
-
-def moves(odometry_step: Array, noise: OdometryNoise) -> bool:
-    """Whether an odometry step (3,) stands out of its noise."""
-    way, turn = np.hypot(odometry_step[0], odometry_step[1]), abs(odometry_step[2])
-    return bool(max(way, turn) > 2.0 * noise.floor)

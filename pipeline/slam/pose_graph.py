@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -29,21 +30,23 @@ G2O_ORDER = {3: [0, 1, 2], 6: [3, 4, 5, 0, 1, 2]}
 class Gtsam:
     """GTSAM's factor graph; what `turtlebag.pipeline.slam.back_end.BackEnd` asks for, and in space too."""
 
+    def __init__(self) -> None:
+        # loop closure solves a graph that has grown a little, again and again
+        self._factors: WeakKeyDictionary[Constraint, Any] = WeakKeyDictionary()
+
     def optimise(self, T_map_keys: Poses, constraints: Sequence[Constraint], iterations: int = 30) -> Poses:
         """Least squares poses (n,) with the first one held; Levenberg-Marquardt."""
         import gtsam  # takes a quarter of a second, and most runs need no graph
 
         if isinstance(T_map_keys, SE2):
-            start, pose = T_map_keys.xyt, lambda xyt: gtsam.Pose2(*xyt)
-            prior, between = gtsam.PriorFactorPose2, gtsam.BetweenFactorPose2
+            start, pose, prior = T_map_keys.xyt, lambda xyt: gtsam.Pose2(*xyt), gtsam.PriorFactorPose2
         else:
-            start, pose = T_map_keys, gtsam.Pose3
-            prior, between = gtsam.PriorFactorPose3, gtsam.BetweenFactorPose3
+            start, pose, prior = T_map_keys, gtsam.Pose3, gtsam.PriorFactorPose3
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         held = gtsam.noiseModel.Diagonal.Sigmas(np.full(3 if isinstance(T_map_keys, SE2) else 6, 1e-6))
         graph.add(prior(0, pose(start[0]), held))
         for c in constraints:
-            graph.add(between(c.i, c.j, pose(c.T_i_j), noise_model(c)))
+            graph.add(self._factor(c))
         for k, T in enumerate(start):
             values.insert(k, pose(T))
         parameters = gtsam.LevenbergMarquardtParams()
@@ -54,6 +57,18 @@ class Gtsam:
             poses = [found.atPose2(k) for k in range(len(start))]
             return SE2.from_array(np.array([[p.x(), p.y(), p.theta()] for p in poses]))
         return np.array([found.atPose3(k).matrix() for k in range(len(start))])
+
+    def _factor(self, c: Constraint) -> Any:
+        import gtsam
+
+        factor = self._factors.get(c)
+        if factor is None:
+            if c.T_i_j.shape == (3,):
+                factor = gtsam.BetweenFactorPose2(c.i, c.j, gtsam.Pose2(*c.T_i_j), noise_model(c))
+            else:
+                factor = gtsam.BetweenFactorPose3(c.i, c.j, gtsam.Pose3(c.T_i_j), noise_model(c))
+            self._factors[c] = factor
+        return factor
 
 
 GTSAM = Gtsam()

@@ -1,4 +1,4 @@
-"""Alignment, pairs and denials, compiled, beside plain NumPy with numerical derivatives."""
+"""What is compiled - alignment, pairs, denials, sets of places, trust in odometry - beside plain NumPy."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.slam_rooms import LDS, ROOM, recording
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam.align import (
     FAKED,
     PRIOR_SHARE,
@@ -19,12 +19,17 @@ from turtlebag.pipeline.slam.align import (
     _wrap,
     align,
     align_kernel,
+    contradiction,
     observable,
 )
+from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.consistency import _grow
+from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
 from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.selfcheck import denied_shares
+from turtlebag.pipeline.slam.track import OdometryNoise
 
 POSES = np.array([[1.2, 1.0, 0.0], [1.8, 1.5, 1.0], [1.4, 2.0, -1.0], [5.0, 4.6, 3.0], [1.5, 1.2, 0.3]])
 
@@ -315,3 +320,72 @@ def test_a_point_is_confirmed_near_what_the_other_saw_and_denied_where_it_saw_th
         found = denied_shares(clouds, keys, poses, pairs, wall, through)
         np.testing.assert_allclose(found, expected)
     assert np.nanmax(found) > 0.1
+
+
+def grown_plainly(seed, left, agree, overlap):
+    members, candidates = [seed], [k for k in left if k != seed and agree[seed, k]]
+    while candidates:
+        inside = {k: sum(agree[k, other] for other in candidates) for k in candidates}
+        chosen = max(candidates, key=lambda k: (inside[k], overlap[k], -k))
+        members.append(chosen)
+        candidates = [k for k in candidates if k != chosen and agree[chosen, k]]
+    return members
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sets_of_places_grow_as_a_plain_search_grows_them(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 14))
+    upper = np.triu(rng.random((n, n)) < rng.random(), 1)
+    agree, overlap = upper | upper.T, np.round(rng.random(n), 1)
+    left = np.flatnonzero(rng.random(n) < 0.8)
+    for place in left.tolist():
+        assert _grow(place, left, agree, overlap).tolist() == grown_plainly(place, left, agree, overlap)
+
+
+def judged_plainly(steps, poses, seen, noise):
+    """Whether the odometry is believed after each step: `OdometryTrust` by its words, on SE2 poses."""
+    odometry, lies, said = [np.zeros(3)], 0, []
+    for k, step in enumerate(steps):
+        odometry.append(moved_by(odometry[-1], step))
+        told, error = {}, {}
+        for since in {max(k - RECENT, 0), max(k - 1, 0)}:
+            told[since] = between(odometry[since + 1], odometry[-1])
+            error[since] = between(told[since], between(poses[since], poses[k]))
+        if k > 0:
+            first, last = max(k - RECENT, 0), k - 1
+            sigma = np.diag(noise.information(told[last])) ** -0.5
+            surprising = np.abs(error[last]) > LIE_SIGMAS * sigma
+            if max(np.hypot(*step[:2]), abs(step[2])) > 2.0 * noise.floor and not surprising[[0, 2]].any():
+                lies = 0
+            caught = False
+            for axis in (0, 2):
+                alone = np.zeros((3, 3))
+                alone[axis, axis] = noise.information(told[first])[axis, axis]
+                most = max(abs(told[first][axis]), abs(told[first][axis] + error[first][axis]))
+                gross = abs(error[first][axis]) > GROSS * most
+                apart = contradiction(error[first], alone, seen[k]) > LIE_SIGMAS**2
+                caught |= bool(surprising[axis] and gross and apart)
+            lies += caught
+        said.append(lies < SEVERAL)
+    return said
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_odometry_is_judged_as_in_plain_numpy(seed):
+    rng, noise = np.random.default_rng(seed), OdometryNoise()
+    steps = np.column_stack([rng.uniform(0.0, 0.2, 60), np.zeros(60), rng.normal(0.0, 0.1, 60)])
+    lies = np.repeat(rng.random(12) < 0.7, 5)
+    true = np.where(lies[:, None], steps * rng.choice([0.0, -1.0, 3.0], (60, 3)), steps)
+    true += rng.normal(0.0, 0.003, (60, 3))
+    poses = [np.zeros(3)]
+    for step in true:
+        poses.append(moved_by(poses[-1], step))
+    blind = rng.random(60) < 0.3
+    seen = np.where(blind[:, None, None], np.diag([0.0, 1e4, 1e5]), np.diag([1e4, 1e4, 1e5]))
+    trust, said = OdometryTrust(noise), []
+    for step, pose, saw in zip(steps, poses[1:], seen, strict=True):
+        trust.judge(step, pose, saw)
+        said.append(trust.believed)
+    assert said == judged_plainly(steps, poses[1:], seen, noise)
+    assert len(set(said)) == 2
