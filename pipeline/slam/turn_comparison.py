@@ -109,9 +109,10 @@ def compared_turns(recording: Recording) -> Timing:
         T_odom_base=recording.T_odom_base[thin],
         odometry=stream,
     )
+    noise = range_noise(scans, USABLE_M)
     late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual)
     for _ in range(ROUNDS):
-        turns = _turns(scans, late_s)
+        turns = _turns(scans, late_s, noise)
         found, against = _delay(turns)
         if against and not over:
             scans, over = replace(scans, lidar=turned_over(scans.lidar)), True
@@ -119,7 +120,7 @@ def compared_turns(recording: Recording) -> Timing:
         settled = scans.lidar.time_increment == 0.0 or abs(found - late_s) < LEAST_S / 2.0
         late_s = found
         if settled:
-            other, others = _other_sweep(scans, late_s, turns, others), []
+            other, others = _other_sweep(scans, late_s, noise, turns, others), []
             if other is None:
                 break
             sweep, scans = other, _sweeping(scans, other)
@@ -142,11 +143,13 @@ def _sweeping(recording: Recording, time_increment: float) -> Recording:
     return replace(recording, lidar=replace(recording.lidar, time_increment=time_increment))
 
 
-def _other_sweep(scans: Recording, late_s: float, turns: _Turns, others: Sequence[float]) -> float | None:
+def _other_sweep(
+    scans: Recording, late_s: float, noise: RangeNoise, turns: _Turns, others: Sequence[float]
+) -> float | None:
     """The one of other times from beam to beam [s] with which scans and odometry surely agree better."""
     best, gained = None, 0.0
     for time_increment in others:
-        other = _turns(_sweeping(scans, time_increment), late_s)
+        other = _turns(_sweeping(scans, time_increment), late_s, noise)
         sigma = min(turns.sigma, other.sigma)
         gain = turns.least(sigma) - other.least(sigma)
         if _surely(gain) and gain.sum() > gained:
@@ -224,9 +227,8 @@ def _stretches(scans: Recording) -> list[NDArray[np.int64]]:
     return [start + np.arange(SCANS) for start in starts[chosen]]
 
 
-def _turns(scans: Recording, late_s: float) -> _Turns:
+def _turns(scans: Recording, late_s: float, noise: RangeNoise) -> _Turns:
     """How scans and odometry turn, the sweeps undone as of an odometry so much late."""
-    noise = range_noise(scans, USABLE_M)
     spans = [_turned(scans, late_s, stretch, noise) for stretch in _stretches(scans)]
     stream = _stream(scans)
     times, yaw = (stream.stamps_ns - scans.stamps_ns[0]) * 1e-9, np.unwrap(stream.poses.yaw)
