@@ -84,8 +84,8 @@ def _true_front_end(truth: SE2) -> Maker:
 def _true_loops(truth: SE2) -> Callable[..., Closed]:
     def closed(*open_graph: Any) -> Closed:
         found = close_graph(*open_graph)
-        _, keys, T_map_keys, _, steps, *_ = open_graph
-        T = truth[keys]
+        scans, T_map_keys, _, steps, *_ = open_graph
+        T = truth[scans.keys]
         loops = [Constraint(x.j, x.i, (T[x.j].inverse() @ T[x.i]).xyt, SURE, "loop") for x in found.record]
         poses = optimise(T_map_keys, [*steps, *loops]) if loops else T_map_keys
         return replace(found, T_map_keys=poses, steps=steps, loops=loops)

@@ -83,6 +83,13 @@ class Clouds(NamedTuple):
         return "points" if points >= MIN_LINES else "nothing"
 
 
+class KeyScans(NamedTuple):
+    """The key scans of a log: `keys` (k,) are their numbers in the clouds."""
+
+    clouds: Clouds
+    keys: NDArray[np.int64]
+
+
 PER_POINT = ("points", "normals", "centers", "line_ok", "point_var", "normal_var")
 """The arrays of Clouds with a row for each point."""
 

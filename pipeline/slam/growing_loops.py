@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, compose
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
-from turtlebag.pipeline.slam.loops import Loop, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig, LoopFinder
 
 # So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
 WAITING = 8
@@ -23,7 +23,8 @@ class GrowingLoops(LoopFinder):
     """`LoopFinder` of key scans that come one by one; `poses` (n, 3) are those of all of them."""
 
     def __init__(self, clouds: Clouds, pose: Array, config: LoopConfig) -> None:
-        super().__init__(clouds, np.zeros(1, np.int64), SE2(pose[None]), [], config, np.zeros(1, np.int64))
+        first = np.zeros(1, np.int64)
+        super().__init__(KeyScans(clouds, first), SE2(pose[None]), [], LoopClosing(config), first)
         self.sigma_m: float | None = None
         """Standard deviation of the newest key searched, as seen from the first one [m]."""
         self._told = np.zeros((0, 3, 3))

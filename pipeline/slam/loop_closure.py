@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.back_end import solved
+from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD, NO_EDITS, KeyEdits
+from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
-from turtlebag.pipeline.slam.pose_graph import GTSAM
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
@@ -41,15 +40,13 @@ def unclosed(T_map_keys: SE2, chain: Chain, steps: list[Constraint]) -> Closed:
 
 
 def close_graph(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     T_map_keys: SE2,
     chain: Chain,
     steps: list[Constraint],
-    configs: tuple[LoopConfig, RecallConfig],
+    by_distance: LoopClosing,
+    by_looks: RecallConfig,
     progress: Progress,
-    edits: KeyEdits = NO_EDITS,
-    back_end: BackEnd = GTSAM,
 ) -> Closed:
     """Close all loops of a track.
 
@@ -57,49 +54,41 @@ def close_graph(
     join parts and tell the drift; keys without a loop are then looked for by distance again, from there.
     What a person added comes before all that; what was rejected is not tried.
     """
-    by_distance, by_looks = configs
-    added, T_map_keys = _added(clouds, keys, T_map_keys, chain, steps, by_distance, edits, back_end)
-    known = [by_distance.constraint(loop) for loop in added if loop.accepted]
+    added, T_map_keys = _added(scans, T_map_keys, chain, steps, by_distance)
+    known = [by_distance.config.constraint(loop) for loop in added if loop.accepted]
+    n = len(scans.keys)
 
     def close(start: SE2, part: NDArray[np.int64], known: list[Constraint]) -> LoopFinder:
-        batches = progress(range(-(-len(keys) // BATCH)), "closing loops", -(-len(keys) // BATCH))
-        return close_loops(clouds, keys, start, steps, by_distance, batches, part, known, edits, back_end)
+        batches = progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH))
+        return close_loops(scans, start, steps, by_distance, batches, part, known)
 
     finder = close(T_map_keys, chain.segments(), known)
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], chain.broken)
-    found = recall(
-        clouds, keys, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance, edits, back_end
-    )
+    found = recall(scans, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
     record = [*added, *finder.record]
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
         record = [*added, *(loop for loop in finder.record if loop.accepted)]
         finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
         record += finder.record
-    unbridged = chain.broken & ~found.released & ~_spanned(record, len(keys))
+    unbridged = chain.broken & ~found.released & ~_spanned(record, n)
     return Closed(SE2(finder.poses), steps, finder.loops, record, found.record, unbridged)
 
 
 def _added(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
-    T_map_keys: SE2,
-    chain: Chain,
-    steps: list[Constraint],
-    config: LoopConfig,
-    edits: KeyEdits,
-    back_end: BackEnd,
+    scans: KeyScans, T_map_keys: SE2, chain: Chain, steps: list[Constraint], closing: LoopClosing
 ) -> tuple[list[Loop], SE2]:
     """The loops that a person added, aligned and judged like all, and the poses that those believed give."""
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, chain.segments())
-    added = [finder.match_from(i, j, T_j_i, HAND_M, HAND_RAD) for i, j, T_j_i in edits.added]
-    loops = [config.constraint(loop) for loop in added if loop.accepted]
+    finder = LoopFinder(scans, T_map_keys, steps, closing, chain.segments())
+    added = [finder.match_from(i, j, T_j_i, HAND_M, HAND_RAD) for i, j, T_j_i in closing.edits.added]
+    loops = [closing.config.constraint(loop) for loop in added if loop.accepted]
     if not loops:
         return added, T_map_keys
     # first without kernels: from far away they would take every loop for an outlier
     firm = [replace(loop, soft=0.0) for loop in loops]
-    return added, solved(back_end, solved(back_end, T_map_keys, [*steps, *firm]), [*steps, *loops])
+    roughly = solved(closing.back_end, T_map_keys, [*steps, *firm])
+    return added, solved(closing.back_end, roughly, [*steps, *loops])
 
 
 def _spanned(record: list[Loop], n_keys: int) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
@@ -72,6 +72,15 @@ class LoopConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
+class LoopClosing:
+    """How loops are closed: by which settings, what a person said of them, and what solves the graph."""
+
+    config: LoopConfig
+    edits: KeyEdits = NO_EDITS
+    back_end: BackEnd = GTSAM
+
+
+@dataclass(frozen=True, eq=False)
 class Loop:
     """One candidate and what became of it: key indices, scores, verdict; `T_j_i` is (3,), in space (4, 4)."""
 
@@ -92,16 +101,13 @@ class Loop:
 
 
 def close_loops(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     T_map_keys: SE2,
     steps: Sequence[Constraint],
-    config: LoopConfig,
+    closing: LoopClosing,
     batches: Iterable[int],
     part: NDArray[np.int64],
     known: Sequence[Constraint] = (),
-    edits: KeyEdits = NO_EDITS,
-    back_end: BackEnd = GTSAM,
 ) -> LoopFinder:
     """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
@@ -109,9 +115,9 @@ def close_loops(
     broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
     poses with loops closed, the loop constraints, and the record of all candidates.
     """
-    finder = LoopFinder(clouds, keys, T_map_keys, steps, config, part, known, edits, back_end)
+    finder = LoopFinder(scans, T_map_keys, steps, closing, part, known)
     for batch in batches:
-        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(keys))))
+        finder.process(range(batch * BATCH, min((batch + 1) * BATCH, len(scans.keys))))
     return finder
 
 
@@ -219,19 +225,17 @@ class LoopFinder(LoopSearch):
 
     def __init__(
         self,
-        clouds: Clouds,
-        keys: NDArray[np.int64],
+        scans: KeyScans,
         T_map_keys: SE2,
         steps: Sequence[Constraint],
-        config: LoopConfig,
+        closing: LoopClosing,
         part: NDArray[np.int64],
         known: Sequence[Constraint] = (),
-        edits: KeyEdits = NO_EDITS,
-        back_end: BackEnd = GTSAM,
     ) -> None:
-        super().__init__(T_map_keys, steps, config, part, known, edits)
-        self.clouds, self.keys, self._closed = clouds, keys, {c.j for c in known}
-        self.matcher, self.back_end = config.matcher(), back_end
+        super().__init__(T_map_keys, steps, closing.config, part, known, closing.edits)
+        self.clouds, self.keys = scans
+        self._closed = {c.j for c in known}
+        self.matcher, self.back_end = closing.config.matcher(), closing.back_end
 
     def _query(self, i: int) -> Loop | None:
         """None, too, for a key that has its loop, or whose nearest place is held well enough already."""

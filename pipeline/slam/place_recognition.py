@@ -19,11 +19,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.se2 import SE2, Array, between
 from turtlebag.pipeline.slam.align import Alignment
-from turtlebag.pipeline.slam.back_end import BackEnd, solved
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.back_end import solved
+from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
-from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_match import (
     ROUGH,
@@ -33,8 +32,7 @@ from turtlebag.pipeline.slam.loop_match import (
     confirmed,
     require_alignment,
 )
-from turtlebag.pipeline.slam.loops import LoopConfig
-from turtlebag.pipeline.slam.pose_graph import GTSAM
+from turtlebag.pipeline.slam.loops import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.selfcheck import (
     MOST_PAIRS,
     NEAR_M,
@@ -93,26 +91,24 @@ class Recall:
 
 
 def recall(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     chain: Chain,
     known: Sequence[Constraint],
     config: RecallConfig,
-    by_distance: LoopConfig,
-    edits: KeyEdits = NO_EDITS,
-    back_end: BackEnd = GTSAM,
+    closing: LoopClosing,
 ) -> Recall:
     """Recognise places beyond the reach of the loops by distance.
 
-    `known` are those loops, `by_distance` how they are looked for, aligned and weighed.
+    `known` are those loops, `closing` how they are looked for, aligned and weighed.
     """
+    by_distance, edits, back_end = closing.config, closing.edits, closing.back_end
     poses = T_map_keys.xyt.copy()
     drift = drift_of(poses, steps, chain.broken)
-    found = _candidates(clouds, keys, drift, known, config, by_distance)
+    found = _candidates(scans, drift, known, config, by_distance)
     found = [place for place in found if not edits.rejects(place.i, np.array([place.j])).any()]
-    believed, record = _believed(clouds, keys, found, drift, config, by_distance)
+    believed, record = _believed(scans, found, drift, config, by_distance)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:
         return Recall(T_map_keys, [], record, part, released)
@@ -135,8 +131,7 @@ def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Co
 
 
 def _candidates(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     drift: Drift,
     known: Sequence[Constraint],
     config: RecallConfig,
@@ -148,11 +143,11 @@ def _candidates(
     """
     poses, found, reach_m = drift.T_map_keys, [], by_distance.reach_m
     matcher = by_distance.matcher()
-    places = windows(len(keys), drift.broken)
+    places = windows(len(scans.keys), drift.broken)
 
     @cache
     def submap(middle: int) -> Submap | None:
-        return make_submap(clouds, keys, poses, middle, places[middle])
+        return make_submap(*scans, poses, middle, places[middle])
 
     ways, first_visits = drift.ways(known), list[int]()
     for i in places:
@@ -175,13 +170,12 @@ def _candidates(
             for score, start in laid_on(query, others[k]):
                 near = np.hypot(*(start[:2] - guess[:2])) < allowed[others[k].middle]
                 if near:
-                    found.append(_settled(clouds, keys, query, others[k], start, score, config, matcher))
+                    found.append(_settled(scans, query, others[k], start, score, config, matcher))
     return found
 
 
 def _settled(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     query: Submap,
     other: Submap,
     start: Array,
@@ -190,6 +184,7 @@ def _settled(
     matcher: LoopMatch,
 ) -> Recognised:
     """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
+    clouds, keys = scans
     place, at_place = keys[other.keys[::2]], other.T_middle_keys[::2]
     middle, there = _alone(int(keys[query.middle])), Stretch(int(keys[other.middle]), place, at_place)
     pose = start
@@ -233,8 +228,7 @@ def _alone(scan: int) -> Stretch:
 
 
 def _believed(
-    clouds: Clouds,
-    keys: NDArray[np.int64],
+    scans: KeyScans,
     found: list[Recognised],
     drift: Drift,
     config: RecallConfig,
@@ -247,13 +241,13 @@ def _believed(
         return [], list(found)
     comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.inflation)
     verdicts = ["too few agree"] * len(places)
-    most = RIVAL_FACTOR * _usually_denied(clouds, keys, drift) + config.max_denied
+    most = RIVAL_FACTOR * _usually_denied(scans, drift) + config.max_denied
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):
         supporters = support(places, members)
         if supporters < config.min_support - 1:
             continue
-        denied = _laid_out(clouds, keys, [places[k] for k in members], drift)
+        denied = _laid_out(scans, [places[k] for k in members], drift)
         mean = float(denied.mean()) if len(denied) else 1.0
         if mean > most:
             _mark(verdicts, members, "the stretch contradicts the place")
@@ -284,12 +278,12 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
         verdicts[k] = verdict
 
 
-def _laid_out(clouds: Clouds, keys: NDArray[np.int64], stretch: list[Recognised], drift: Drift) -> Array:
+def _laid_out(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> Array:
     """Share of points denied in each revisit, with the whole stretch laid at its place.
 
     Keys are carried by the nearest recognised one, as far as drift cannot make a wall seem seen through.
     """
-    n, poses = np.arange(len(keys)), drift.T_map_keys
+    n, poses = np.arange(len(scans.keys)), drift.T_map_keys
     to_i = np.array([_off(drift, n, place.i) for place in stretch])
     to_j = np.array([_off(drift, n, place.j) for place in stretch])
     newer = np.flatnonzero((to_i.min(axis=0) < THROUGH_M) & (to_i.min(axis=0) < to_j.min(axis=0)))
@@ -301,24 +295,24 @@ def _laid_out(clouds: Clouds, keys: NDArray[np.int64], stretch: list[Recognised]
         moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
     near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
     pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
-    return _denied(clouds, keys, moved, pairs.reshape(-1, 2))
+    return _denied(scans, moved, pairs.reshape(-1, 2))
 
 
-def _usually_denied(clouds: Clouds, keys: NDArray[np.int64], drift: Drift) -> float:
+def _usually_denied(scans: KeyScans, drift: Drift) -> float:
     """Share of points that visits deny each other which drift cannot have parted: people, glass."""
     poses = drift.T_map_keys
     pairs = scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
     # of those far apart in time drift leaves none; a sample holds enough of the others
     pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
     off = reach(read_at(drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
-    denied = _denied(clouds, keys, poses, pairs[off < THROUGH_M])
+    denied = _denied(scans, poses, pairs[off < THROUGH_M])
     return float(denied.mean()) if len(denied) else 0.0
 
 
-def _denied(clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]) -> Array:
+def _denied(scans: KeyScans, poses: Array, pairs: NDArray[np.int64]) -> Array:
     """Share of points denied in each of some pairs (n, 2) of keys, of many in every second, third, ..."""
     some = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
-    return free_space_violations(clouds, keys, poses, some) if len(some) else np.zeros(0)
+    return free_space_violations(*scans, poses, some) if len(some) else np.zeros(0)
 
 
 def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:

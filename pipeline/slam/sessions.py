@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop, LoopConfig
+from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses
@@ -127,8 +127,9 @@ def place_of(clouds: Clouds, a: Session, b: Session, config: RecallConfig, loops
         asked = n + (len(keys) - n) // share
         steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]
         held = [c for c in told if max(c.i, c.j) < asked and c.kind not in STEPS]
-        log = clouds, keys[:asked], SE2(T[:asked]), steps, chain.first(asked - 1), held
-        found = [p for p in recall(*log, config, loops).record if p.verdict == "accepted" and p.j < n <= p.i]
+        log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, chain.first(asked - 1), held
+        record = recall(*log, config, LoopClosing(loops)).record
+        found = [place for place in record if place.verdict == "accepted" and place.j < n <= place.i]
         if found:
             best = max(found, key=lambda place: place.overlap)
             return SE2(T[best.j]) @ SE2(best.T_j_i) @ SE2(T[best.i]).inverse()

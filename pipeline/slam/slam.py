@@ -18,7 +18,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
-from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, sweep_motion, sweep_motion_by_track
+from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.course import Maker, track_log
 from turtlebag.pipeline.slam.edits import Edits, KeyEdits
@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
-from turtlebag.pipeline.slam.loops import Loop, LoopConfig
+from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps
@@ -375,9 +375,9 @@ def _optimised(
     closed = unclosed(track.T_track_base[keys], chain, steps)
     if config.loops.enabled and len(keys) > 2:
         loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
-        start, configs = closed.T_map_keys, (loops, config.recall)
+        scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
         closed = run.steps.close_graph(
-            clouds(), keys, start, chain, steps, configs, run.progress, edits, back_end
+            scans, closed.T_map_keys, chain, steps, closing, config.recall, run.progress
         )
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:

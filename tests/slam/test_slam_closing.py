@@ -5,9 +5,9 @@ from slam_rooms import ROOM, around_the_room, recording
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.align import Alignment
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.loop_closure import _spanned
-from turtlebag.pipeline.slam.loops import Loop, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig, LoopFinder
 
 
 def loop(i: int, j: int, verdict: str) -> Loop:
@@ -36,7 +36,8 @@ def test_a_loop_that_would_let_visits_see_through_walls_is_not_believed():
     log = recording(ROOM, true, odometry=true)
     keys = np.arange(0, 150, 4)
     T, clouds = SE2(true[keys]), make_clouds(log, 8.0)
-    finder = LoopFinder(clouds, keys, T, [], LoopConfig(min_score=0.01), np.zeros(len(keys), np.int64))
+    closing, part = LoopClosing(LoopConfig(min_score=0.01)), np.zeros(len(keys), np.int64)
+    finder = LoopFinder(KeyScans(clouds, keys), T, [], closing, part)
     finder.matcher = Trusting()
     i, j = len(keys) - 1, 0
     right = T[j].inverse() @ T[i]

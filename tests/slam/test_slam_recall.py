@@ -15,7 +15,7 @@ from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import place_recognition as recall
-from turtlebag.pipeline.slam.clouds import make_clouds
+from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.drift import drift_of
@@ -259,7 +259,7 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
         steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
         drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
         clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
-        recall._candidates(clouds, keys, drift, [], RecallConfig(), LoopConfig())
+        recall._candidates(KeyScans(clouds, keys), drift, [], RecallConfig(), LoopConfig())
     assert looked_at.count(looked_at[0]) == 2
     assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
@@ -280,7 +280,7 @@ def test_a_place_is_believed_where_visits_deny_each_other_little_more_than_usual
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
     found = [Recognised(i, i - 10, np.zeros(3), 1.0, 0.9, 0.0, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
     drift = drift_of(poses, steps, broken)
-    believed, record = recall._believed(None, np.arange(20), found, drift, RecallConfig(), LoopConfig())
+    believed, record = recall._believed(None, found, drift, RecallConfig(), LoopConfig())
     assert {place.verdict for place in record} == {verdict}
     assert len(believed) == (verdict == "accepted")
 
