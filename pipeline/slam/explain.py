@@ -14,7 +14,7 @@ from turtlebag.datasets.outputs import write_json
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.loop_search import Loop
 from turtlebag.pipeline.slam.occupancy import make_grid
 from turtlebag.pipeline.slam.pose_graph import mahalanobis, relative
 from turtlebag.pipeline.slam.selfcheck import hypothesis_shares

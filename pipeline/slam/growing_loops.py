@@ -13,7 +13,7 @@ from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.growing_graph import GrowingGraph, without
-from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
 
 # So many keys at most wait for their loops; each takes five scans at most, by which the graph then lags.
 WAITING = 8

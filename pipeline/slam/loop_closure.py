@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopClosing, LoopFinder, close_loops
+from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
 from turtlebag.pipeline.slam.track_breaks import Chain
 

@@ -32,7 +32,7 @@ from turtlebag.pipeline.slam.loop_match import (
     confirmed,
     require_alignment,
 )
-from turtlebag.pipeline.slam.loops import LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.selfcheck import (
     MOST_PAIRS,
     NEAR_M,

@@ -14,7 +14,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses

@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
 from turtlebag.pipeline.slam.gyro import with_gyro
 from turtlebag.pipeline.slam.loop_closure import Closed, Progress, close_graph, unclosed
-from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig
+from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps

@@ -28,7 +28,7 @@ from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker
 from turtlebag.pipeline.slam.clouds import KNOTS
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.loop_search import Loop
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.slam import LATER, SlamConfig

@@ -19,7 +19,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import BATCH, Loop, LoopConfig, LoopSearch
+from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopConfig, LoopSearch
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam3d.key_clouds import Keys, Places
 from turtlebag.pipeline.slam3d.open3d_match import featured, pose_by_features

@@ -16,7 +16,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_closure import Progress
-from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.loop_search import Loop
 from turtlebag.pipeline.slam.refine import RefineConfig
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.slam import Sensors, no_progress

@@ -13,7 +13,7 @@ from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.drivers import make_avoider
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
-from turtlebag.pipeline.slam.loops import MATCHERS
+from turtlebag.pipeline.slam.loop_search import MATCHERS
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import Gtsam
 from turtlebag.pipeline.slam.wheels import Wheels

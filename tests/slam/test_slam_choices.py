@@ -20,7 +20,7 @@ from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import Limits, LoopMatch, Stretch, confirmed
-from turtlebag.pipeline.slam.loops import MATCHERS
+from turtlebag.pipeline.slam.loop_search import MATCHERS
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.wheels import Wheels

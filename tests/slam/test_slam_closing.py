@@ -7,7 +7,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.loop_closure import _spanned
-from turtlebag.pipeline.slam.loops import Loop, LoopClosing, LoopConfig, LoopFinder
+from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig, LoopFinder
 
 
 def loop(i: int, j: int, verdict: str) -> Loop:

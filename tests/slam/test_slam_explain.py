@@ -12,7 +12,7 @@ from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.explain import loop_record, worst_edges
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.loops import Loop
+from turtlebag.pipeline.slam.loop_search import Loop
 
 KEYS = np.array([0, 4, 9, 15])
 POSES = SE2(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3], [2.0, 0.2, -0.5], [2.5, 1.5, 2.0]]))

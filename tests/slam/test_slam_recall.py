@@ -21,7 +21,7 @@ from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_tracking import Lines
-from turtlebag.pipeline.slam.loops import LoopConfig
+from turtlebag.pipeline.slam.loop_search import LoopConfig
 from turtlebag.pipeline.slam.place_recognition import RecallConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
