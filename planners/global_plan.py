@@ -25,7 +25,7 @@ from turtlebag.planners.costmap import Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.lattice import Lattice, inner_disc_joins
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
-from turtlebag.planners.oriented import free_from
+from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
@@ -193,7 +193,7 @@ def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
 def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
     """Length of the path up to the last place where the footprint touches something [m]."""
     xyt = np.ascontiguousarray(poses.xyt)
-    first = int(free_from(costmap.clearance, costmap.resolution, footprint, xyt))
+    first = int(free_from(Ground(costmap.clearance, costmap.resolution, footprint), xyt))
     return 0.0 if first == 0 else max(path_length(poses.xy[: first + 1]), 1e-9)
 
 
