@@ -16,7 +16,7 @@ from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
 from turtlebag.planners.oriented import Ground, free_from, pull, turning
-from turtlebag.planners.smoothing import densify
+from turtlebag.planners.smoothing import SPACING_M, densify
 from turtlebag.planners.wavefront import wave
 
 _REACH = range(-3, 4)
@@ -50,8 +50,8 @@ class Lattice:
         states = [ends(self._floor, pose.xyt)[0] for pose in (T_grid_start, T_grid_goal)]
         return all(map(len, states)) and bool(flood(self._floor, *states))
 
-    def way(self, T_grid_start: SE2, T_grid_goal: SE2, spacing: float) -> SE2 | None:
-        """Poses (n,) of a short way, `spacing` apart [m]; None when there is none."""
+    def way(self, T_grid_start: SE2, T_grid_goal: SE2) -> SE2 | None:
+        """Poses (n,) of a short way; None when there is none."""
         (starts, costs), (goals, _) = (ends(self._floor, T.xyt) for T in (T_grid_start, T_grid_goal))
         if len(starts) == 0 or len(goals) == 0:
             return None
@@ -68,19 +68,19 @@ class Lattice:
         # Pulled into a corner from which it does not turn on, the lattice's own steps; last, with slips.
         ways = (tight, *((points, _yaws(points, states[:, 2], first, last, slip)) for slip in (False, True)))
         for kept, yaws in ways:
-            poses = self._poses(kept, yaws, first, last, spacing)
+            poses = self._poses(kept, yaws, first, last)
             if free_from(self._ground, poses.xyt) == 0:
                 break
         return poses
 
-    def _poses(self, kept: Array, yaws: Array, first: float, last: float, spacing: float) -> SE2:
+    def _poses(self, kept: Array, yaws: Array, first: float, last: float) -> SE2:
         """Poses along straight drives between corners (m, 2) in headings (m - 1,)."""
         headings = np.concatenate([[first], yaws, [last]])
         angles = [
             turning(self._ground, point, old, new)
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
-        return _poses(kept, headings, np.array(angles), spacing)
+        return _poses(kept, headings, np.array(angles), SPACING_M)
 
 
 def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> bool:

@@ -33,8 +33,8 @@ class Floor(NamedTuple):
     """What the kernels search: the ground, and its states.
 
     `numbers` (rows, cols) are those of `number_cells`; `headings` (k, 2) are steps as columns and rows,
-    `yaws` (k,) their directions. `stands` and `turns` hold, for each narrow cell and heading, whether the footprint
-    stands free there, and turns on the spot to the next heading: 0 not looked at yet, 1 free, 2 not.
+    `yaws` (k,) their directions. `stands` and `turns` hold, for each narrow cell and heading, whether the
+    footprint stands free there, and turns on the spot to the next heading: 0 not looked at, 1 free, 2 not.
     """
 
     ground: Ground

@@ -19,7 +19,7 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
-from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.costmap import COST_SCALING, Costmap
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import (
     Field32,
@@ -281,8 +281,7 @@ def best_arc(
             if c.nose > 0.0:
                 cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:
-                # costmap_2d's inflation with turtlebot3's cost_scaling_factor 3.
-                cost += c.occupied * 252.0 * min(math.exp(-3.0 * (room - inscribed)), 1.0)
+                cost += c.occupied * 252.0 * min(math.exp(-COST_SCALING * (room - inscribed)), 1.0)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w

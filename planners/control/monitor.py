@@ -13,6 +13,9 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
+STEP_M = 0.01
+"""Spacing of the poses checked along the way."""
+
 
 class MonitorConfig(Settings, allow_inf_nan=False):
     """Metres and seconds."""
@@ -23,8 +26,6 @@ class MonitorConfig(Settings, allow_inf_nan=False):
     """Time at the commanded speed before braking is felt."""
     braking_share: float = Field(default=0.8, gt=0.0, le=1.0)
     """Part of the robot's own braking that is counted on."""
-    step: float = Field(default=0.01, gt=0.0)
-    """Spacing of the poses checked along the way [m]."""
 
 
 class CollisionMonitor:
@@ -58,7 +59,7 @@ class CollisionMonitor:
             v,
             w,
             horizon,
-            self.config.step / speed,
+            STEP_M / speed,
         )
         if free >= horizon:
             return 1.0
