@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
+# Two places whose agreement differs by less than this look alike.
+ALIKE = 0.05
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
 # Random particles are mixed in from this share on (less is people and boxes in view), and at most so many.
