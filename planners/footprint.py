@@ -18,6 +18,10 @@ from turtlebag.datasets.types import RobotModel
 Field32 = NDArray[np.float32]
 
 
+PITCH_M = 0.03
+"""How far points of the footprint may be apart: less than a cell."""
+
+
 class FootprintSamples(NamedTuple):
     """Points of the footprint's outline (n, 2) in the base frame [m], and its two radii [m]."""
 
@@ -26,7 +30,7 @@ class FootprintSamples(NamedTuple):
     circumscribed: float
 
 
-def sample_footprint(model: RobotModel, pitch: float) -> FootprintSamples:
+def sample_footprint(model: RobotModel, pitch: float = PITCH_M) -> FootprintSamples:
     """Outline points no further apart than `pitch`; the inner disc is checked by its centre."""
     corners = model.footprint
     points = []

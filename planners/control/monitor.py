@@ -39,7 +39,7 @@ class CollisionMonitor:
         self.config = config
         self._footprint = padded(model.footprint, config.padding)
         self._reach = model.circumscribed_radius + config.padding
-        self._samples = sample_footprint(model, 0.03)
+        self._samples = sample_footprint(model)
         self._braking = config.braking_share * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:

@@ -59,7 +59,7 @@ class Pursuit(Ramped):
             max_w=config.max_w,
             acceleration_share=config.acceleration_share,
         )
-        self.samples = sample_footprint(model, 0.03)
+        self.samples = sample_footprint(model)
         self.state = "idle"
         self._points = np.zeros((0, 2))
         self._lengths = np.zeros(0)
