@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import HALF_DIAGONAL
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
 from turtlebag.planners.oriented import Ground, free_from, pull, turning
 from turtlebag.planners.smoothing import SPACING_M, densify
@@ -89,8 +90,7 @@ def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_gr
     Where it does not nothing does; quick.
     """
     middle = 0.5 * (footprint.min(axis=0) + footprint.max(axis=0))
-    # Cells stand for all points within 0.71 of a cell of their centres.
-    floor = costmap.clearance > _inscribed(footprint - middle) - 0.71 * costmap.resolution
+    floor = costmap.clearance > _inscribed(footprint - middle) - HALF_DIAGONAL * costmap.resolution
     (r0, c0), (r1, c1) = (
         [int(v) for v in np.floor((pose @ middle)[::-1] / costmap.resolution)]
         for pose in (T_grid_start, T_grid_goal)

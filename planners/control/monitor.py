@@ -11,6 +11,7 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.interface import ACCELERATION_SHARE
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
 
 STEP_M = 0.01
@@ -24,8 +25,7 @@ class MonitorConfig(Settings, allow_inf_nan=False):
     """The footprint is checked this much larger."""
     reaction: float = Field(default=0.1, ge=0.0)
     """Time at the commanded speed before braking is felt."""
-    braking_share: float = Field(default=0.8, gt=0.0, le=1.0)
-    """Part of the robot's own braking that is counted on."""
+    braking_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
 
 
 class CollisionMonitor:

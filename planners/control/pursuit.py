@@ -10,7 +10,7 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import Ramped, ramped
+from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import Costmap
@@ -32,7 +32,9 @@ SETTLED = 0.012
 RELEASE_M = 0.028
 """Drifting this far off while turning makes the robot settle again."""
 BRAKING = 0.6
-"""Part of the asked braking that is planned with: what follows it lags."""
+"""Part of the asked braking that is planned with along the path."""
+GAIN = 1.5
+"""By how much of what is left [m, rad] it drives and turns on to the goal [1/s]."""
 
 
 class PursuitConfig(Settings, allow_inf_nan=False):
@@ -41,8 +43,7 @@ class PursuitConfig(Settings, allow_inf_nan=False):
     max_v: float = Field(default=2.0, gt=0.0)
     """Asked top speed; the robot's own limit is kept anyway."""
     max_w: float = Field(default=1.4, gt=0.0)
-    acceleration_share: float = Field(default=0.8, gt=0.0, le=1.0)
-    """Part of the robot's own acceleration and braking that is asked for."""
+    acceleration_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
     max_lateral: float = Field(default=1.2, gt=0.0)
     """Lateral acceleration in curves [m/s^2]."""
 
@@ -163,10 +164,10 @@ class Pursuit(Ramped):
                 v = min(
                     0.5 * self.limits.max_v,
                     math.sqrt(2.0 * 0.3 * self.limits.max_dv * distance),
-                    1.5 * distance,
+                    GAIN * distance,
                 )
                 v = max(v, 0.015) * (-1.0 if backwards else 1.0)
-                return Twist(v, 1.5 * steer)
+                return Twist(v, GAIN * steer)
         error = _wrap(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) < 0.02:
             self.state = "settle"
