@@ -17,7 +17,7 @@ from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import motion, sampling
 from turtlebag.pipeline.localisation.agreement import ALIKE, AgreementWatch
 from turtlebag.pipeline.localisation.beams import Beams, prepare
-from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster
+from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
 from turtlebag.pipeline.localisation.field import LikelihoodField, distance_field
 from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
@@ -26,8 +26,6 @@ from turtlebag.pipeline.localisation.push_detection import PushDetector
 
 # A place found by a search must explain so much more of the scan than where the robot seems to be.
 BETTER_BY = 0.1
-# The cloud counts as converged when its standard deviations are below these.
-CONVERGED_M, CONVERGED_RAD = 0.15, 0.1
 
 
 @dataclass
@@ -92,10 +90,7 @@ class Amcl:
     @property
     def converged(self) -> bool:
         """Whether the whole cloud is one narrow cluster."""
-        if self._at.estimate is None:
-            return False
-        std = np.sqrt(np.diag(self.covariance))
-        return bool(max(std[0], std[1]) <= CONVERGED_M and std[2] <= CONVERGED_RAD)
+        return self._at.estimate is not None and narrow(self.covariance)
 
     @property
     def T_map_odom(self) -> SE2:
