@@ -29,7 +29,6 @@ from benchmarks.navigate_rows import failures, refused_row, row_of, summary
 from benchmarks.rows import Row, Rows, options, write
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.navigation.episode import drive
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.setup import prepare
 from turtlebag.pipeline.stages.navigate import navigate_in
 from turtlebag.sim.simulator import Sensors, Simulator
@@ -93,7 +92,7 @@ def run(case: Case) -> Row:
     except InputError as error:
         return refused_row(case, str(error))
     with Simulator(case.world, case.robot, case.config.sim, case.seed) as simulator:
-        episode = drive(simulator, mission, NoBag(), lambda line: None)
+        episode = drive(simulator, mission)
     return row_of(case, episode, time.process_time() - started)
 
 

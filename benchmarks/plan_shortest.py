@@ -32,7 +32,7 @@ class Lattice(lattice.Lattice):
 
     def shortest(self, T_map_start: SE2, T_map_goal: SE2) -> float:
         """Length of the shortest way of the footprint [m]; inf when there is none on the lattice."""
-        field, res, corners = self._field, self._res, self._corners
+        ground, res = self._ground, self._ground.res
         ends = [self._costmap.T_grid_map @ T for T in (T_map_start, T_map_goal)]
         (r0, c0), (r1, c1) = ((int(T.y / res), int(T.x / res)) for T in ends)
         goals = np.array([(r1, c1, k) for k in range(lattice.N)])
@@ -43,6 +43,6 @@ class Lattice(lattice.Lattice):
             return math.inf
         points = (path[:, :2] + 0.5) * res
         points[0], points[-1] = ends[0].xy, ends[1].xy
-        tight, _ = pull(field, res, corners, densify(points, res), math.nan, math.nan)
-        again, _ = pull(field, res, corners, densify(tight[::-1].copy(), res), math.nan, math.nan)
+        tight, _ = pull(ground, densify(points, res), math.nan, math.nan)
+        again, _ = pull(ground, densify(tight[::-1].copy(), res), math.nan, math.nan)
         return min(path_length(points), path_length(tight), path_length(again))

@@ -10,27 +10,29 @@ from typing import Literal
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import Field
 
-from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
+from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.planners.distance import distance_field
 
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
-LETHAL_PERCENT = 65  # map_saver's own threshold of "occupied"
+SPECK_M2 = 0.06
+"""Unknown patches smaller than this inside seen floor count as free: gaps between beams."""
+ENTRY_M = 0.5
+"""How far from a robot that stands too near something its way may begin."""
+COST_SCALING = 3.0
+"""How fast costs fade with the distance d from an obstacle, exp(-3 d): turtlebot3's for costmap_2d."""
 TOUCH = 1e-6
 """A share of a cell: an outline along a border, but for rounding, reaches the cells on both sides of it."""
 
 
 class CostmapConfig(Settings, allow_inf_nan=False):
-    """Which cells count as obstacles; areas in m^2."""
+    """Which cells count as obstacles."""
 
     unknown: Literal["blocked", "free"] = "blocked"
     """Whether cells never seen stop the robot."""
-    speck_area: float = Field(default=0.06, ge=0.0)
-    """Unknown patches smaller than this [m^2] inside seen floor count as free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,25 +91,25 @@ def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
 
 def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Array] = ()) -> Costmap:
     """Costmap of an occupancy grid; `keepout` polygons, (n, 2) each in the map frame, are lethal."""
-    lethal = grid.cells >= LETHAL_PERCENT
+    lethal = grid.cells >= OCCUPIED_FROM
     if config.unknown == "blocked":
-        lethal |= _unknown_without_specks(grid, config.speck_area)
+        lethal |= _unknown_without_specks(grid)
     costmap = Costmap(lethal, grid.resolution, grid.T_map_grid)
     for polygon in keepout:
         costmap = costmap.with_lethal(polygon_mask(costmap, polygon))
     return costmap
 
 
-def _unknown_without_specks(grid: OccupancyGrid, speck_area: float) -> Mask:
-    """Unknown cells, without small patches amid free floor: gaps between beams.
+def _unknown_without_specks(grid: OccupancyGrid) -> Mask:
+    """Unknown cells, without small patches amid free floor.
 
     A patch that touches an occupied cell stays: it may be the inside of a pillar.
     """
     unknown = grid.cells == UNKNOWN
     labels, count = scipy.ndimage.label(unknown, structure=EIGHT_NEIGHBOURS)
     areas = np.bincount(labels.ravel(), minlength=count + 1) * grid.resolution**2
-    beside_occupied = scipy.ndimage.binary_dilation(grid.cells >= LETHAL_PERCENT, structure=EIGHT_NEIGHBOURS)
-    keep = areas >= speck_area
+    beside_occupied = scipy.ndimage.binary_dilation(grid.cells >= OCCUPIED_FROM, structure=EIGHT_NEIGHBOURS)
+    keep = areas >= SPECK_M2
     keep[np.unique(labels[beside_occupied & unknown])] = True
     return np.asarray(unknown & keep[labels], dtype=bool)
 

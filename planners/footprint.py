@@ -18,6 +18,12 @@ from turtlebag.datasets.types import RobotModel
 Field32 = NDArray[np.float32]
 
 
+HALF_DIAGONAL = 0.71
+"""No point of a cell is farther from its centre, in cells."""
+PITCH_M = 0.03
+"""How far points of the footprint may be apart: less than a cell."""
+
+
 class FootprintSamples(NamedTuple):
     """Points of the footprint's outline (n, 2) in the base frame [m], and its two radii [m]."""
 
@@ -26,7 +32,7 @@ class FootprintSamples(NamedTuple):
     circumscribed: float
 
 
-def sample_footprint(model: RobotModel, pitch: float) -> FootprintSamples:
+def sample_footprint(model: RobotModel, pitch: float = PITCH_M) -> FootprintSamples:
     """Outline points no further apart than `pitch`; the inner disc is checked by its centre."""
     corners = model.footprint
     points = []
@@ -102,8 +108,7 @@ def footprint_free(field: Field32, resolution: float, corners: Array, x: float, 
     row, col = math.floor(y / resolution), math.floor(x / resolution)
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return False
-    # The pose lies within 0.71 of a cell of its cell's centre.
-    if field[row, col] > reach + 0.71 * resolution:
+    if field[row, col] > reach + HALF_DIAGONAL * resolution:
         return True
     c, s = math.cos(yaw), math.sin(yaw)
     low_x, high_x, low_y, high_y = x, x, y, y

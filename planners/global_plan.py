@@ -21,14 +21,14 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
-from turtlebag.planners.costmap import Costmap, nearest_free
+from turtlebag.planners.costmap import COST_SCALING, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.lattice import Lattice, inner_disc_joins
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
-from turtlebag.planners.oriented import free_from
+from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
-from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
+from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
 from turtlebag.planners.wavefront import descend, wave
 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
@@ -61,10 +61,6 @@ class PlanConfig(Settings, allow_inf_nan=False):
     """Room is bought with length up to this times the shortest way with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Obstacles push the path away as far as this, beyond the disc itself."""
-    cost_scaling_factor: float = Field(default=3.0, gt=0.0, le=1000.0)
-    """How fast that push fades with distance, exp(-factor * d), as in costmap_2d."""
-    spacing: float = Field(default=0.05, ge=0.01, le=1.0)
-    """Distance between the path's poses."""
     replan_period: Seconds = 1.0
     """A blocked path is planned anew no more often than this [s]."""
     snap: float = Field(default=0.35, ge=0.0, le=10.0)
@@ -182,8 +178,8 @@ def _oriented_way(
     if not lattice.joins(start, goal):
         return None
     roomy = Lattice(costmap, model.footprint, max(ROOM, least))
-    way = roomy.way(start, goal, config.spacing) if roomy.joins(start, goal) else None
-    return lattice.way(start, goal, config.spacing) if way is None else way
+    way = roomy.way(start, goal) if roomy.joins(start, goal) else None
+    return lattice.way(start, goal) if way is None else way
 
 
 def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
@@ -193,7 +189,7 @@ def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
 def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
     """Length of the path up to the last place where the footprint touches something [m]."""
     xyt = np.ascontiguousarray(poses.xyt)
-    first = int(free_from(costmap.clearance, costmap.resolution, footprint, xyt))
+    first = int(free_from(Ground(costmap.clearance, costmap.resolution, footprint), xyt))
     return 0.0 if first == 0 else max(path_length(poses.xy[: first + 1]), 1e-9)
 
 
@@ -232,7 +228,7 @@ def _plan_poses(
         there = SE2(np.stack([start.xyt, goal.xyt]))
         return Plan(costmap.T_map_grid @ there, path_length(there.xy), 0.0, name)
     for run in range(POSE_RUNS):
-        poses = solve_poses(costmap, footprint, start, goal, config.ompl, config.spacing, seed + run)
+        poses = solve_poses(costmap, footprint, start, goal, config.ompl, seed + run)
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
     if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
@@ -322,7 +318,7 @@ class _Search:
 
     def tightened(self, path: Array) -> Array:
         """Corners (n, 2) of the path drawn tight like a string."""
-        dense = densify(path, self.config.spacing)
+        dense = densify(path, SPACING_M)
         pulled = self._band(dense, 0.0, TIGHT_PULL, TIGHT_SWEEPS)
         tight = shortcut(self.field, self.resolution, self.radius, pulled)
         return tight if path_length(tight) < path_length(path) else path
@@ -331,8 +327,8 @@ class _Search:
         """Points (n, 2) from start to goal, pushed off obstacles as far as the length limit lets them."""
         points = tight
         for push in BAND_PUSHES:
-            band = self._band(densify(tight, self.config.spacing), push, BAND_PULL, BAND_SWEEPS)
-            whole = np.concatenate([start[None], densify(band, 2.0 * self.config.spacing), goal[None]])
+            band = self._band(densify(tight, SPACING_M), push, BAND_PULL, BAND_SWEEPS)
+            whole = np.concatenate([start[None], densify(band, 2.0 * SPACING_M), goal[None]])
             points = _without_repeats(whole)
             if path_length(points) <= limit:
                 break
@@ -340,5 +336,5 @@ class _Search:
 
     def _band(self, dense: Array, push: float, pull: float, sweeps: int) -> Array:
         reach = max(self.config.inflation_radius, self.radius)
-        band = Band(reach, self.config.cost_scaling_factor, pull, push, sweeps)
+        band = Band(reach, COST_SCALING, pull, push, sweeps)
         return relax(self.field, self.resolution, self.radius, dense, band)

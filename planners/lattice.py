@@ -14,22 +14,16 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.footprint import HALF_DIAGONAL
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
-from turtlebag.planners.oriented import free_from, pull, turning
-from turtlebag.planners.smoothing import densify
+from turtlebag.planners.oriented import Ground, free_from, pull, turning
+from turtlebag.planners.smoothing import SPACING_M, densify
 from turtlebag.planners.wavefront import wave
 
-_OCTANT = ((1, 0), (3, 1), (2, 1), (3, 2))
+_REACH = range(-3, 4)
 HEADINGS = np.array(
     sorted(
-        {
-            (sx * a, sy * b)
-            for x, y in (*_OCTANT, (1, 1))
-            for a, b in ((x, y), (y, x))
-            for sx in (1, -1)
-            for sy in (1, -1)
-        },
-        key=lambda v: math.atan2(v[1], v[0]),
+        ((x, y) for x in _REACH for y in _REACH if math.gcd(x, y) == 1), key=lambda v: math.atan2(v[1], v[0])
     )
 )
 """Steps (32, 2) as columns and rows, counter-clockwise; the widest gap is 18.4 degrees."""
@@ -45,51 +39,49 @@ class Lattice:
     """The lattice of one map for one footprint (n, 2) that keeps `room` [m] to lethal cells' centres."""
 
     def __init__(self, costmap: Costmap, footprint: Array, room: float) -> None:
-        self._field, self._res = costmap.clearance, costmap.resolution
-        self._corners = padded(footprint, room) if room > 0.0 else footprint
-        outer = float(np.linalg.norm(self._corners, axis=1).max())
-        numbers, narrow = number_cells(self._field, _inscribed(self._corners), outer)
+        corners = padded(footprint, room) if room > 0.0 else footprint
+        self._ground = Ground(costmap.clearance, costmap.resolution, corners)
+        outer = float(np.linalg.norm(corners, axis=1).max())
+        numbers, narrow = number_cells(costmap.clearance, _inscribed(corners), outer)
         stands, turns = np.zeros((2, narrow * N), dtype=np.int8)
-        self._floor = Floor(
-            self._field, self._res, self._corners, numbers, stands, turns, HEADINGS, YAWS, BACKWARDS, TURN
-        )
+        self._floor = Floor(self._ground, numbers, stands, turns, HEADINGS, YAWS, BACKWARDS, TURN)
 
     def joins(self, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
         """Whether some way leads from one pose to the other."""
         states = [ends(self._floor, pose.xyt)[0] for pose in (T_grid_start, T_grid_goal)]
         return all(map(len, states)) and bool(flood(self._floor, *states))
 
-    def way(self, T_grid_start: SE2, T_grid_goal: SE2, spacing: float) -> SE2 | None:
-        """Poses (n,) of a short way, `spacing` apart [m]; None when there is none."""
+    def way(self, T_grid_start: SE2, T_grid_goal: SE2) -> SE2 | None:
+        """Poses (n,) of a short way; None when there is none."""
         (starts, costs), (goals, _) = (ends(self._floor, T.xyt) for T in (T_grid_start, T_grid_goal))
         if len(starts) == 0 or len(goals) == 0:
             return None
-        row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._res))
+        row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._ground.res))
         rest = wave(self._floor.numbers != BLOCKED, row, col, np.inf)
         states = shortest(self._floor, starts, costs, goals, rest)
         if len(states) == 0:
             return None
         points = np.concatenate(
-            [T_grid_start.xy[None], (states[:, :2] + 0.5) * self._res, T_grid_goal.xy[None]]
+            [T_grid_start.xy[None], (states[:, :2] + 0.5) * self._ground.res, T_grid_goal.xy[None]]
         )
         first, last = float(T_grid_start.yaw), float(T_grid_goal.yaw)
-        tight = pull(self._field, self._res, self._corners, densify(points, self._res), first, last)
+        tight = pull(self._ground, densify(points, self._ground.res), first, last)
         # Pulled into a corner from which it does not turn on, the lattice's own steps; last, with slips.
         ways = (tight, *((points, _yaws(points, states[:, 2], first, last, slip)) for slip in (False, True)))
         for kept, yaws in ways:
-            poses = self._poses(kept, yaws, first, last, spacing)
-            if free_from(self._field, self._res, self._corners, poses.xyt) == 0:
+            poses = self._poses(kept, yaws, first, last)
+            if free_from(self._ground, poses.xyt) == 0:
                 break
         return poses
 
-    def _poses(self, kept: Array, yaws: Array, first: float, last: float, spacing: float) -> SE2:
+    def _poses(self, kept: Array, yaws: Array, first: float, last: float) -> SE2:
         """Poses along straight drives between corners (m, 2) in headings (m - 1,)."""
         headings = np.concatenate([[first], yaws, [last]])
         angles = [
-            turning(self._field, self._res, self._corners, point, old, new)
+            turning(self._ground, point, old, new)
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
-        return _poses(kept, headings, np.array(angles), spacing)
+        return _poses(kept, headings, np.array(angles), SPACING_M)
 
 
 def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
@@ -98,8 +90,7 @@ def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_gr
     Where it does not nothing does; quick.
     """
     middle = 0.5 * (footprint.min(axis=0) + footprint.max(axis=0))
-    # Cells stand for all points within 0.71 of a cell of their centres.
-    floor = costmap.clearance > _inscribed(footprint - middle) - 0.71 * costmap.resolution
+    floor = costmap.clearance > _inscribed(footprint - middle) - HALF_DIAGONAL * costmap.resolution
     (r0, c0), (r1, c1) = (
         [int(v) for v in np.floor((pose @ middle)[::-1] / costmap.resolution)]
         for pose in (T_grid_start, T_grid_goal)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.planners.footprint import Field32, footprint_free
-from turtlebag.planners.oriented import drives, moves, turns
+from turtlebag.planners.oriented import Ground, drives, moves, turns
 from turtlebag.planners.wavefront import Wave
 
 BLOCKED, WIDE = -1, -2
@@ -23,24 +23,21 @@ SLIP = 4.0
 """What it costs to leave or reach a pose with a slip of a cell to the side; only where no drive does."""
 OCTILE = 0.92
 """A straight way over eight neighbours' length is no less than this."""
-NEAR_CELLS, NEAR_HEADINGS = 2, 2
-"""How far from start and goal the lattice is entered and left."""
+NEAR = 2
+"""How many cells and headings from start and goal the lattice is entered and left."""
 
 Numbers = NDArray[np.int32]
 
 
 class Floor(NamedTuple):
-    """What the kernels search: a clearance field [m] and its resolution, the footprint, and its states.
+    """What the kernels search: the ground, and its states.
 
-    `corners` (n, 2) is the footprint grown by the room it keeps; `numbers` (rows, cols) are those of
-    `number_cells`; `headings` (k, 2) are steps as columns and rows, `yaws` (k,) their directions. `stands`
-    and `turns` hold, for each narrow cell and heading, whether the footprint stands free there, and turns on
-    the spot to the next heading: 0 not looked at yet, 1 free, 2 not.
+    `numbers` (rows, cols) are those of `number_cells`; `headings` (k, 2) are steps as columns and rows,
+    `yaws` (k,) their directions. `stands` and `turns` hold, for each narrow cell and heading, whether the
+    footprint stands free there, and turns on the spot to the next heading: 0 not looked at, 1 free, 2 not.
     """
 
-    field: Field32
-    res: float
-    corners: Array
+    ground: Ground
     numbers: Numbers
     stands: NDArray[np.int8]
     turns: NDArray[np.int8]
@@ -76,15 +73,15 @@ def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
 
     The gaps are in cells. A wide cell counts once, with heading 0.
     """
-    field, res, corners = floor.field, floor.res, floor.corners
+    res = floor.ground.res
     rows, cols = floor.numbers.shape
     n = len(floor.yaws)
     x, y, yaw = pose[0], pose[1], pose[2]
     row, col = math.floor(y / res), math.floor(x / res)
-    out, gaps = np.empty((25 * n, 3), dtype=np.int64), np.empty(25 * n)
+    out, gaps = np.empty(((2 * NEAR + 1) ** 2 * n, 3), dtype=np.int64), np.empty((2 * NEAR + 1) ** 2 * n)
     count = 0
-    for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
-        for c in range(max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)):
+    for r in range(max(row - NEAR, 0), min(row + NEAR + 1, rows)):
+        for c in range(max(col - NEAR, 0), min(col + NEAR + 1, cols)):
             wide = floor.numbers[r, c] == WIDE
             if floor.numbers[r, c] == BLOCKED:
                 continue
@@ -92,10 +89,10 @@ def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
             for k in range(1 if wide else n):
                 there = yaw if wide else floor.yaws[k]
                 away = abs((there - yaw + math.pi) % (2.0 * math.pi) - math.pi)
-                if away > (NEAR_HEADINGS + 0.5) * 2.0 * math.pi / n:
+                if away > (NEAR + 0.5) * 2.0 * math.pi / n:
                     continue
-                reached = _reaches(field, res, corners, pose, cx, cy, there)
-                if reached or moves(field, res, corners, x, y, yaw, cx, cy, there):
+                reached = _reaches(floor.ground, pose, cx, cy, there)
+                if reached or moves(floor.ground, (x, y, yaw), (cx, cy, there)):
                     out[count, 0], out[count, 1], out[count, 2] = r, c, k
                     gaps[count] = 1.5 * math.hypot(cx - x, cy - y) / res + (0.0 if reached else SLIP)
                     count += 1
@@ -103,18 +100,14 @@ def ends(floor: Floor, pose: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 @njit(cache=True)
-def _reaches(field: Field32, res: float, corners: Array, pose: Array, x: float, y: float, yaw: float) -> bool:
+def _reaches(ground: Ground, pose: Array, x: float, y: float, yaw: float) -> bool:
     """Whether the robot turns, drives and turns from a pose (3,) to another."""
     a, b = pose[:2], np.array([x, y])
     if math.hypot(x - a[0], y - a[1]) < 1e-6:
-        return turns(field, res, corners, a, pose[2], yaw)
+        return turns(ground, a, pose[2], yaw)
     ahead = math.atan2(y - a[1], x - a[0])
     for way in (ahead, ahead + math.pi):
-        if (
-            turns(field, res, corners, a, pose[2], way)
-            and drives(field, res, corners, a, b, way)
-            and turns(field, res, corners, b, way, yaw)
-        ):
+        if turns(ground, a, pose[2], way) and drives(ground, a, b, way) and turns(ground, b, way, yaw):
             return True
     return False
 
@@ -160,9 +153,9 @@ def _free(floor: Floor, r: int, c: int, k: int, to: NDArray[np.int64]) -> bool:
         return _stands(floor, r, c, k, h) if h == (k + 1) % n else _stands(floor, r, c, h, k)
     if floor.numbers[r, c] == WIDE and floor.numbers[r1, c1] == WIDE and max(abs(r1 - r), abs(c1 - c)) <= 1:
         return True
-    a = np.array([(c + 0.5) * floor.res, (r + 0.5) * floor.res])
-    b = np.array([(c1 + 0.5) * floor.res, (r1 + 0.5) * floor.res])
-    return drives(floor.field, floor.res, floor.corners, a, b, floor.yaws[h])
+    res, yaw = floor.ground.res, floor.yaws[h]
+    there = ((c1 + 0.5) * res, (r1 + 0.5) * res, yaw)
+    return moves(floor.ground, ((c + 0.5) * res, (r + 0.5) * res, yaw), there)
 
 
 @njit(cache=True)
@@ -174,11 +167,12 @@ def _stands(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
     known = floor.stands if to == k else floor.turns
     at = number * len(floor.yaws) + k
     if known[at] == 0:
-        x, y = (c + 0.5) * floor.res, (r + 0.5) * floor.res
+        field, res, corners = floor.ground
+        x, y, yaw = (c + 0.5) * res, (r + 0.5) * res, floor.yaws[k]
         if to == k:
-            free = footprint_free(floor.field, floor.res, floor.corners, x, y, floor.yaws[k])
+            free = footprint_free(field, res, corners, x, y, yaw)
         else:
-            free = moves(floor.field, floor.res, floor.corners, x, y, floor.yaws[k], x, y, floor.yaws[to])
+            free = moves(floor.ground, (x, y, yaw), (x, y, floor.yaws[to]))
         known[at] = 1 if free else 2
     return bool(known[at] == 1)
 
@@ -190,7 +184,7 @@ def flood(floor: Floor, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> 
     Spreads from both in turn: the smaller of two parts that are not joined says no.
     """
     n = len(floor.headings)
-    reach = math.sqrt((floor.corners**2).sum(axis=1).max())
+    reach = math.sqrt((floor.ground.corners**2).sum(axis=1).max())
     # The headings reached of each cell as bits, by either side.
     reached = np.zeros((2, *floor.numbers.shape), dtype=np.int64)
     stacks = [[(np.int64(0), np.int64(0), np.int64(0))] for _ in range(2)]
@@ -210,7 +204,7 @@ def flood(floor: Floor, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> 
                 return False
             r, c, k = stacks[side].pop()
             # Amid wide cells the eight neighbours lead everywhere.
-            amid = floor.numbers[r, c] == WIDE and floor.field[r, c] > reach + 3.2 * floor.res
+            amid = floor.numbers[r, c] == WIDE and floor.ground.field[r, c] > reach + 3.2 * floor.ground.res
             for to in out[: _steps(floor, r, c, k, amid, out, costs)]:
                 bits = _bits(floor, to[0], to[1], to[2])
                 if reached[side, to[0], to[1]] & bits == bits or not _free(floor, r, c, k, to):

@@ -17,6 +17,8 @@ from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance import distance_field
 
 NEVER = -1.0e9
+REACH_M = 1.2
+"""How far round live obstacles the clearance is computed anew: more room than that nobody asks for."""
 
 
 class LiveConfig(Settings, allow_inf_nan=False):
@@ -24,15 +26,10 @@ class LiveConfig(Settings, allow_inf_nan=False):
 
     obstacle_range: float = Field(default=2.5, gt=0.0)
     """Beams that end beyond this mark nothing."""
-    raytrace_range: float = Field(default=3.5, gt=0.0)
     known: float = Field(default=0.14, ge=0.0)
     """A beam that ends this near an obstacle of the map shows nothing new."""
     decay: Seconds = Field(default=8.0, gt=0.0)
     """Seconds after which a mark that was not seen again is forgotten."""
-    period: Seconds = 0.08
-    """Sweeps that come sooner after one taken in are left out."""
-    reach: float = Field(default=1.2, gt=0.0)
-    """How far round live obstacles the clearance is computed anew."""
     hits: int = Field(default=2, ge=1)
     """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
 
@@ -58,9 +55,9 @@ class LiveLayer:
         """
         static, c = self.static, self.config
         x, y = (static.T_grid_map @ origin.xy).tolist()
-        beams = Beams(x, y, static.T_grid_map @ np.concatenate([hits, passes]), len(hits))
-        ranges = c.obstacle_range, c.raytrace_range, c.known
-        _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s, ranges)
+        ends = static.T_grid_map @ np.concatenate([hits, passes])
+        beams = Beams(x, y, ends, len(hits), c.obstacle_range, c.known)
+        _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
         live = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
         self.marked = int(live.sum())
@@ -84,10 +81,10 @@ class LiveLayer:
         self.costmap = self.static
 
     def _combined(self, live: Mask) -> Costmap:
-        """The lesser of both clearances: exact within `reach` of the live cells, and so everywhere."""
+        """The lesser of both clearances: exact within REACH_M of the live cells, and so everywhere."""
         static = self.static
         rows, cols = np.flatnonzero(live.any(axis=1)), np.flatnonzero(live.any(axis=0))
-        pad = math.ceil(self.config.reach / static.resolution)
+        pad = math.ceil(REACH_M / static.resolution)
         window = (
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
@@ -108,6 +105,8 @@ class Beams(NamedTuple):
     y: float
     ends: Array
     n_hits: int
+    obstacle_range: float
+    known: float
 
 
 @njit(cache=True)
@@ -118,22 +117,17 @@ def _mark_and_clear(
     resolution: float,
     beams: Beams,
     now_s: float,
-    ranges: tuple[float, float, float],
 ) -> None:
-    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it.
-
-    `ranges` are obstacle_range, raytrace_range and known of LiveConfig.
-    """
+    """Walk each beam in half-cell steps, clearing; then mark where it ended, unless the map knows it."""
     rows, cols = seen.shape
-    x, y, ends, n_hits = beams
-    obstacle_range, raytrace_range, known = ranges
+    x, y, ends, n_hits, obstacle_range, known = beams
     for k in range(ends.shape[0]):
         dx, dy = ends[k, 0] - x, ends[k, 1] - y
         length = math.hypot(dx, dy)
         if length < 1e-6:
             continue
         ux, uy = dx / length, dy / length
-        stop = min(length - (1.5 * resolution if k < n_hits else 0.0), raytrace_range)
+        stop = length - (1.5 * resolution if k < n_hits else 0.0)
         t = 0.0
         while t < stop:
             col, row = int((x + t * ux) / resolution), int((y + t * uy) / resolution)

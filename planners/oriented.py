@@ -1,12 +1,12 @@
 """Straight drives and turns on the spot of a footprint, checked cell by cell.
 
-`corners` (n, 2) is the footprint in the base frame, grown by the room it shall keep [m]; poses are in
-the grid frame of the clearance field.
+Poses (x, y, yaw) are in the grid frame of the clearance field.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,37 +18,41 @@ TURN_STEP = 0.1
 """Turns are checked this often [rad]."""
 
 
+class Ground(NamedTuple):
+    """A clearance field [m], its resolution, and who moves there.
+
+    `corners` (n, 2) is the footprint in the base frame, grown by the room it shall keep [m].
+    """
+
+    field: Field32
+    res: float
+    corners: Array
+
+
+Pose = tuple[float, float, float]
+
+
 @njit(cache=True)
-def moves(
-    field: Field32,
-    res: float,
-    corners: Array,
-    ax: float,
-    ay: float,
-    a_yaw: float,
-    bx: float,
-    by: float,
-    b_yaw: float,
-) -> bool:
+def moves(ground: Ground, a: Pose, b: Pose) -> bool:
     """Whether the footprint goes straight from one pose to another while it turns the shorter way."""
-    angle = (b_yaw - a_yaw + math.pi) % (2.0 * math.pi) - math.pi
-    length = math.hypot(bx - ax, by - ay)
-    steps = max(1, math.ceil(length / (0.5 * res)), math.ceil(abs(angle) / TURN_STEP))
+    field, res, corners = ground
+    dx, dy, angle = b[0] - a[0], b[1] - a[1], (b[2] - a[2] + math.pi) % (2.0 * math.pi) - math.pi
+    steps = max(1, math.ceil(math.hypot(dx, dy) / (0.5 * res)), math.ceil(abs(angle) / TURN_STEP))
     for i in range(steps + 1):
         f = i / steps
-        if not footprint_free(field, res, corners, ax + f * (bx - ax), ay + f * (by - ay), a_yaw + f * angle):
+        if not footprint_free(field, res, corners, a[0] + f * dx, a[1] + f * dy, a[2] + f * angle):
             return False
     return True
 
 
 @njit(cache=True)
-def drives(field: Field32, res: float, corners: Array, a: Array, b: Array, yaw: float) -> bool:
+def drives(ground: Ground, a: Array, b: Array, yaw: float) -> bool:
     """Whether the footprint moves straight from a to b (2,) in one heading."""
-    return moves(field, res, corners, a[0], a[1], yaw, b[0], b[1], yaw)
+    return moves(ground, (a[0], a[1], yaw), (b[0], b[1], yaw))
 
 
 @njit(cache=True)
-def turning(field: Field32, res: float, corners: Array, at: Array, old: float, new: float) -> float:
+def turning(ground: Ground, at: Array, old: float, new: float) -> float:
     """The free angle from one heading to another on the spot, the shorter one first; NaN: neither is."""
     if np.isnan(old) or np.isnan(new):
         return 0.0
@@ -57,7 +61,9 @@ def turning(field: Field32, res: float, corners: Array, at: Array, old: float, n
         steps = max(1, math.ceil(abs(angle) / TURN_STEP))
         free = True
         for i in range(steps + 1):
-            if not footprint_free(field, res, corners, at[0], at[1], old + angle * i / steps):
+            if not footprint_free(
+                ground.field, ground.res, ground.corners, at[0], at[1], old + angle * i / steps
+            ):
                 free = False
                 break
         if free:
@@ -66,15 +72,13 @@ def turning(field: Field32, res: float, corners: Array, at: Array, old: float, n
 
 
 @njit(cache=True)
-def turns(field: Field32, res: float, corners: Array, at: Array, old: float, new: float) -> bool:
+def turns(ground: Ground, at: Array, old: float, new: float) -> bool:
     """Whether the footprint turns on the spot from one heading to another, either way; NaN: any heading."""
-    return not np.isnan(turning(field, res, corners, at, old, new))
+    return not np.isnan(turning(ground, at, old, new))
 
 
 @njit(cache=True)
-def pull(
-    field: Field32, res: float, corners: Array, path: Array, first_yaw: float, last_yaw: float
-) -> tuple[Array, Array]:
+def pull(ground: Ground, path: Array, first_yaw: float, last_yaw: float) -> tuple[Array, Array]:
     """The longest straight drives along a dense polyline (n, 2), forwards or else backwards.
 
     Corners (m, 2) and the headings (m - 1,) between them. The robot turns at the corners, from `first_yaw`
@@ -87,7 +91,7 @@ def pull(
     while at < last:
         target, found = last, np.nan
         while target > at:
-            found = _straight(field, res, corners, path, at, target, yaw, last_yaw)
+            found = _straight(ground, path, at, target, yaw, last_yaw)
             if not np.isnan(found) or target == at + 1:
                 break
             target -= 1
@@ -99,43 +103,30 @@ def pull(
 
 
 @njit(cache=True)
-def _straight(
-    field: Field32,
-    res: float,
-    corners: Array,
-    path: Array,
-    at: int,
-    target: int,
-    yaw: float,
-    last_yaw: float,
-) -> float:
+def _straight(ground: Ground, path: Array, at: int, target: int, yaw: float, last_yaw: float) -> float:
     """The heading in which the robot gets from one point to another and on from there; NaN: in none."""
     ahead = math.atan2(path[target, 1] - path[at, 1], path[target, 0] - path[at, 0])
     for way in (ahead, ahead + math.pi):
         if (
-            turns(field, res, corners, path[at], yaw, way)
-            and drives(field, res, corners, path[at], path[target], way)
-            and _goes_on(field, res, corners, path, target, way, last_yaw)
+            turns(ground, path[at], yaw, way)
+            and drives(ground, path[at], path[target], way)
+            and _goes_on(ground, path, target, way, last_yaw)
         ):
             return way
     return np.nan
 
 
 @njit(cache=True)
-def _goes_on(
-    field: Field32, res: float, corners: Array, path: Array, at: int, yaw: float, last_yaw: float
-) -> bool:
+def _goes_on(ground: Ground, path: Array, at: int, yaw: float, last_yaw: float) -> bool:
     """Whether the robot can turn from a heading into the next piece of the path."""
     if at == len(path) - 1:
-        return turns(field, res, corners, path[at], yaw, last_yaw)
+        return turns(ground, path[at], yaw, last_yaw)
     ahead = math.atan2(path[at + 1, 1] - path[at, 1], path[at + 1, 0] - path[at, 0])
-    return turns(field, res, corners, path[at], yaw, ahead) or turns(
-        field, res, corners, path[at], yaw, ahead + math.pi
-    )
+    return turns(ground, path[at], yaw, ahead) or turns(ground, path[at], yaw, ahead + math.pi)
 
 
 @njit(cache=True)
-def free_from(field: Field32, res: float, corners: Array, poses: Array) -> int:
+def free_from(ground: Ground, poses: Array) -> int:
     """The first of the poses (n, 3) from which a path is free to its end; n when its goal is not.
 
     Each piece is driven in the heading of its own line, the way round that is nearer to its pose's yaw;
@@ -143,7 +134,7 @@ def free_from(field: Field32, res: float, corners: Array, poses: Array) -> int:
     """
     n = len(poses)
     after = poses[n - 1, 2]
-    if not footprint_free(field, res, corners, poses[n - 1, 0], poses[n - 1, 1], after):
+    if not footprint_free(ground.field, ground.res, ground.corners, poses[n - 1, 0], poses[n - 1, 1], after):
         return n
     for i in range(n - 1):
         k = n - 2 - i
@@ -153,7 +144,7 @@ def free_from(field: Field32, res: float, corners: Array, poses: Array) -> int:
             yaw = math.atan2(b[1] - a[1], b[0] - a[0])
             if k > 0 and math.cos(yaw - poses[k, 2]) < 0.0:
                 yaw += math.pi
-        if not (turns(field, res, corners, b, yaw, after) and drives(field, res, corners, a, b, yaw)):
+        if not (turns(ground, b, yaw, after) and drives(ground, a, b, yaw)):
             return k + 1
         after = yaw
-    return 0 if turns(field, res, corners, poses[0, :2], poses[0, 2], after) else 1
+    return 0 if turns(ground, poses[0, :2], poses[0, 2], after) else 1

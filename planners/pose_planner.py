@@ -10,6 +10,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.ompl_planner import STRAIGHT, OmplConfig, exact_path, iteration_limit, set_goal_length
+from turtlebag.planners.smoothing import SPACING_M
 
 SIMPLIFY_CALLS = 400
 
@@ -20,7 +21,6 @@ def solve_poses(
     T_grid_start: SE2,
     T_grid_goal: SE2,
     config: OmplConfig,
-    spacing: float,
     seed: int,
 ) -> SE2 | None:
     """Poses (n,) of an exact, shortened path in the grid frame, or None within the budget.
@@ -58,7 +58,7 @@ def solve_poses(
     if path is None:
         return None
     og.PathSimplifier(info).simplify(path, iteration_limit(SIMPLIFY_CALLS))
-    path.interpolate(max(2, round(path.length() / spacing) + 1))
+    path.interpolate(max(2, round(path.length() / SPACING_M) + 1))
     # The planners that grow from the goal, too, check a Dubins curve in the wrong direction.
     if not all(fits(state) for state in path.getStates()):
         return None

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import Costmap, nearest_free
+from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
 from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.wavefront import wave
 
 RIM_M = 0.8
 """Places to make for lie this far inside the window: its edge counts as an obstacle."""
-NEAREST_M = 0.5
-"""From where a search begins when the robot itself stands too near something."""
 
 
 class RollingLayer(LiveLayer):
@@ -48,7 +46,7 @@ class RollingLayer(LiveLayer):
             return goal
         costmap, res = self.costmap, self.costmap.resolution
         free = costmap.clearance > radius
-        start = nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
+        start = nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
         if start is None:
             raise NoPath("the robot is too close to an obstacle")
         ways = wave(free, *start, math.inf) * res

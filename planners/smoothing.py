@@ -11,6 +11,9 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.footprint import Field32, disc_segment_free, field_at
 
+SPACING_M = 0.05
+"""Distance between a path's poses."""
+
 
 @njit(cache=True)
 def shortcut(field: Field32, resolution: float, radius: float, path: Array) -> Array:

@@ -7,20 +7,12 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.kernels import njit
 
-SQRT2 = float(np.sqrt(2.0))
-_STEPS = (
-    (0, 1, 1.0),
-    (0, -1, 1.0),
-    (1, 0, 1.0),
-    (-1, 0, 1.0),
-    (1, 1, SQRT2),
-    (1, -1, SQRT2),
-    (-1, 1, SQRT2),
-    (-1, -1, SQRT2),
+_STEPS = sorted(
+    ((r, c) for r in (1, 0, -1) for c in (1, 0, -1) if r or c),
+    key=lambda step: (np.hypot(*step), abs(step[0])),
 )
-_DR = np.array([step[0] for step in _STEPS])
-_DC = np.array([step[1] for step in _STEPS])
-_COST = np.array([step[2] for step in _STEPS])
+_DR, _DC = np.array(_STEPS).T.copy()
+_COST = np.hypot(_DR, _DC)
 
 Wave = NDArray[np.float32]
 

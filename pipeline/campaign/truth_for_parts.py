@@ -22,7 +22,6 @@ from turtlebag.datasets.types import Observation, Odometry, Recording, Twist
 from turtlebag.pipeline.navigation.episode import Episode, drive
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.setup import Made, Mission, make_driver, prepare
 from turtlebag.pipeline.slam.course import Maker
@@ -114,7 +113,7 @@ def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection
                 finder.localiser = localiser
             return driver, localiser, sequence
 
-        return drive(simulator, mission, NoBag(), lambda line: None, make=make)
+        return drive(simulator, mission, make=make)
 
 
 class _TrueWheels(Simulator):

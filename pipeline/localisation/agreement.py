@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
+# Two places whose agreement differs by less than this look alike.
+ALIKE = 0.05
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
-# Random particles are mixed in from this share on (less is people and boxes in view), and at most so many.
+# So far below the usual agreement is a doubt (less is people and boxes in view): random particles are mixed
+# in from this share on, and at most so many; a single scan so far below speaks against the estimate.
 LEAST_RANDOM, MOST_RANDOM = 0.25, 0.5
 # Filter updates from one search to the next while lost.
 FIRST_PAUSE, LONGEST_PAUSE = 2, 64
 # Agreement below this part of the best so far is worth a second look, so many updates apart: without it, a
 # robot that was carried off in the house noticed later and was at its goal after 94 s in place of 71 s.
 FADED, SECOND_LOOK_PAUSE = 0.9, 24
-# A single scan of which the map explains less than this part of the usual share speaks against the estimate.
-CONTRADICTED = 0.7
 
 
 class AgreementWatch:
@@ -46,7 +47,7 @@ class AgreementWatch:
 
     def contradicted_by(self, agreement: float) -> bool:
         """Whether a scan of this agreement speaks against the estimate."""
-        return agreement < CONTRADICTED * self.slow
+        return agreement < (1.0 - LEAST_RANDOM) * self.slow
 
     def random_share(self) -> float:
         """Share of random particles: how far the agreement of late is below that of long."""

@@ -15,9 +15,9 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.agreement import AgreementWatch
+from turtlebag.pipeline.localisation.agreement import ALIKE, AgreementWatch
 from turtlebag.pipeline.localisation.beams import Beams, prepare
-from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster
+from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
 from turtlebag.pipeline.localisation.field import LikelihoodField, distance_field
 from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import GlobalSearch
@@ -26,10 +26,6 @@ from turtlebag.pipeline.localisation.push_detection import PushDetector
 
 # A place found by a search must explain so much more of the scan than where the robot seems to be.
 BETTER_BY = 0.1
-# A place found far away must explain so much more of the scan than one near by.
-NEARER_BY = 0.05
-# The cloud counts as converged when its standard deviations are below these.
-CONVERGED_M, CONVERGED_RAD = 0.15, 0.1
 
 
 @dataclass
@@ -94,10 +90,7 @@ class Amcl:
     @property
     def converged(self) -> bool:
         """Whether the whole cloud is one narrow cluster."""
-        if self._at.estimate is None:
-            return False
-        std = np.sqrt(np.diag(self.covariance))
-        return bool(max(std[0], std[1]) <= CONVERGED_M and std[2] <= CONVERGED_RAD)
+        return self._at.estimate is not None and narrow(self.covariance)
 
     @property
     def T_map_odom(self) -> SE2:
@@ -291,7 +284,7 @@ class Amcl:
         near = self.search.draw(count, beams, self._rng, here.xyt)
         far = self.search.draw(count, beams, self._rng)
         gain_near, gain_far = (self._agreement_of(found, beams) for found in (near, far))
-        found, gain = (near, gain_near) if gain_near > gain_far - NEARER_BY else (far, gain_far)
+        found, gain = (near, gain_near) if gain_near > gain_far - ALIKE else (far, gain_far)
         if gain <= self.search.agreement(here.xyt, beams) + BETTER_BY:
             return None
         self.searches += found is far

@@ -12,6 +12,8 @@ from turtlebag.pipeline.localisation.sampling import BIN_M, BIN_RAD, bin_numbers
 
 # Reach of a cluster about its mean: several bins, so that one cloud is never cut in two.
 REACH_XY, REACH_YAW = 0.5, 0.6
+# A cloud is narrow, one place, when its standard deviations are below these.
+NARROW_M, NARROW_RAD = 0.15, 0.1
 MOST_SHIFTS, MOST_SEEDS = 10, 5
 # A variance no cloud's is taken below: 1 mm and 0.05 deg.
 LEAST_VARIANCE = 1e-6
@@ -25,6 +27,12 @@ class Estimate:
     core: Array
     covariance: Array
     weight: float  # of the main cluster
+
+
+def narrow(covariance: Array) -> bool:
+    """Whether poses of this covariance (3, 3) are one place."""
+    x, y, yaw = np.sqrt(np.diag(covariance))
+    return bool(max(x, y) <= NARROW_M and yaw <= NARROW_RAD)
 
 
 def main_cluster(poses: Array, weights: Array) -> Estimate:

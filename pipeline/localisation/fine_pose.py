@@ -17,12 +17,10 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
-from turtlebag.pipeline.localisation.estimate import Estimate
+from turtlebag.pipeline.localisation.estimate import Estimate, narrow
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# The cloud must be this narrow [m and rad] before a pose is tracked in it: matching reaches four cells far.
-START_STD = 0.15
 # Less than this apart [m or rad], the two agree whatever the cloud's spread: its field is a cell coarse.
 LEAST_REACH = 0.08
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
@@ -67,9 +65,7 @@ class FinePose:
         self._share = min(max(share, LEAST_SHARE), 1.0)
 
     def _started(self, cloud: Estimate) -> WallFilter | None:
-        if np.any(np.sqrt(np.diag(cloud.core)) > START_STD):
-            return None
-        return WallFilter(self._surfaces, cloud.T_map_base, cloud.core)
+        return WallFilter(self._surfaces, cloud.T_map_base, cloud.core) if narrow(cloud.core) else None
 
 
 def _agree(T_map_base: SE2, cloud: Estimate) -> bool:

@@ -35,7 +35,7 @@ LEAST_EFFECTIVE = 0.02
 STEEPEST = 0.3
 # Beams looked at in a search, and for an agreement; so many silent ones besides for each of them.
 MOST_HITS, MOST_AGREEING, SILENT_SHARE = 40, 120, 0.75
-# A beam may end this much before the wall that it is said to come from.
+# A beam may end this much before the wall that it is said to come from; ranges farther apart are others.
 PATH_SLACK_M = 0.2
 # Probability of no return although the map has a wall in reach.
 P_MISSED = 0.1

@@ -8,9 +8,8 @@ import numpy as np
 
 from turtlebag.datasets.se2 import Array
 
-# Steps [m, rad], from coarse to fine, and how many of each at most.
-STEPS = ((0.08, 0.06), (0.04, 0.03), (0.02, 0.012))
-MOST_STEPS = 6
+# The coarsest step [m, m, rad] is halved so often, and of each so many are made at most.
+STEP, HALVINGS, MOST_STEPS = np.array([0.08, 0.08, 0.05]), 2, 6
 # A pose and its neighbours a step away, (27, 3).
 NEIGHBOURS = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
 
@@ -18,9 +17,9 @@ NEIGHBOURS = np.indices((3, 3, 3)).reshape(3, -1).T - 1.0
 def climb(value: Callable[[Array], Array], pose: Array) -> tuple[float, Array]:
     """The highest value found near a pose (3,), and where; `value` gives that of poses (n, 3), (n,)."""
     best = float(value(pose[None])[0])
-    for step_xy, step_yaw in STEPS:
+    for halved in range(HALVINGS + 1):
         for _ in range(MOST_STEPS):
-            poses = pose + NEIGHBOURS * (step_xy, step_xy, step_yaw)
+            poses = pose + NEIGHBOURS * STEP / 2**halved
             values = value(poses)
             if values.max() <= best + 1e-9:
                 break

@@ -17,24 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.pipeline.localisation.agreement import ALIKE
 from turtlebag.pipeline.localisation.beams import Beams
 from turtlebag.pipeline.localisation.estimate import REACH_XY, REACH_YAW, moments, settled
 from turtlebag.pipeline.localisation.field import DistanceField
-from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.global_search import PATH_SLACK_M, GlobalSearch
 from turtlebag.pipeline.localisation.local_search import climb
 from turtlebag.pipeline.localisation.ray_casting import expected_ranges
 
 # Poses drawn by one scan, and the share of them that a place must hold to be looked at.
 DRAWN, LEAST_SHARE = 2000, 0.01
-# A place that explains the scans by less than this worse than the best one is another hypothesis, and one
-# that explains so many scans so much worse is none any more.
-ALIKE, SCANS = 0.05, 6
+# One that explains so many scans worse, and not ALIKE, is none any more.
+SCANS = 6
 # Two places are so far apart [m] or turned so much [rad] - nearer ones the filter itself sorts out. With
 # people all round, so that less than this is explained, nothing can be said.
 APART, LEAST_FIT = 1.0, 0.7
 # Beams all round; so many neighbours to each side may stand in for one (edges of things, small errors of
-# heading), and ranges so far from all of them [m] are clearly others.
-BEAMS, NEIGHBOURS, CLEAR_M = 180, 2, 0.2
+# heading).
+BEAMS, NEIGHBOURS = 180, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,5 +176,5 @@ def clearly_other(views: Array, others: Array) -> Array:
 def _beyond(views: Array, others: Array) -> Array:
     """Share (n,) of `views`' beams that none of the neighbouring beams in `others` comes near."""
     about = [np.roll(others, k, axis=1) for k in range(-NEIGHBOURS, NEIGHBOURS + 1)]
-    low, high = np.min(about, axis=0) - CLEAR_M, np.max(about, axis=0) + CLEAR_M
+    low, high = np.min(about, axis=0) - PATH_SLACK_M, np.max(about, axis=0) + PATH_SLACK_M
     return np.asarray(np.mean((views < low) | (views > high), axis=1))

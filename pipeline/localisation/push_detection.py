@@ -15,9 +15,8 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.local_search import climb
+from turtlebag.pipeline.localisation.motion import MIN_STEP_M
 
-# Standing: odometry moves less than this [m and rad] from one scan to the other.
-STILL = 0.01
 # A beam has changed beyond the noise of a lidar; a view has when so large a share of the beams has, in so
 # many scans one after the other.
 CHANGED_M, CHANGED_SHARE, CHANGED_SCANS = 0.04, 0.25, 2
@@ -97,5 +96,6 @@ def changed_share(ranges: Array, before: Array) -> float:
 
 
 def _still(one: SE2, other: SE2) -> bool:
+    """Whether odometry has moved by less than what has a direction [m], or so much [rad]."""
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return bool(np.hypot(x, y) < STILL and abs(yaw) < STILL)
+    return bool(np.hypot(x, y) < MIN_STEP_M and abs(yaw) < MIN_STEP_M)

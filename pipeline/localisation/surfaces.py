@@ -7,6 +7,7 @@ A wall along the grid's axes stays where its cells are: what the grid does not s
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +22,14 @@ from turtlebag.pipeline.localisation.small_matrices import solve
 Indices = NDArray[np.int32]
 
 WINDOW_CELLS = 3.5
-# A fit that leaves more than this is no surface (a corner, a thin post): it counts little.
+# A fit that leaves more than this is no surface (a corner, a thin post) and counts little; a step of more
+# along the normal begins another one.
 ROUGH_CELLS, ROUGH_WEIGHT = 0.6, 0.1
 # A patch: connected surface whose normal stays within 25 degrees of where it began, at most 3 m wide.
-PATCH_COSINE, PATCH_CELLS, PATCH_STEP_CELLS = 0.9, 60, 0.6
+PATCH_COSINE, PATCH_CELLS = 0.9, 60
 # Points farther than this from every surface are not matched at all.
 REACH_CELLS = 2.5
-MARGIN_CELLS = 4
+MARGIN_CELLS = math.ceil(WINDOW_CELLS)
 
 
 class Surfaces(NamedTuple):
@@ -180,7 +182,7 @@ def grow_patches(cells: NDArray[np.int64], index: Indices, points: Array, normal
                         continue
                     apart = max(abs(cells[j, 0] - cells[seed, 0]), abs(cells[j, 1] - cells[seed, 1]))
                     step = ((points[j] - points[i]) * normals[seed]).sum()
-                    if apart <= PATCH_CELLS and abs(step) < PATCH_STEP_CELLS:
+                    if apart <= PATCH_CELLS and abs(step) < ROUGH_CELLS:
                         patch[j], stack[size] = count, j
                         size += 1
         count += 1

@@ -27,7 +27,6 @@ from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 # say in a scan, and how far from where its cells are a wall may stand (standard deviation).
 MATCH_SCALE_M, BEAM_STD_M, PATCH_BEAMS, OFFSET_CELLS = 0.03, 0.012, 4.0, 0.14
 MAX_ITERATIONS = 4
-STEP_DONE = 1e-4
 # Walls kept in the state; beyond, the one longest out of sight is forgotten.
 MAX_WALLS = 150
 # States before the walls': the pose (x, y, yaw), then odometry's errors: share of distance, share of turn,
@@ -35,8 +34,8 @@ MAX_WALLS = 150
 POSE, FIXED = 3, 6
 ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
 ODOMETRY_WALK = 5e-4
-# A correction of 0.1 mm or 0.006 deg is no surprise whatever was expected.
-LEAST_EXPECTED = 1e-8
+# A step of 0.1 mm or 0.006 deg is none: with it the iterations end, and no correction so small is a surprise.
+STEP_DONE = 1e-4
 # From this NIS on, odometry slipped, by about so much [m and rad].
 SLIP, SLIP_STD = 6.0, 0.1
 
@@ -266,7 +265,7 @@ def nis(predicted: Array, P_predicted: Array, corrected: Array, P_corrected: Arr
     """Normalised innovation squared: a pose's correction over what was expected, per degree of freedom."""
     step = (corrected - predicted).reshape(-1, 1)
     step[2, 0] = (step[2, 0] + np.pi) % (2.0 * np.pi) - np.pi
-    expected = P_predicted - P_corrected + LEAST_EXPECTED * np.eye(3)
+    expected = P_predicted - P_corrected + STEP_DONE**2 * np.eye(3)
     return (step * solve(expected, step)).sum() / 3.0
 
 

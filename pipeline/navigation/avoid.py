@@ -25,8 +25,7 @@ class AvoidDriver(Driver):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(sensing)
-        self._config = config
-        self._guard = Guard(model, config) if config.mode == "guarded" else None
+        self._guard = Guard(model) if config.mode == "guarded" else None
         self._limits = SpeedLimits.of(
             model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
         )
@@ -41,7 +40,7 @@ class AvoidDriver(Driver):
             return Twist()
         if self._guard is None:
             if observation.scan is not None:
-                decision = tutorial_rule(sight.sectors, self._config)
+                decision = tutorial_rule(sight.sectors)
                 self._tell(observation, sight, decision)
                 self._last = decision.command
             return self._last

@@ -11,6 +11,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
 
 # Sweeps are compared once odometry has gone so far, or turned so much; fewer points say nothing.
 TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
@@ -20,8 +21,8 @@ STILL_RATIO, FAR_M = 0.5, 0.2
 BEYOND_M, SPACING_M = 0.05, 0.02
 # It is kept out of for so long: then odometry has drifted, and the thing may have been moved.
 MEMORY_NS = 600 * 10**9
-# Backing off from it: how far, how fast, for how long at most, then turning by this speed.
-BACK_OFF_M, BACK_OFF_V, BACK_OFF_NS, ESCAPE_NS, TURN_W = 0.25, 0.1, 4 * 10**9, 10 * 10**9, 0.5
+# Backing off from it: how far, for how long at most, and how long with turning away.
+BACK_OFF_M, BACK_OFF_NS, ESCAPE_NS = 0.25, 4 * 10**9, 10 * 10**9
 
 
 class SlipWatch:
@@ -75,7 +76,7 @@ class Escape:
         done = float(np.linalg.norm(T_odom_base.xy - self._start.xy))
         backing = done < abs(self._distance) and now_ns - self._now_ns < BACK_OFF_NS
         if self._turned_from is None and backing:
-            return Twist(math.copysign(BACK_OFF_V, self._distance), 0.0)
+            return Twist(math.copysign(SLOW_V, self._distance), 0.0)
         if self._turned_from is None:
             self._turned_from = float(T_odom_base.yaw)
         turned = (float(T_odom_base.yaw) - self._turned_from + math.pi) % (2.0 * math.pi) - math.pi

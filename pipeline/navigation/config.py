@@ -23,7 +23,6 @@ from turtlebag.planners.live import LiveConfig
 from turtlebag.planners.tasks.avoid import AvoidConfig
 from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
 from turtlebag.planners.tasks.sequence import SequenceConfig
-from turtlebag.planners.tasks.wiggle import WiggleConfig
 from turtlebag.sim.simulator import SimConfig
 
 ControllerName = Annotated[str, part_of("pursuit", "dwa")]
@@ -50,7 +49,7 @@ class MaplessConfig(Settings, allow_inf_nan=False):
         back_up_v=0.2,
     )
     """Takes the place of `recovery`: among things never seen before, getting out comes before waiting."""
-    live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
+    live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0)
 
 
 class NavigateConfig(Settings, allow_inf_nan=False):
@@ -69,7 +68,6 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     monitor: MonitorConfig = MonitorConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
-    wiggle: WiggleConfig = WiggleConfig()
     relocalise: RelocaliseConfig = RelocaliseConfig()
     explore: ExploreConfig = ExploreConfig()
     recovery: RecoveryConfig = RecoveryConfig()

@@ -19,13 +19,13 @@ from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypoth
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.costmap import Costmap, Mask
+from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
 from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.tasks.frontier import SPENT_M
 from turtlebag.planners.wavefront import wave
 
-# Hypotheses differ clearly where so large a share of the beams does; places so near [m] to one that did not
-# help are not gone to.
-DIFFERENT, AGAIN_M = 0.1, 0.6
+# Hypotheses differ clearly where so large a share of the beams does.
+DIFFERENT = 0.1
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
 # beside a thing a view changes with every centimetre.
 SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)
@@ -112,7 +112,9 @@ def nearest_difference(
     Only places that a disc of `radius` reaches count, and none about those `visited`.
     """
     free = costmap.clearance > radius
-    start = _cell_near(free, costmap, pose)
+    start = nearest_free(
+        free, costmap.T_grid_map @ pose.xy / costmap.resolution, ENTRY_M / costmap.resolution
+    )
     if start is None:
         return None
     way = wave(free, start[0], start[1], np.inf)
@@ -121,7 +123,7 @@ def nearest_difference(
     cells = cells[(cells[:, 0] % step == 0) & (cells[:, 1] % step == 0)]
     xy = costmap.T_map_grid @ ((cells[:, ::-1] + 0.5) * costmap.resolution)
     for seen in visited:
-        keep = np.linalg.norm(xy - seen, axis=1) > AGAIN_M
+        keep = np.linalg.norm(xy - seen, axis=1) > SPENT_M
         cells, xy = cells[keep], xy[keep]
     if len(cells) == 0:
         return None
@@ -130,14 +132,3 @@ def nearest_difference(
     length = np.where(share >= DIFFERENT, way[cells[:, 0], cells[:, 1]], np.inf)
     best = int(length.argmin())
     return poses[best] if np.isfinite(length[best]) else None
-
-
-def _cell_near(free: Mask, costmap: Costmap, pose: SE2) -> tuple[int, int] | None:
-    """The free cell nearest to a pose, at most half a metre away."""
-    cells = np.argwhere(free)
-    if len(cells) == 0:
-        return None
-    at = (costmap.T_grid_map @ pose.xy)[::-1] / costmap.resolution
-    gap = np.linalg.norm(cells + 0.5 - at, axis=1)
-    near = int(gap.argmin())
-    return (int(cells[near, 0]), int(cells[near, 1])) if gap[near] * costmap.resolution < 0.5 else None

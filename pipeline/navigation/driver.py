@@ -80,7 +80,6 @@ class Driver(ABC):
         self.estimate: SE2 | None = None
         """Where it takes itself to be in the map; None when it does not know, or needs no map."""
         self._last = Twist()
-        self._seen_ns = -(10**9)
 
     @abstractmethod
     def step(self, observation: Observation) -> Twist:
@@ -95,10 +94,7 @@ class Driver(ABC):
         self._last = last
 
     def _see(self, sight: Sight, T_frame_odom: SE2, live: LiveLayer) -> None:
-        """Enter a sweep in the obstacle layer, unless it comes too soon after the one before."""
-        if sight.stamp_ns - self._seen_ns < live.config.period * 1e9:
-            return
-        self._seen_ns = sight.stamp_ns
+        """Enter a sweep in the obstacle layer."""
         live.update(
             sight.stamp_ns * 1e-9,
             T_frame_odom @ sight.T_odom_lidar,

@@ -19,7 +19,7 @@ from turtlebag.pipeline.localisation.localisers import make_localiser
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.explore import ExploreDriver
+from turtlebag.pipeline.navigation.explore import ARRIVED, ExploreDriver
 from turtlebag.pipeline.navigation.finder import Finder
 from turtlebag.pipeline.navigation.goal_runner import Tools
 from turtlebag.pipeline.navigation.guarded import Guard
@@ -36,7 +36,6 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
-from turtlebag.planners.tasks.wiggle import Wiggle
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import CONTROL_HZ
 
@@ -83,8 +82,7 @@ def make_navigator(
     tools = kit.tools(LiveLayer(costmap, config.live))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
-    guard, wiggle = Guard(robot.model, config.avoid), Wiggle(config.wiggle)
-    finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, guard, wiggle)
+    finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, Guard(robot.model))
     return NavigationDriver(tools, kit.sensing, sequence, finder), localiser
 
 
@@ -100,10 +98,9 @@ def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> Navigati
 
 def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
     """A driver that maps what it can reach, until a stamp at the latest [s]."""
-    explore = kit.config.explore
-    config = kit.config.model_copy(update={"goal_checker": explore.checker})
+    config = kit.config.model_copy(update={"goal_checker": ARRIVED})
     tools = kit.tools(LiveLayer(nothing_known(), config.live), config)
-    return ExploreDriver(explore, kit.sensing, online, tools, end_s)
+    return ExploreDriver(config.costmap, kit.sensing, online, tools, end_s)
 
 
 def make_avoider(kit: Kit, end_s: float, say: Callable[[str], None]) -> AvoidDriver:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.grid import OccupancyGrid
@@ -13,7 +14,7 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.explore import ExploreDriver
 from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
-from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
+from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
@@ -37,21 +38,34 @@ class Episode:
     """What was asked for in takeovers: a script that does the same again."""
 
 
+class Audience(NamedTuple):
+    """Who is told of a run: a bag, who hears what the driver says, who is shown every tick; else nobody.
+
+    There is something in `interrupted` when they want it to end.
+    """
+
+    bag: BagWriter = NoBag()
+    say: Callable[[str], None] = lambda line: None
+    news: News | None = None
+    interrupted: Sequence[int] = ()
+
+
+NOBODY = Audience()
+
+
 def drive(
     simulator: Simulator,
     mission: Mission,
-    bag: BagWriter,
-    say: Callable[[str], None],
+    audience: Audience = NOBODY,
     takeovers: Source | None = None,
     make: DriverMaker = make_driver,
-    news: News | None = None,
-    interrupted: Sequence[int] = (),
 ) -> Episode:
-    """Observe, decide, log, act, until the driver is done or there is something in `interrupted`.
+    """Observe, decide, log, act, until the driver is done or the run is interrupted.
 
     `takeovers` says when someone else has the commands; without it, the script of the configuration does.
-    `make` makes the driver; `news` is shown every tick.
+    `make` makes the driver.
     """
+    bag, say, news, interrupted = audience
     observation = simulator.reset(mission.request.start)
     bag.static_transforms(observation.stamp_ns, static_transforms(mission.robot))
     driver, localiser, sequence = make(mission, observation, bag, say)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,36 +21,42 @@ from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.live import LiveLayer
-from turtlebag.planners.tasks.frontier import FrontierConfig, next_view
+from turtlebag.planners.tasks.frontier import next_view
 
 # Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
 # long on the way to one place, too [s].
 MARGIN_M, LOOK_AFTER_S = 0.03, 12.0
+ARRIVED = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=math.pi, stop=False)
+"""A place to look from is passed, in any heading."""
 
 
 class ExploreConfig(Settings, allow_inf_nan=False):
-    """Seconds and metres."""
+    """How the world is mapped on the way."""
 
-    frontier: FrontierConfig = FrontierConfig()
     slam: SlamConfig = SlamConfig()
-    costmap: CostmapConfig = CostmapConfig()
-    checker: GoalCheckerConfig = GoalCheckerConfig(xy_goal_tolerance=0.2, yaw_goal_tolerance=3.2, stop=False)
+
+
+@dataclass
+class _Way:
+    """To one place to look from, chosen on the map of a time."""
+
+    runner: GoalRunner
+    since_ns: int
 
 
 class ExploreDriver(Driver):
     """Map, choose a frontier, drive there, look, map again, until no frontier can be reached."""
 
     def __init__(
-        self, config: ExploreConfig, sensing: Sensing, online: OnlineMap, tools: Tools, duration_s: float
+        self, config: CostmapConfig, sensing: Sensing, online: OnlineMap, tools: Tools, duration_s: float
     ) -> None:
         super().__init__(sensing)
         self.online = online
         self._config, self.tools = config, tools
         self._end_ns = round(duration_s * 1e9)
         self._bumps = BumpMemory(tools.model)
-        self._runner: GoalRunner | None = None
+        self._way: _Way | None = None
         self._spent: list[Array] = []
-        self._mapped_ns = 0
 
     @property
     def grid(self) -> OccupancyGrid | None:
@@ -72,13 +80,13 @@ class ExploreDriver(Driver):
         away = self._back_off(observation, sight)
         if away is not None:
             return away
-        if self._runner is None or (sight is not None and self._late(self._runner, now)):
+        if self._way is None or (sight is not None and self._late(self._way, now)):
             self._choose(observation)
-            if self._runner is None:
+            if self._way is None:
                 return self._finish(observation)
         if sight is not None:
             self._see(sight, self.online.T_map_odom, self.tools.live)
-        return self._pursue(self._runner, observation)
+        return self._pursue(self._way.runner, observation)
 
     def stand_by(self, observation: Observation) -> None:
         """Map on while someone else drives."""
@@ -89,18 +97,18 @@ class ExploreDriver(Driver):
     def resume(self, last: Twist) -> None:
         """Look for the next frontier from where the robot has been brought."""
         super().resume(last)
-        self._runner = None
+        self._way = None
 
-    def _late(self, runner: GoalRunner, now: int) -> bool:
+    def _late(self, way: _Way, now: int) -> bool:
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
-        return now - self._mapped_ns > LOOK_AFTER_S * 1e9 and not runner.recovering
+        return now - way.since_ns > LOOK_AFTER_S * 1e9 and not way.runner.recovering
 
     def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
         T_odom_base, T_map_odom = observation.odometry.T_odom_base, self.online.T_map_odom
         if sight is not None and self._bumps.noticed(sight, T_odom_base, self._last, 0.0, T_map_odom):
             self.online.distrust()
-            self._runner = None
+            self._way = None
         wanted = self._bumps.escaping(observation.stamp_ns, T_odom_base)
         if wanted is None:
             return None
@@ -112,13 +120,13 @@ class ExploreDriver(Driver):
     def _choose(self, observation: Observation) -> None:
         """Map, and pick the place to look from; no runner when there is none."""
         now, grid, publisher = observation.stamp_ns, self.online.update(), self.tools.publisher
-        self._mapped_ns, self._runner = now, None
+        self._way = None
         publisher.map(now, grid)
         publisher.map_to_odom(now, self.online.T_map_odom)
         self.estimate = self.online.T_map_odom @ observation.odometry.T_odom_base
-        costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config.costmap), now)
+        costmap = self._bumps.kept_out(costmap_from_grid(grid, self._config), now)
         radius = self.tools.model.circumscribed_radius + MARGIN_M
-        goal = next_view(grid, costmap, self.estimate, radius, self._spent, self._config.frontier)
+        goal = next_view(grid, costmap, self.estimate, radius, self._spent)
         if goal is None:
             return
         self.goal_index += 1
@@ -126,9 +134,9 @@ class ExploreDriver(Driver):
         live = LiveLayer(costmap, self.tools.live.config)
         self.tools = dataclasses.replace(self.tools, live=live)
         if self.sensing.sight is not None:
-            self._seen_ns = -(10**9)
             self._see(self.sensing.sight, self.online.T_map_odom, self.tools.live)
-        self._runner = GoalRunner(self.tools, goal, self.tools.seed + 1_000_000 * self.goal_index)
+        runner = GoalRunner(self.tools, goal, self.tools.seed + 1_000_000 * self.goal_index)
+        self._way = _Way(runner, now)
 
     def _pursue(self, runner: GoalRunner, observation: Observation) -> Twist:
         assert self.estimate is not None
@@ -136,7 +144,7 @@ class ExploreDriver(Driver):
         self.state = runner.state
         if verdict is not None:
             self._spent.append(np.asarray(runner.goal.xy))
-            self._runner = None
+            self._way = None
         return self._last
 
     def _finish(self, observation: Observation) -> Twist:

@@ -27,7 +27,7 @@ class Finder:
     """Watches the localiser, and drives while the robot is lost."""
 
     def __init__(
-        self, lost: Lost, localiser: Localiser, aliasing: Aliasing, tools: Tools, guard: Guard, wiggle: Wiggle
+        self, lost: Lost, localiser: Localiser, aliasing: Aliasing, tools: Tools, guard: Guard
     ) -> None:
         self.lost = lost
         self.localiser = localiser
@@ -37,7 +37,7 @@ class Finder:
         """Whether this tick has shown that what was planned and seen before was by a wrong pose."""
         self.tools = tools
         """What it drives with."""
-        self._aliasing, self._guard, self._wiggle = aliasing, guard, wiggle
+        self._aliasing, self._guard, self._wiggle = aliasing, guard, Wiggle()
         self._sureness = _Sureness()
         self._T_map_odom: SE2 | None = None
 
@@ -65,7 +65,7 @@ class Finder:
         elif lost.state is State.DRIVE and examine:
             self._examine(now)
         if lost.state is not before:
-            self._wiggle = Wiggle(self._wiggle.config)
+            self._wiggle = Wiggle()
             self._guard.interrupted()
         return lost.state
 
@@ -74,7 +74,7 @@ class Finder:
         self.lost, self.comparison = Lost(self.lost.config, state), None
         self._sureness = _Sureness(self.localiser.amcl.searches)
         self.accept()
-        self._wiggle = Wiggle(self._wiggle.config)
+        self._wiggle = Wiggle()
         self._guard.interrupted()
 
     def accept(self) -> None:
@@ -104,7 +104,7 @@ class Finder:
         if turn is None and wiggling:
             lost = self._wiggle.gave_up and amcl.lost
             self.lost.on(Event.DOUBTED if lost else Event.FOUND, now, self.localiser.updates)
-            self._wiggle = Wiggle(self._wiggle.config)
+            self._wiggle = Wiggle()
         if turn is None:
             return controller.brake(last)
         factor = self.tools.monitor.limit(turn, sensing.points_base(T_odom_base))

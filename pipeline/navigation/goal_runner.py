@@ -24,12 +24,10 @@ from turtlebag.planners.footprint import (
 from turtlebag.planners.global_plan import PlanConfig, plan_path
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.planner import NoPath
-from turtlebag.planners.tasks.recovery import Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
+from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 from turtlebag.planners.tasks.sequence import Status
 
 LOOK_AHEAD_M = 2.5
-TIGHT_M = 0.02
-"""A path along which the footprint comes this near to something counts as blocked."""
 
 
 class Tick(NamedTuple):
@@ -65,7 +63,7 @@ class Tools:
     @functools.cached_property
     def samples(self) -> FootprintSamples:
         """Points of the footprint."""
-        return sample_footprint(self.model, 0.03)
+        return sample_footprint(self.model)
 
     def passed(self, wanted: Twist, tick: Tick) -> float:
         """Factor 0..1 for a command, by the points seen and by the map."""
@@ -123,7 +121,7 @@ class _Recovery:
         if self._at is not None:
             self._driven += float(np.linalg.norm(pose.xy - self._at.xy))
         self._at = pose
-        if self._driven > self._tools.recovery.progress and self.manoeuvre is None:
+        if self._driven > PROGRESS_M and self.manoeuvre is None:
             self._driven = 0.0
             self.ladder.rest()
 
@@ -201,7 +199,10 @@ class GoalRunner:
         return None
 
     def _blocked(self, route: _Route, tick: Tick) -> bool:
-        """Whether live obstacles stand on the path ahead, or it ends at the rim of a window now left."""
+        """Whether live obstacles stand on the path ahead, or it ends at the rim of a window now left.
+
+        They do where the monitor would hold the footprint.
+        """
         live = self.tools.live
         if live.static is not route.static and route.short:
             return True
@@ -213,7 +214,7 @@ class GoalRunner:
         clearance = path_clearance(
             costmap.clearance, costmap.resolution, self.tools.samples, poses, x, y, LOOK_AHEAD_M
         )
-        return bool(clearance < TIGHT_M)
+        return bool(clearance < self.tools.monitor.config.padding)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command that the collision monitor lets pass."""

@@ -13,10 +13,10 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.bump_memory import BACK_OFF_V, BumpMemory, Escape
+from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig
-from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, tutorial_rule
+from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 
 # A command of which the monitor passes no more than this part is not worth giving.
 POSSIBLE = 0.15
@@ -35,8 +35,7 @@ MONITOR = MonitorConfig(padding=0.03, reaction=0.15, braking_share=0.6)
 class Guard:
     """Decides at every sweep, and watches over every command."""
 
-    def __init__(self, model: RobotModel, rule: AvoidConfig) -> None:
-        self.rule = rule
+    def __init__(self, model: RobotModel) -> None:
         self.monitor = CollisionMonitor(model, MONITOR)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
@@ -78,17 +77,17 @@ class Guard:
         return self._possible(self._tiers(sight, T_odom_base, points), points)
 
     def _tiers(self, sight: Sight, T_odom_base: SE2, points: Array) -> Decision:
-        s, rule = sight.sectors, self.rule
-        if s.front < rule.stop_distance or self._gap(points) < NOSE_ROOM_M:
+        s = sight.sectors
+        if s.front < STOP_M or self._gap(points) < NOSE_ROOM_M:
             self._turn_to(1.0 if s.left > s.right else -1.0)
             side = "left" if self._turning > 0.0 else "right"
-            return Decision(f"stop, turn {side}", Twist(0.0, self._turning * rule.turn_w))
+            return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))
         self._turning, self._flips = 0.0, 0
         if self._restless(sight.stamp_ns * 1e-9, T_odom_base):
             angle = _to_most_room(T_odom_base.inverse() @ sight.hits_odom)
             self._bumps.escape = Escape(sight.stamp_ns, T_odom_base, 0.0, angle)
             return Decision("turn away", Twist(0.0, 0.0))
-        return tutorial_rule(s, rule)
+        return tutorial_rule(s)
 
     def _turn_to(self, freer: float) -> None:
         """Turn to the freer side; after some changes of mind keep to one until the way is free."""
@@ -106,12 +105,12 @@ class Guard:
         command = decision.command
         if self.monitor.limit(command, points) > POSSIBLE:
             return decision
-        first = math.copysign(self.rule.turn_w, command.w if command.w else self._turning or 1.0)
+        first = math.copysign(TURN_W, command.w if command.w else self._turning or 1.0)
         for name, other in (
             ("turn", Twist(0.0, first)),
             ("turn", Twist(0.0, -first)),
-            ("back off", Twist(-BACK_OFF_V, 0.0)),
-            ("creep", Twist(0.5 * self.rule.slow_v, 0.0)),
+            ("back off", Twist(-SLOW_V, 0.0)),
+            ("creep", Twist(0.5 * SLOW_V, 0.0)),
         ):
             if self.monitor.limit(other, points) > POSSIBLE:
                 if other.w:

@@ -86,7 +86,9 @@ class RelocaliseConfig(Settings, allow_inf_nan=False):
     roam: Seconds = Field(default=45.0, gt=0.0)
     """It drives about for so long, touching nothing, until the cloud settles."""
     restarts: int = Field(default=2, ge=0)
-    """Then it forgets every pose and begins again, so often; then the goal is given up."""
+    """Then it forgets every pose and begins again, so often; then the goal is given up.
+
+    So often, too, it looks about where a goal only seems to have ended."""
     tell_apart: Seconds = 120.0
     """Two places look alike: it drives for so long to where they would not; then the goal is given up."""
 

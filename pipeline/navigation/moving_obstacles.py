@@ -15,8 +15,8 @@ from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
-BINS = 360
-SPREAD_BINS = 2
+BINS, SPREAD_BINS = 360, 2
+"""Bearings of a profile; a beam stands for so many to both sides."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
 NEAR_M = 1.5

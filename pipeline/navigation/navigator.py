@@ -23,7 +23,6 @@ PATIENCE_S = 30.0
 """Without a scan for so long the goals are given up."""
 LOST = "the robot no longer knows where it is"
 ALIKE = "two places on the map look alike, and no view was found that tells them apart"
-DOUBTS_PER_GOAL = 2
 
 
 @dataclass
@@ -223,7 +222,7 @@ class NavigationDriver(Driver):
             localiser = self.finder.localiser
             doubtful = not fits(self.tools.live.static, self.tools.model, T_map_base)
             doubtful = doubtful or (localiser.contradicted if arrived else localiser.amcl.lost)
-            if doubtful and pursuit.doubted < DOUBTS_PER_GOAL:
+            if doubtful and pursuit.doubted < self.finder.lost.config.restarts:
                 pursuit.doubted += 1
                 self.finder.doubt(now)
                 self._forget()

@@ -16,7 +16,7 @@ from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.config import NavigateConfig
-from turtlebag.pipeline.navigation.episode import drive
+from turtlebag.pipeline.navigation.episode import Audience, drive
 from turtlebag.pipeline.navigation.setup import DEFAULT_DURATION_S, Mission, Request, prepare
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import Source, script_text
@@ -104,7 +104,7 @@ def navigate_in(
             simulated_time(_length_s(mission)) as clock,
         ):
             news = News(_opening(arena, mission), log.info, clock)
-            episode = drive(simulator, mission, bag, say, takeovers, news=news, interrupted=interrupted)
+            episode = drive(simulator, mission, Audience(bag, say, news, interrupted), takeovers)
         metrics, loop_s, parts = episode.metrics, watch.seconds(), _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")

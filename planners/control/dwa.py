@@ -16,10 +16,10 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import Ramped, ramped
+from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
-from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.costmap import COST_SCALING, Costmap
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import (
     Field32,
@@ -40,7 +40,7 @@ class DwaConfig(Settings, allow_inf_nan=False):
     min_v: float = -0.4
     """Backwards, as far as the robot goes; 0 forbids it."""
     max_w: float = Field(default=2.0, gt=0.0)
-    acceleration_share: float = Field(default=0.8, gt=0.0, le=1.0)
+    acceleration_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
     window: float = Field(default=0.25, gt=0.0)
     """Time ahead over which the limits let the speed change [s]."""
     vx_samples: int = Field(default=9, ge=2)
@@ -202,7 +202,7 @@ class Dwa(Ramped):
         # Nearer than that to the goal the forward point would hold the robot back.
         near = float(np.linalg.norm(self._path.xy[-1] - pose.xy)) < FORWARD_M
         ahead = 0.0 if near else FORWARD_M
-        weights = self._weights._replace(braking=0.8 * limits.max_dv, ahead=ahead)
+        weights = self._weights._replace(braking=ACCELERATION_SHARE * limits.max_dv, ahead=ahead)
         floor = ArcFloor(costmap.clearance, self._to_goal, self._to_path, costmap.resolution)
         at = tuple((costmap.T_grid_map @ pose).xyt.tolist())
         return Twist(*best_arc(floor, self.samples, self._outline, at, vs, ws, weights))
@@ -281,8 +281,7 @@ def best_arc(
             if c.nose > 0.0:
                 cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:
-                # costmap_2d's inflation with turtlebot3's cost_scaling_factor 3.
-                cost += c.occupied * 252.0 * min(math.exp(-3.0 * (room - inscribed)), 1.0)
+                cost += c.occupied * 252.0 * min(math.exp(-COST_SCALING * (room - inscribed)), 1.0)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w

@@ -10,6 +10,9 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.costmap import Costmap
 
+ACCELERATION_SHARE = 0.8
+"""Part of the robot's own acceleration that is asked for, and of its braking that is counted on."""
+
 
 @dataclass(frozen=True)
 class SpeedLimits:

@@ -11,7 +11,11 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.interface import ACCELERATION_SHARE
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
+
+STEP_M = 0.01
+"""Spacing of the poses checked along the way."""
 
 
 class MonitorConfig(Settings, allow_inf_nan=False):
@@ -21,10 +25,7 @@ class MonitorConfig(Settings, allow_inf_nan=False):
     """The footprint is checked this much larger."""
     reaction: float = Field(default=0.1, ge=0.0)
     """Time at the commanded speed before braking is felt."""
-    braking_share: float = Field(default=0.8, gt=0.0, le=1.0)
-    """Part of the robot's own braking that is counted on."""
-    step: float = Field(default=0.01, gt=0.0)
-    """Spacing of the poses checked along the way [m]."""
+    braking_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
 
 
 class CollisionMonitor:
@@ -38,7 +39,7 @@ class CollisionMonitor:
         self.config = config
         self._footprint = padded(model.footprint, config.padding)
         self._reach = model.circumscribed_radius + config.padding
-        self._samples = sample_footprint(model, 0.03)
+        self._samples = sample_footprint(model)
         self._braking = config.braking_share * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:
@@ -58,7 +59,7 @@ class CollisionMonitor:
             v,
             w,
             horizon,
-            self.config.step / speed,
+            STEP_M / speed,
         )
         if free >= horizon:
             return 1.0

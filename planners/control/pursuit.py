@@ -10,7 +10,7 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import Ramped, ramped
+from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import Costmap
@@ -19,13 +19,22 @@ from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 LOOKAHEAD_S, LOOKAHEAD_M = 1.3, (0.2, 0.6)
 """The point steered for is so far ahead by speed, within these bounds."""
 TURN_FIRST_RAD = 0.75
-"""A bearing to the path beyond this is turned away on the spot."""
+"""A bearing to the path beyond this is turned away on the spot, until it is TURNED_RAD."""
+TURNED_RAD = 0.1
 REGULATED_M = 0.45
 """Curves of a smaller radius are taken more slowly, in proportion."""
-SLOWEST = 0.35
-"""Least part of the top speed beside obstacles."""
+NEAR_M, SLOWEST = 0.2, 0.35
+"""With less room than this the robot slows down, in proportion, to this part of the top speed at least."""
+SETTLE_M = 0.12
+"""From here on the goal itself is steered for."""
+SETTLED = 0.012
+"""How near the goal [m] the robot settles before it turns to the goal's yaw, and how near to that [rad]."""
 RELEASE_M = 0.028
 """Drifting this far off while turning makes the robot settle again."""
+BRAKING = 0.6
+"""Part of the asked braking that is planned with along the path."""
+GAIN = 1.5
+"""By how much of what is left [m, rad] it drives and turns on to the goal [1/s]."""
 
 
 class PursuitConfig(Settings, allow_inf_nan=False):
@@ -34,18 +43,9 @@ class PursuitConfig(Settings, allow_inf_nan=False):
     max_v: float = Field(default=2.0, gt=0.0)
     """Asked top speed; the robot's own limit is kept anyway."""
     max_w: float = Field(default=1.4, gt=0.0)
-    acceleration_share: float = Field(default=0.8, gt=0.0, le=1.0)
-    """Part of the robot's own acceleration and braking that is asked for."""
+    acceleration_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
     max_lateral: float = Field(default=1.2, gt=0.0)
     """Lateral acceleration in curves [m/s^2]."""
-    turned: float = Field(default=0.1, gt=0.0)
-    near: float = Field(default=0.2, gt=0.0)
-    """With less room than this the robot slows down, in proportion."""
-    settle_distance: float = Field(default=0.12, gt=0.0)
-    """From here on the goal itself is steered for."""
-    position: float = Field(default=0.012, gt=0.0)
-    """How near the goal the robot settles before it turns to the goal's yaw."""
-    heading: float = Field(default=0.012, gt=0.0)
 
 
 class Pursuit(Ramped):
@@ -60,7 +60,7 @@ class Pursuit(Ramped):
             max_w=config.max_w,
             acceleration_share=config.acceleration_share,
         )
-        self.samples = sample_footprint(model, 0.03)
+        self.samples = sample_footprint(model)
         self.state = "idle"
         self._points = np.zeros((0, 2))
         self._lengths = np.zeros(0)
@@ -75,7 +75,7 @@ class Pursuit(Ramped):
         bends = curvature_along(self._points, self._lengths, 0.15)
         limits = np.sqrt(self.config.max_lateral / np.maximum(bends, 1e-6))
         limits = np.maximum(np.minimum(limits, self.limits.max_v), 0.1 * self.limits.max_v)
-        self._speeds = braked(limits, self._lengths, 0.6 * self.limits.max_dv)
+        self._speeds = braked(limits, self._lengths, BRAKING * self.limits.max_dv)
         x, y, yaw = poses.xyt[-1].tolist()
         same_goal = self._goal == (x, y, yaw)
         self._goal = (x, y, yaw)
@@ -84,7 +84,7 @@ class Pursuit(Ramped):
             # A new path under way: no stop, unless it leads elsewhere.
             return
         # A path of some length means that the robot is not where it was thought to settle.
-        near = len(self._lengths) > 0 and self._lengths[-1] < 4.0 * self.config.settle_distance
+        near = len(self._lengths) > 0 and self._lengths[-1] < 4.0 * SETTLE_M
         if not (same_goal and near and self.state in ("settle", "align", "arrived")):
             self.state = "turn"
 
@@ -104,10 +104,9 @@ class Pursuit(Ramped):
         return float(self._lengths[-1] - self._s) if len(self._lengths) else 0.0
 
     def _along_path(self, x: float, y: float, yaw: float, last: Twist, costmap: Costmap) -> Twist:
-        c = self.config
         self._s, _ = project(self._points, self._lengths, x, y, self._s - 0.1, self._s + 1.0)
         remaining = self.remaining()
-        if remaining < c.settle_distance:
+        if remaining < SETTLE_M:
             self.state = "settle"
             return self._onto_goal(x, y, yaw, last)
         room = self._room(x, y, yaw, costmap)
@@ -119,7 +118,7 @@ class Pursuit(Ramped):
         if self.state == "follow" and abs(bearing) > TURN_FIRST_RAD:
             self.state = "turn"
         if self.state == "turn":
-            if abs(bearing) > c.turned:
+            if abs(bearing) > TURNED_RAD:
                 return Twist(0.0, self._turning_speed(bearing) if abs(last.v) < 0.05 else last.w * 0.5)
             self.state = "follow"
         distance = max(math.hypot(px - x, py - y), 0.05)
@@ -139,17 +138,16 @@ class Pursuit(Ramped):
         )
         if abs(curvature) * REGULATED_M > 1.0:
             v = min(v, top / (abs(curvature) * REGULATED_M))
-        if room < c.near:
-            v = min(v, top * max(SLOWEST, room / c.near))
+        if room < NEAR_M:
+            v = min(v, top * max(SLOWEST, room / NEAR_M))
         v = max(v, min(SLOWEST * top * 0.5, 0.1))
         return min(
             v,
-            math.sqrt(2.0 * 0.6 * self.limits.max_dv * remaining),
+            math.sqrt(2.0 * BRAKING * self.limits.max_dv * remaining),
             self.limits.max_w / max(abs(curvature), 1e-6),
         )
 
     def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:
-        c = self.config
         gx, gy, goal_yaw = self._goal
         distance = math.hypot(gx - x, gy - y)
         bearing = _wrap(math.atan2(gy - y, gx - x) - yaw)
@@ -158,23 +156,23 @@ class Pursuit(Ramped):
             steer = _wrap(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
             # Done when near enough, or when the closest point of this straight run is reached.
-            if distance < c.position or (distance < RELEASE_M * 0.8 and ahead < 0.003):
+            if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
                 self.state = "align"
-            elif abs(steer) > 0.35 and distance > c.position:
+            elif abs(steer) > 0.35 and distance > SETTLED:
                 return Twist(0.0, self._turning_speed(steer))
             else:
                 v = min(
                     0.5 * self.limits.max_v,
                     math.sqrt(2.0 * 0.3 * self.limits.max_dv * distance),
-                    1.5 * distance,
+                    GAIN * distance,
                 )
                 v = max(v, 0.015) * (-1.0 if backwards else 1.0)
-                return Twist(v, 1.5 * steer)
+                return Twist(v, GAIN * steer)
         error = _wrap(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) < 0.02:
             self.state = "settle"
             return Twist()
-        self.state = "arrived" if abs(error) < c.heading else "align"
+        self.state = "arrived" if abs(error) < SETTLED else "align"
         return Twist(0.0, 0.0 if self.state == "arrived" else self._turning_speed(error))
 
     def _turning_speed(self, error: float) -> float:

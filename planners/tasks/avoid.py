@@ -7,24 +7,21 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Scan, Twist
 
+# The tutorial's numbers: something nearer ahead stops or slows the robot; speeds [m/s, rad/s].
+STOP_M, SLOW_M = 0.5, 1.0
+CRUISE_V, SLOW_V, SLOW_W, TURN_W = 0.2, 0.1, 0.3, 0.5
 
-class AvoidConfig(Settings, allow_inf_nan=False):
-    """The tutorial's numbers; metres, m/s, rad/s."""
+
+class AvoidConfig(Settings):
+    """How things are avoided."""
 
     mode: Literal["guarded", "tutorial"] = "guarded"
     """`tutorial` is the exact rule; `guarded` the same for a robot that knows its own shape."""
-    stop_distance: float = Field(default=0.5, gt=0.0)
-    slow_distance: float = Field(default=1.0, gt=0.0)
-    cruise_v: float = Field(default=0.2, gt=0.0)
-    slow_v: float = Field(default=0.1, gt=0.0)
-    slow_w: float = Field(default=0.3, gt=0.0)
-    turn_w: float = Field(default=0.5, gt=0.0)
 
 
 @dataclass(frozen=True)
@@ -64,14 +61,14 @@ def _least(ranges: Array) -> float:
     return float(ranges.min()) if len(ranges) else math.inf
 
 
-def tutorial_rule(sectors: Sectors, config: AvoidConfig) -> Decision:
+def tutorial_rule(sectors: Sectors) -> Decision:
     """Stop and turn, slow down and veer, or drive straight; a tie between the sides goes right."""
     side, sign = ("left", 1.0) if sectors.left > sectors.right else ("right", -1.0)
-    if sectors.front < config.stop_distance:
-        return Decision(f"stop, turn {side}", Twist(0.0, sign * config.turn_w))
-    if sectors.front <= config.slow_distance:
-        return Decision(f"slow, veer {side}", Twist(config.slow_v, sign * config.slow_w))
-    return Decision("straight", Twist(config.cruise_v, 0.0))
+    if sectors.front < STOP_M:
+        return Decision(f"stop, turn {side}", Twist(0.0, sign * TURN_W))
+    if sectors.front <= SLOW_M:
+        return Decision(f"slow, veer {side}", Twist(SLOW_V, sign * SLOW_W))
+    return Decision("straight", Twist(CRUISE_V, 0.0))
 
 
 def decision_line(t_s: float, sectors: Sectors, decision: Decision) -> str:

@@ -8,30 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from pydantic import Field
 
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.settings import Settings
-from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, nearest_free
+from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, ENTRY_M, Costmap, nearest_free
 from turtlebag.planners.wavefront import wave
 
 LEAST_M = 0.4
 """Shorter frontiers are gaps between beams, not openings."""
-START_M = 0.5
-"""How far from the robot its ways may begin, where it stands too near something."""
 VIEW_M = 0.8
 """From how near a frontier is looked at."""
-
-
-class FrontierConfig(Settings, allow_inf_nan=False):
-    """Metres."""
-
-    gain: float = Field(default=1.0, ge=0.0)
-    """How many metres of way a metre of frontier is worth."""
-    most_gain: float = Field(default=3.0, ge=0.0)
-    spent_radius: float = Field(default=0.5, gt=0.0)
-    """No second look from this near a place where one did not help."""
+MOST_GAIN_M = 3.0
+"""A frontier is worth as much way as it is long, and so much at most."""
+SPENT_M = 0.5
+"""No second look from this near a place where one did not help."""
 
 
 def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
@@ -44,12 +34,7 @@ def frontiers(grid: OccupancyGrid, least_length: float) -> NDArray[np.int32]:
 
 
 def next_view(
-    grid: OccupancyGrid,
-    costmap: Costmap,
-    T_map_base: SE2,
-    radius: float,
-    spent: Sequence[Array],
-    config: FrontierConfig,
+    grid: OccupancyGrid, costmap: Costmap, T_map_base: SE2, radius: float, spent: Sequence[Array]
 ) -> SE2 | None:
     """A pose from which to look at the most rewarding frontier; None when no frontier can be got near.
 
@@ -58,7 +43,7 @@ def next_view(
     """
     labels = frontiers(grid, LEAST_M)
     here = costmap.T_grid_map @ T_map_base.xy / costmap.resolution
-    start = nearest_free(costmap.clearance > radius, here, START_M / costmap.resolution)
+    start = nearest_free(costmap.clearance > radius, here, ENTRY_M / costmap.resolution)
     if start is None or not labels.any():
         return None
     ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
@@ -67,13 +52,13 @@ def next_view(
     cells = np.argwhere(candidates)
     places = grid.center_of(cells)
     for place in spent:
-        fresh = np.linalg.norm(places - place, axis=1) > config.spent_radius
+        fresh = np.linalg.norm(places - place, axis=1) > SPENT_M
         cells, places = cells[fresh], places[fresh]
     if len(cells) == 0:
         return None
     lengths = np.bincount(labels.ravel()) * grid.resolution
     target = np.stack([rows[cells[:, 0], cells[:, 1]], cols[cells[:, 0], cells[:, 1]]], axis=-1)
-    worth = np.minimum(config.gain * lengths[labels[target[:, 0], target[:, 1]]], config.most_gain)
+    worth = np.minimum(lengths[labels[target[:, 0], target[:, 1]]], MOST_GAIN_M)
     best = int(np.argmin(ways[cells[:, 0], cells[:, 1]] - worth))
     ahead = grid.center_of(target[best]) - places[best]
     return SE2.from_xyt(places[best, 0], places[best, 1], math.atan2(ahead[1], ahead[0]))

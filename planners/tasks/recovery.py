@@ -18,6 +18,12 @@ from turtlebag.datasets.types import Twist
 Kind = Literal["wait", "clear", "back_up", "rotate"]
 
 
+# Less of a move [m] or a turn [rad] is none; driven so far [m] on, the ladder starts from its foot again.
+MOVED_M, MOVED_RAD, PROGRESS_M = 0.06, 0.25, 0.5
+ROTATE_W = 0.6
+"""How fast it turns [rad/s]."""
+
+
 class Rung(Settings, allow_inf_nan=False):
     """One manoeuvre: seconds to wait, metres to back up, radians to turn; nothing for `clear`."""
 
@@ -43,12 +49,7 @@ class RecoveryConfig(Settings, allow_inf_nan=False):
     """Manoeuvres for one goal altogether; then it is given up."""
     stuck_time: Seconds = Field(default=5.0, gt=0.0)
     """Without moving for so long the robot counts as stuck."""
-    stuck_distance: float = Field(default=0.06, gt=0.0)
-    stuck_angle: float = Field(default=0.25, gt=0.0)
-    progress: float = Field(default=0.5, gt=0.0)
-    """Driven so far on, the ladder starts from its foot again."""
     back_up_v: float = Field(default=0.08, ge=1e-3)
-    rotate_w: float = Field(default=0.6, ge=1e-3)
 
 
 class Manoeuvre(Protocol):
@@ -136,7 +137,7 @@ class Ladder:
             speed, amount = self.config.back_up_v, rung.amount
             ways = {"recover_back_up": Twist(-speed, 0.0), "recover_go_on": Twist(speed, 0.0)}
         else:
-            speed, amount = self.config.rotate_w, min(rung.amount, math.pi - 0.1)
+            speed, amount = ROTATE_W, min(rung.amount, math.pi - 0.1)
             first = speed if self.used % 2 else -speed
             ways = {"recover_rotate": Twist(0.0, first), "recover_rotate_back": Twist(0.0, -first)}
         limit = now_ns + round((amount / speed + 1.0) * 1e9)
@@ -162,8 +163,8 @@ class ProgressWatch:
     def stuck(self, now_ns: int, pose: SE2) -> bool:
         """Whether neither position nor heading changed enough for too long."""
         if self._pose is not None:
-            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > self.config.stuck_distance
-            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > self.config.stuck_angle
+            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > MOVED_M
+            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > MOVED_RAD
             if not (moved or turned):
                 return now_ns - self._since_ns > self.config.stuck_time * 1e9
         self._pose, self._since_ns = pose, now_ns

@@ -120,7 +120,7 @@ def test_patches_are_what_a_plain_flood_joins(seed, monkeypatch):
         while stack:
             i = stack.pop()
             for j in np.flatnonzero(np.abs(cells - cells[i]).max(axis=1) <= 2):
-                goes_on = abs((points[j] - points[i]) @ normals[seed_cell]) < module.PATCH_STEP_CELLS
+                goes_on = abs((points[j] - points[i]) @ normals[seed_cell]) < module.ROUGH_CELLS
                 alike = normals[j] @ normals[seed_cell] >= module.PATCH_COSINE
                 near = np.abs(cells[j] - cells[seed_cell]).max() <= module.PATCH_CELLS
                 if expected[j] < 0 and alike and near and goes_on:
@@ -289,7 +289,7 @@ def test_a_step_and_its_spread_are_the_kalman_filters(seed):
 def test_a_correction_is_as_surprising_as_it_was_expected():
     P, less = covariance(3, 5), 0.3 * covariance(3, 5)
     step = np.array([0.02, -0.03, 0.05])
-    expected = step @ np.linalg.solve(P - less + walls.LEAST_EXPECTED * np.eye(3), step) / 3.0
+    expected = step @ np.linalg.solve(P - less + walls.STEP_DONE**2 * np.eye(3), step) / 3.0
     before = np.array([1.0, 2.0, 3.12])
     assert nis(before, P, before + step, less) == pytest.approx(expected)
     assert nis(before, P, before + step - [0, 0, 2 * math.pi], less) == pytest.approx(expected)

@@ -13,7 +13,6 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.lost import TRANSITIONS, Event, Lost, RelocaliseConfig, State
 from turtlebag.pipeline.navigation.navigator import LOST
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -36,7 +35,7 @@ def run(map_path, faults, **request):
     asked = Request(**{"task": "goal", "seed": 1, "map_path": map_path, "initial_pose": "start"} | request)
     mission = prepare(asked, BURGER, config, ARENA.keepout)
     with Simulator(ARENA, BURGER, config.sim, asked.seed) as simulator:
-        return drive(simulator, mission, NoBag(), lambda line: None)
+        return drive(simulator, mission)
 
 
 @pytest.mark.slow
@@ -105,7 +104,7 @@ def test_without_a_map_it_stands_in_the_dark_too(task):
     config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_silent=((3.0, 5.0),))))
     mission = prepare(Request(task=task, seed=1, duration_s=7.0), BURGER, config)
     with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
-        log = drive(simulator, mission, NoBag(), lambda line: None).log
+        log = drive(simulator, mission).log
     t = log.t_ns * 1e-9
     assert np.all(np.abs(log.v[(t > 4.1) & (t < 5.1)]) < 1e-6)
     assert np.any(np.abs(log.v[t < 3.0]) > 0.05)
@@ -163,7 +162,7 @@ def test_an_exploration_that_never_saw_anything_did_not_succeed():
     config = NavigateConfig(sim=SimConfig(faults=FaultConfig(scan_loss=1.0)))
     mission = prepare(Request(task="explore", seed=1, duration_s=1.0), BURGER, config)
     with Simulator(ARENA, BURGER, config.sim, 1) as simulator:
-        episode = drive(simulator, mission, NoBag(), lambda line: None)
+        episode = drive(simulator, mission)
     assert episode.grid is None
     assert episode.metrics["success"] is False
 

@@ -16,7 +16,6 @@ from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.ompl_planner import PlannerName
-from turtlebag.planners.tasks.wiggle import Wiggle, WiggleConfig
 from turtlebag.sim.robots import FOLDER as ROBOTS
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import FOLDER, load_world
@@ -87,20 +86,6 @@ def test_a_wrong_initial_pose_is_wiggled_right(true_map, tmp_path):
     assert navigate(WORLD, request, tmp_path / "run") == 0
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["goals"][0]["error_m"] < 0.05
-
-
-def test_a_wiggle_turns_both_ways_and_ends():
-    wiggle = Wiggle(WiggleConfig(angle=1.0, w=0.5, least=1.0, most=20.0))
-    heading, headings = 0.0, []
-    for tick in range(16 * 30):
-        heading += wiggle.command(tick * 10**9 // 30, settled=False).w / 30.0
-        headings.append(heading)
-    assert max(headings) == pytest.approx(1.0, abs=0.05)
-    assert min(headings) == pytest.approx(-1.0, abs=0.05)
-    assert wiggle.command(17 * 10**9, settled=True) is None
-    assert not wiggle.gave_up
-    assert wiggle.command(20 * 10**9, settled=False) is None
-    assert wiggle.gave_up
 
 
 def test_laps_and_durations_without_end_are_refused(true_map, tmp_path, capsys):
@@ -176,7 +161,6 @@ def test_a_comparison_holds_every_planner_and_the_chosen_one_first_hand(true_map
     [
         "plan.margins=[]",
         "plan.margins=[-0.2]",
-        "plan.spacing=1e-9",
         "plan.stretch=0.5",
         "plan.stretch=nan",
         "plan.ompl.iterations=0",

@@ -29,7 +29,6 @@ from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.lost import RelocaliseConfig
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
-from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -216,7 +215,7 @@ def run(place, tmp_path, config, seed=2, **request):
     asked = Request(task="goal", seed=seed, map_path=path, timeout_s=90.0, **request)
     mission = prepare_mission(asked, BURGER, config, place.keepout)
     with Simulator(place, BURGER, config.sim, seed) as simulator:
-        return drive(simulator, mission, NoBag(), lambda line: None)
+        return drive(simulator, mission)
 
 
 @pytest.mark.slow

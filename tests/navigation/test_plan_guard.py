@@ -12,7 +12,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
 from turtlebag.pipeline.navigation.guarded import Guard, _to_most_room
 from turtlebag.pipeline.navigation.sensing import Sight
-from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, Sectors
+from turtlebag.planners.tasks.avoid import Decision, Sectors
 
 S, HERE = 10**9, SE2.identity()
 OPEN = Sectors(1.5, 2.0, 1.5)
@@ -26,7 +26,7 @@ def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
 
 
 def guard():
-    return Guard(BURGER, AvoidConfig())
+    return Guard(BURGER)
 
 
 def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():

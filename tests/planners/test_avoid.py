@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.types import LidarSpec, Scan, Twist
-from turtlebag.planners.tasks.avoid import AvoidConfig, Sectors, decision_line, read_sectors, tutorial_rule
+from turtlebag.planners.tasks.avoid import Sectors, decision_line, read_sectors, tutorial_rule
 
 LDS = LidarSpec(360, 0.0, math.pi / 180.0, 0.12, 3.5)
 
@@ -52,11 +52,11 @@ def test_invalid_ranges_are_ignored():
     ],
 )
 def test_the_three_tiers(front, left, right, expected):
-    assert tutorial_rule(Sectors(left, front, right), AvoidConfig()).command == expected
+    assert tutorial_rule(Sectors(left, front, right)).command == expected
 
 
 def test_the_line_says_what_was_seen_and_decided():
     sectors = Sectors(0.75, 0.4, math.inf)
-    line = decision_line(1.2, sectors, tutorial_rule(sectors, AvoidConfig()))
+    line = decision_line(1.2, sectors, tutorial_rule(sectors))
     words = ["1.2", "s", "left", "0.75", "front", "0.40", "right", "inf", "stop,", "turn", "right"]
     assert line.split() == words

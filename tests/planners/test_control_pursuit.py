@@ -17,9 +17,12 @@ from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.control.pursuit import (
     LOOKAHEAD_M,
     LOOKAHEAD_S,
+    NEAR_M,
     REGULATED_M,
+    SETTLE_M,
     SLOWEST,
     TURN_FIRST_RAD,
+    TURNED_RAD,
     Pursuit,
     PursuitConfig,
     _in_grid,
@@ -74,8 +77,8 @@ def test_it_turns_to_the_path_beyond_one_bearing_and_drives_on_below_another():
     for yaw, last, state in (
         (ahead - TURN_FIRST_RAD + 0.01, Twist(), "follow"),
         (ahead - TURN_FIRST_RAD - 0.01, Twist(), "turn"),
-        (ahead + C.turned + 0.01, Twist(), "turn"),
-        (ahead - C.turned + 0.01, Twist(), "follow"),
+        (ahead + TURNED_RAD + 0.01, Twist(), "turn"),
+        (ahead - TURNED_RAD + 0.01, Twist(), "follow"),
     ):
         found = pursuit.command(SE2.from_xyt(1.8, 4.0, yaw), last, ROOM)
         assert pursuit.state == state
@@ -101,8 +104,8 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
         bend = abs(curvature)
         v = min(top, math.sqrt(C.max_lateral / max(bend, 1e-6)))
         v = min(v, top / max(1.0, bend * REGULATED_M))
-        if room_m < C.near:
-            v = min(v, top * max(SLOWEST, room_m / C.near))
+        if room_m < NEAR_M:
+            v = min(v, top * max(SLOWEST, room_m / NEAR_M))
         v = min(max(v, slow), math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.6 / max(bend, 1e-6))
         assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
     pursuit._speeds = np.linspace(0.4, 0.0, 101)
@@ -138,7 +141,7 @@ def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
         pursuit.set_path(first)
         pursuit.state, pursuit._s = state, 2.0
         pursuit.set_path(second)
-        expected = "turn" if expected == "arrived" and 4 * C.settle_distance <= 6.0 - 5.53 else expected
+        expected = "turn" if expected == "arrived" and 4 * SETTLE_M <= 6.0 - 5.53 else expected
         assert (pursuit.state, pursuit._s) == (expected, 0.0)
     assert Pursuit(PROMPT, C, DT).remaining() == 0.0
     still = Pursuit(PROMPT, C, DT)
@@ -265,7 +268,7 @@ def test_the_goal_checker_is_wider_once_inside_and_counts_its_hold():
 
 @pytest.mark.parametrize(("v", "w"), [(0.2, 0.0), (0.15, 1.0), (0.0, 1.5), (-0.2, 0.3)])
 def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
-    config = MonitorConfig(padding=0.02, reaction=0.1, braking_share=0.8, step=0.01)
+    config = MonitorConfig(padding=0.02, reaction=0.1, braking_share=0.8)
     monitor, b = CollisionMonitor(BURGER, config), 0.8 * BURGER.max_dv
     reach = BURGER.circumscribed_radius + 0.02
     speed = max(abs(v), abs(w) * reach)

@@ -39,12 +39,11 @@ def test_gaps_between_beams_are_free_and_the_inside_of_a_pillar_is_not():
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1])
 def test_specks_are_told_by_their_area_in_square_metres(resolution):
-    config = CostmapConfig(speck_area=0.06)
-    cells = round(config.speck_area / resolution**2)
+    cells = round(0.06 / resolution**2)
     for size, blocked in ((cells - 1, False), (cells + 1, True)):
         grid = room(rows=40, cols=200, resolution=resolution)
         grid.cells[10, 10 : 10 + size] = UNKNOWN
-        assert costmap_from_grid(grid, config).lethal[10, 10] == blocked
+        assert costmap_from_grid(grid, CostmapConfig()).lethal[10, 10] == blocked
 
 
 def test_keepout_polygons_are_lethal_in_a_turned_map_too():

@@ -5,9 +5,7 @@ import numpy as np
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
-from turtlebag.planners.tasks.frontier import FrontierConfig, frontiers, next_view
-
-CONFIG = FrontierConfig()
+from turtlebag.planners.tasks.frontier import frontiers, next_view
 
 
 def corridor(open_left: bool, open_right: bool) -> OccupancyGrid:
@@ -24,7 +22,7 @@ def corridor(open_left: bool, open_right: bool) -> OccupancyGrid:
 
 def view(grid, x=3.5, spent=()):
     costmap = costmap_from_grid(grid, CostmapConfig())
-    return next_view(grid, costmap, SE2.from_xyt(x, 1.25, 0.0), 0.2, spent, CONFIG)
+    return next_view(grid, costmap, SE2.from_xyt(x, 1.25, 0.0), 0.2, spent)
 
 
 def test_a_closed_corridor_has_no_frontier():

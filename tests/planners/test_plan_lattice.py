@@ -22,7 +22,7 @@ from turtlebag.planners.lattice_search import (
     number_cells,
     shortest,
 )
-from turtlebag.planners.oriented import drives, moves, turns
+from turtlebag.planners.oriented import Ground, drives, moves, turns
 from turtlebag.planners.wavefront import wave
 
 RES = 0.05
@@ -44,12 +44,13 @@ class Room:
             lethal[:, cols // 2] = True
             lethal[5:9, cols // 2] = False
         self.field = clearance_field(lethal, RES)
+        self.ground = Ground(self.field, RES, SHAPE)
         self.numbers, self.narrow = number_cells(self.field, INNER, OUTER)
 
     def args(self):
         size = self.narrow * N
         memory = np.zeros(size, dtype=np.int8), np.zeros(size, dtype=np.int8)
-        return Floor(self.field, RES, SHAPE, self.numbers, *memory, HEADINGS, YAWS, BACKWARDS, TURN)
+        return Floor(self.ground, self.numbers, *memory, HEADINGS, YAWS, BACKWARDS, TURN)
 
     def state(self, r, c, k):
         return (r, c, -1) if self.numbers[r, c] == WIDE else (r, c, k)
@@ -73,11 +74,11 @@ class Room:
                     continue
                 both_wide = self.numbers[r, c] == WIDE == self.numbers[r1, c1] and max(abs(dr), abs(dc)) == 1
                 there = (c1 + 0.5) * RES, (r1 + 0.5) * RES, YAWS[h]
-                if both_wide or moves(self.field, RES, SHAPE, x, y, YAWS[h], *there):
+                if both_wide or moves(self.ground, (x, y, YAWS[h]), there):
                     yield self.state(r1, c1, h), factor * math.hypot(dr, dc)
         for turn in (1, -1) if k >= 0 else ():
             h = (k + turn) % N
-            if self.stands(r, c, h) and moves(self.field, RES, SHAPE, x, y, YAWS[k], x, y, YAWS[h]):
+            if self.stands(r, c, h) and moves(self.ground, (x, y, YAWS[k]), (x, y, YAWS[h])):
                 yield (r, c, h), TURN
 
     def costs(self, starts):
@@ -189,8 +190,8 @@ def test_the_states_near_a_pose_are_those_straight_to_be_reached(seed):
             if (wide and k > 0) or abs(math.remainder(yaw - pose[2], 2 * math.pi)) > 2.5 * 2 * math.pi / N:
                 continue
             x, y = (c + 0.5) * RES, (r + 0.5) * RES
-            driven = _reaches(floor.field, RES, SHAPE, pose, x, y, yaw)
-            if driven or moves(floor.field, RES, SHAPE, *pose, x, y, yaw):
+            driven = _reaches(floor.ground, pose, x, y, yaw)
+            if driven or moves(floor.ground, tuple(pose), (x, y, yaw)):
                 gap = 1.5 * math.hypot(x - pose[0], y - pose[1]) / RES
                 expected[r, c, k] = gap + (0.0 if driven else SLIP)
         assert [tuple(s) for s in states.tolist()] == list(expected)
@@ -207,15 +208,15 @@ def test_a_pose_is_reached_by_a_turn_a_drive_and_a_turn_either_way_round(seed):
         pose = np.array([*rng.uniform(0.15, [0.9, 0.7]), rng.uniform(-3.0, 3.0)])
         x, y, yaw = *(pose[:2] + rng.normal(0.0, 0.08, 2)), rng.uniform(-3.0, 3.0)
         there, ahead = np.array([x, y]), math.atan2(y - pose[1], x - pose[0])
-        f = floor.field, RES, SHAPE
+        ground = floor.ground
         expected = any(
-            turns(*f, pose[:2], pose[2], way)
-            and drives(*f, pose[:2], there, way)
-            and turns(*f, there, way, yaw)
+            turns(ground, pose[:2], pose[2], way)
+            and drives(ground, pose[:2], there, way)
+            and turns(ground, there, way, yaw)
             for way in (ahead, ahead + math.pi)
         )
-        assert _reaches(*f, pose, x, y, yaw) == expected
-        assert _reaches(*f, pose, pose[0], pose[1], yaw) == turns(*f, pose[:2], pose[2], yaw)
+        assert _reaches(ground, pose, x, y, yaw) == expected
+        assert _reaches(ground, pose, pose[0], pose[1], yaw) == turns(ground, pose[:2], pose[2], yaw)
         told[expected] += 1
     assert min(told.values()) > 15
 
@@ -224,12 +225,12 @@ def test_a_pose_is_reached_by_a_turn_a_drive_and_a_turn_either_way_round(seed):
 def test_what_stands_or_turns_is_looked_up_once_and_remembered(seed):
     floor = Room(seed, share=0.05)
     known = floor.args()
-    f = floor.field, RES, SHAPE
+    ground = floor.ground
     for r, c, k in itertools.product(range(17), range(21), range(N)):
         h = (k + 1) % N
         x, y = (c + 0.5) * RES, (r + 0.5) * RES
         here, number = floor.numbers[r, c] != BLOCKED and floor.stands(r, c, k), floor.numbers[r, c]
-        turned = here if number < 0 else moves(*f, x, y, YAWS[k], x, y, YAWS[h])
+        turned = here if number < 0 else moves(ground, (x, y, YAWS[k]), (x, y, YAWS[h]))
         for _ in range(2):
             assert _stands(known, r, c, k, k) == here
             assert _stands(known, r, c, k, h) == turned

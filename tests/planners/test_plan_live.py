@@ -8,18 +8,17 @@ from scipy import ndimage
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.costmap import Costmap, clearance_field, nearest_free
+from turtlebag.planners.costmap import ENTRY_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
 from turtlebag.planners.live import NEVER, Beams, LiveConfig, LiveLayer, _mark_and_clear
 from turtlebag.planners.rolling import (
-    NEAREST_M,
     RIM_M,
     RollingLayer,
     _free_floor,
     _rim,
     _shifted,
 )
-from turtlebag.planners.tasks.frontier import START_M, VIEW_M, FrontierConfig, frontiers, next_view
+from turtlebag.planners.tasks.frontier import SPENT_M, VIEW_M, frontiers, next_view
 from turtlebag.planners.wavefront import wave
 
 RES = 0.1
@@ -28,17 +27,17 @@ RES = 0.1
 def standing(costmap, pose, radius):
     """The cell from which exploring begins."""
     here = costmap.T_grid_map @ pose.xy / costmap.resolution
-    return nearest_free(costmap.clearance > radius, here, START_M / costmap.resolution)
+    return nearest_free(costmap.clearance > radius, here, ENTRY_M / costmap.resolution)
 
 
-def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, raytrace_range, known):
+def plain_sweep(seen, hits, clearance, x, y, ends, is_hit, now, obstacle_range, known):
     """Clearing along all beams, half a cell at a time, and then marking."""
     rows, cols = seen.shape
     for (ex, ey), hit in zip(ends, is_hit, strict=True):
         length = math.dist((x, y), (ex, ey))
         if length < 1e-6:
             continue
-        stop = min(length - 1.5 * RES if hit else length, raytrace_range)
+        stop = length - 1.5 * RES if hit else length
         for t in np.arange(0, max(0, math.ceil(stop / (0.5 * RES) - 1e-9))) * 0.5 * RES:
             col, row = int((x + t * (ex - x) / length) / RES), int((y + t * (ey - y) / length) / RES)
             if 0 <= row < rows and 0 <= col < cols and seen[row, col] < now:
@@ -63,8 +62,8 @@ def test_sweeps_mark_and_clear_as_a_plain_loop_does(seed):
         x, y = rng.uniform(0.3, [3.1, 2.3])
         ends = np.vstack([rng.uniform(-1.0, [4.4, 3.6], (40, 2)), [[x, y]]])
         n_hits = int(rng.integers(15, 35))
-        _mark_and_clear(seen, hits, clearance, RES, Beams(x, y, ends, n_hits), now, (1.4, 1.1, 0.14))
-        plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 1.1, 0.14)
+        _mark_and_clear(seen, hits, clearance, RES, Beams(x, y, ends, n_hits, 1.4, 0.14), now)
+        plain_sweep(*expected, clearance, x, y, ends, np.arange(41) < n_hits, now, 1.4, 0.14)
         np.testing.assert_array_equal(seen, expected[0])
         np.testing.assert_array_equal(hits, expected[1])
     assert (seen == 3.1).any()
@@ -74,8 +73,9 @@ def empty(rows=40, cols=50, T=None):
     return Costmap(np.zeros((rows, cols), dtype=bool), RES, T or SE2.from_xyt(-1.0, 0.5, 0.3))
 
 
-def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits():
-    config = LiveConfig(hits=2, decay=5.0, known=0.0, obstacle_range=9.0, raytrace_range=9.0, reach=0.35)
+def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.35)
+    config = LiveConfig(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
     layer = LiveLayer(empty(), config)
     T = layer.static.T_map_grid
     origin, post = T @ SE2.from_xyt(1.05, 1.05, 1.0), T @ np.array([[2.55, 3.05]])
@@ -113,8 +113,9 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits():
 
 
 @pytest.mark.parametrize("live", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
-def test_near_live_cells_the_clearance_is_that_of_both(live):
-    layer = LiveLayer(empty(), LiveConfig(reach=0.8))
+def test_near_live_cells_the_clearance_is_that_of_both(live, monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.8)
+    layer = LiveLayer(empty(), LiveConfig())
     mask = np.zeros((40, 50), dtype=bool)
     mask[tuple(np.transpose(live))] = True
     exact = clearance_field(layer.static.lethal | mask, RES)
@@ -156,7 +157,7 @@ def test_the_nearest_free_cell_is_that_of_the_least_gap_within_reach():
 
 
 def window(side=4.0, shift=0.5, centre=(0.23, -0.31)):
-    config = LiveConfig(known=0.0, hits=1, decay=60.0, obstacle_range=9.0, raytrace_range=9.0)
+    config = LiveConfig(known=0.0, hits=1, decay=60.0, obstacle_range=9.0)
     return RollingLayer(np.array(centre), side, RES, shift, config)
 
 
@@ -184,7 +185,7 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
         assert layer.stands_in(goal)
         pose = SE2.from_xyt(*rng.uniform(-0.5, 0.5, 2), 0.0)
         free = layer.costmap.clearance > radius
-        start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, NEAREST_M / res)
+        start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
         ways = wave(free, *start, math.inf) * res
         best = (math.inf, None)
         inset = round(RIM_M / res)
@@ -228,8 +229,9 @@ def half_seen(seed):
 
 @pytest.mark.parametrize("most_gain", [0.6, 9.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, most_gain):
-    grid, config = half_seen(seed), FrontierConfig(gain=0.7, most_gain=most_gain)
+def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, most_gain, monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.tasks.frontier.MOST_GAIN_M", most_gain)
+    grid = half_seen(seed)
     labels = frontiers(grid, 0.4)
     unknown = np.pad(grid.cells == UNKNOWN, 1)
     beside = np.any([unknown[a : a + 40, b : b + 50] for a in range(3) for b in range(3)], axis=0)
@@ -248,12 +250,12 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     for r, c in np.argwhere(np.isfinite(ways)):
         place = grid.center_of(np.array([r, c]))
         gaps = np.hypot(*(spots - [r, c]).T) * RES
-        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= config.spent_radius:
+        if gaps.min() > VIEW_M or math.dist(place, spent[0]) <= SPENT_M:
             continue
         label = {labels[tuple(s)] for s in spots[gaps <= gaps.min() + 1e-9]}
-        worth = {min(config.gain * np.sum(labels == k) * RES, config.most_gain) for k in label}
+        worth = {min(np.sum(labels == k) * RES, most_gain) for k in label}
         best = min(best, (ways[r, c] - max(worth), tuple(place)))
-    view = next_view(grid, costmap, robot, 0.15, spent, config)
+    view = next_view(grid, costmap, robot, 0.15, spent)
     found = tuple(grid.cell_of(view.xy).tolist())
     np.testing.assert_allclose(view.xy, best[1], atol=1e-9)
     gaps = np.hypot(*(spots - found).T)

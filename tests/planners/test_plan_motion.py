@@ -9,7 +9,7 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import disc_segment_free, field_at, footprint_free
-from turtlebag.planners.oriented import drives, free_from, moves, pull, turning, turns
+from turtlebag.planners.oriented import Ground, drives, free_from, moves, pull, turning, turns
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
 from turtlebag.planners.wavefront import descend, wave
 
@@ -19,6 +19,10 @@ LONG = np.array([[-0.2, -0.07], [0.1, -0.07], [0.13, 0.0], [0.1, 0.07], [-0.2, 0
 
 def floor(seed: int, share: float = 0.015, rows: int = 36, cols: int = 44):
     return clearance_field(np.random.default_rng(seed).random((rows, cols)) < share, RES)
+
+
+def ground(field):
+    return Ground(field, RES, LONG)
 
 
 def wrapped(angle):
@@ -43,7 +47,7 @@ def test_a_drive_that_turns_is_free_just_when_all_poses_between_are():
         turn = wrapped(b[2] - a[2])
         f = np.linspace(0.0, 1.0, 161)[:, None]
         free = free_along(field, a + f * np.array([*(b[:2] - a[:2]), turn]))
-        found = moves(field, RES, LONG, *a, *b)
+        found = moves(ground(field), tuple(a), tuple(b))
         # poses are looked at every half a cell and every 0.1 rad
         steps = max(math.hypot(*(b - a)[:2]) / (0.5 * RES), abs(turn) / 0.1, 1.0)
         if free.all():
@@ -61,8 +65,8 @@ def test_a_drive_in_one_heading_is_a_move_without_a_turn():
     for a, b, yaw in zip(
         rng.uniform(0.25, 1.5, (150, 2)), rng.uniform(0.25, 1.5, (150, 2)), rng.normal(size=150), strict=True
     ):
-        found = drives(field, RES, LONG, a, b, yaw)
-        assert found == moves(field, RES, LONG, a[0], a[1], yaw, b[0], b[1], yaw)
+        found = drives(ground(field), a, b, yaw)
+        assert found == moves(ground(field), (*a, yaw), (*b, yaw))
         told[found] += 1
     assert min(told.values()) > 10
 
@@ -71,7 +75,7 @@ def test_a_turn_goes_the_shorter_way_where_it_is_free_and_else_the_longer():
     everywhere = np.full((40, 40), 0.5, dtype=np.float32)
     at = np.array([1.0, 1.0])
     for old, new in np.random.default_rng(5).uniform(-7.0, 7.0, (50, 2)):
-        assert turning(everywhere, RES, LONG, at, old, new) == pytest.approx(wrapped(new - old))
+        assert turning(ground(everywhere), at, old, new) == pytest.approx(wrapped(new - old))
     # a post 15 cm behind the robot, where its tail passes and its nose does not
     lethal = np.zeros((40, 40), dtype=bool)
     lethal[20, 16] = True
@@ -85,10 +89,10 @@ def test_a_turn_goes_the_shorter_way_where_it_is_free_and_else_the_longer():
         blocked = [
             not footprint_free(post, RES, LONG, *here, old + angle * f) for f in np.linspace(0, 1, 200)
         ]
-        found = turning(post, RES, LONG, here, old, new)
+        found = turning(ground(post), here, old, new)
         expected = angle - math.copysign(2.0 * math.pi, angle) if any(blocked) else angle
         assert found == pytest.approx(expected)
-        assert turns(post, RES, LONG, here, old, new)
+        assert turns(ground(post), here, old, new)
 
 
 def amid_four_posts():
@@ -102,11 +106,11 @@ def test_no_turn_either_way_is_nan_and_any_heading_needs_none():
     cross, here = amid_four_posts()
     quarter = 0.5 * math.pi
     assert footprint_free(cross, RES, LONG, *here, 0.25 * math.pi)
-    assert math.isnan(turning(cross, RES, LONG, here, 0.5 * quarter, 1.5 * quarter))
-    assert not turns(cross, RES, LONG, here, 0.5 * quarter, 1.5 * quarter)
+    assert math.isnan(turning(ground(cross), here, 0.5 * quarter, 1.5 * quarter))
+    assert not turns(ground(cross), here, 0.5 * quarter, 1.5 * quarter)
     for old, new in ((math.nan, 1.0), (1.0, math.nan)):
-        assert turning(cross, RES, LONG, here, old, new) == 0.0
-        assert turns(cross, RES, LONG, here, old, new)
+        assert turning(ground(cross), here, old, new) == 0.0
+        assert turns(ground(cross), here, old, new)
 
 
 def walk(field, seed):
@@ -130,9 +134,9 @@ def pulled(field, path, first, last):
 
     def goes_on(at, yaw):
         if at == len(path) - 1:
-            return turns(field, RES, LONG, path[at], yaw, last)
+            return turns(ground(field), path[at], yaw, last)
         ahead = line(path[at], path[at + 1])
-        return any(turns(field, RES, LONG, path[at], yaw, ahead + back) for back in (0.0, math.pi))
+        return any(turns(ground(field), path[at], yaw, ahead + back) for back in (0.0, math.pi))
 
     corners, yaws, yaw = [0], [], first
     while corners[-1] < len(path) - 1:
@@ -141,8 +145,8 @@ def pulled(field, path, first, last):
             ways = [
                 way
                 for way in (line(path[at], path[target]), line(path[at], path[target]) + math.pi)
-                if turns(field, RES, LONG, path[at], yaw, way)
-                and drives(field, RES, LONG, path[at], path[target], way)
+                if turns(ground(field), path[at], yaw, way)
+                and drives(ground(field), path[at], path[target], way)
                 and goes_on(target, way)
             ]
             if ways:
@@ -158,7 +162,7 @@ def test_a_path_is_pulled_to_the_longest_drives_that_can_be_turned_into(seed):
     field = floor(seed, share=0.02)
     path, rng = walk(field, seed), np.random.default_rng(seed)
     for first, last in (rng.uniform(-3.0, 3.0, 2), (math.nan, math.nan)):
-        corners, yaws = pull(field, RES, LONG, path, first, last)
+        corners, yaws = pull(ground(field), path, first, last)
         expected = pulled(field, path, first, last)
         np.testing.assert_array_equal(corners, expected[0])
         np.testing.assert_allclose(yaws, expected[1], atol=1e-12)
@@ -182,34 +186,34 @@ def test_a_path_is_free_from_the_first_pose_after_its_last_obstacle(seed):
             yaw = line(a, b) if math.hypot(*(b - a)) > 1e-6 else poses[k, 2]
             if k > 0 and math.cos(yaw - poses[k, 2]) < 0.0:
                 yaw += math.pi
-            if not (turns(field, RES, LONG, b, yaw, after) and drives(field, RES, LONG, a, b, yaw)):
+            if not (turns(ground(field), b, yaw, after) and drives(ground(field), a, b, yaw)):
                 break
             expected, after = k, yaw
-        if expected == 0 and not turns(field, RES, LONG, poses[0, :2], poses[0, 2], after):
+        if expected == 0 and not turns(ground(field), poses[0, :2], poses[0, 2], after):
             expected = 1
-    assert free_from(field, RES, LONG, poses) == expected
+    assert free_from(ground(field), poses) == expected
 
 
 def test_a_path_in_the_open_is_free_and_one_whose_goal_is_not_is_nowhere():
     field = floor(0, share=0.0)
     poses = np.array([[0.4, 0.4, 1.0], [0.8, 0.4, 0.0], [0.8, 0.4, 2.0], [1.2, 0.9, -2.0]])
-    assert free_from(field, RES, LONG, poses) == 0
-    assert free_from(field, RES, LONG, np.vstack([poses, [[0.05, 0.9, 0.0]]])) == 5
+    assert free_from(ground(field), poses) == 0
+    assert free_from(ground(field), np.vstack([poses, [[0.05, 0.9, 0.0]]])) == 5
     # a start that has no room to turn; driven straight on it is free
     tight = np.array([[0.25, 0.1, 0.0], [0.7, 0.1, 0.0], [0.9, 0.5, 0.0]])
-    assert free_from(field, RES, LONG, tight) == 2
+    assert free_from(ground(field), tight) == 2
     tight[1, :2] = (0.7, 0.5)
-    assert free_from(field, RES, LONG, tight) == 1
-    assert free_from(field, RES, LONG, tight[:1]) == 0
+    assert free_from(ground(field), tight) == 1
+    assert free_from(ground(field), tight[:1]) == 0
     # a start from which the first drive is free, and the turn into it is not
     cross, (x, y) = amid_four_posts()
     away = np.array([[x, y, 0.25 * math.pi], [x - 0.3, y + 0.3, 0.75 * math.pi]])
-    assert free_from(cross, RES, LONG, away) == 1
+    assert free_from(ground(cross), away) == 1
     away[0, 2] = 0.75 * math.pi
-    assert free_from(cross, RES, LONG, away) == 0
+    assert free_from(ground(cross), away) == 0
     # a pose said twice keeps its heading, and has no other to turn to
     moved = np.roll(cross, 5, axis=1)
-    assert free_from(moved, RES, LONG, np.tile([x + 5 * RES, y, 0.25 * math.pi], (3, 1))) == 0
+    assert free_from(ground(moved), np.tile([x + 5 * RES, y, 0.25 * math.pi], (3, 1))) == 0
 
 
 @pytest.mark.parametrize("seed", range(4))

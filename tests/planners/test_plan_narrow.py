@@ -17,7 +17,7 @@ from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
 from turtlebag.planners.lattice import HEADINGS, YAWS
 from turtlebag.planners.lattice_search import WIDE, Floor, ends
 from turtlebag.planners.ompl_planner import OmplConfig
-from turtlebag.planners.oriented import free_from
+from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.wavefront import wave
 
 RES = 0.05
@@ -147,7 +147,7 @@ def test_what_the_cells_join_is_planned_though_the_planner_finds_nothing():
         costmap, BURGER, SE2.from_xyt(0.4, 0.7, 0.0), SE2.from_xyt(2.6, 0.7, 0.0), PlanConfig(ompl=ompl), 1
     )
     assert plan.planner == "grid"
-    assert free_from(costmap.clearance, RES, BURGER.footprint, plan.poses.xyt) == 0
+    assert free_from(Ground(costmap.clearance, RES, BURGER.footprint), plan.poses.xyt) == 0
 
 
 @pytest.mark.slow
@@ -157,7 +157,7 @@ def test_room_that_is_asked_for_is_kept_in_a_narrow_gap_too():
     with pytest.raises(NoPath):
         plan_path(costmap, WAFFLE, start, goal, PlanConfig(margins=(0.2, 0.08)), seed=1)
     plan = plan_path(costmap, WAFFLE, start, goal, PlanConfig(margins=(0.2, 0.04)), seed=1)
-    assert free_from(costmap.clearance, RES, padded(WAFFLE.footprint, 0.04), plan.poses.xyt) == 0
+    assert free_from(Ground(costmap.clearance, RES, padded(WAFFLE.footprint, 0.04)), plan.poses.xyt) == 0
 
 
 @pytest.mark.parametrize("space", ["disc", "se2"])
@@ -170,7 +170,7 @@ def test_a_gap_that_the_disc_round_the_robot_does_not_pass_is_driven_straight(sp
     assert plan.planner == "footprint lattice"
     np.testing.assert_allclose(plan.poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-9)
     grown = padded(WAFFLE.footprint, 0.5 * RES)
-    assert free_from(costmap.clearance, RES, grown, plan.poses.xyt) == 0
+    assert free_from(Ground(costmap.clearance, RES, grown), plan.poses.xyt) == 0
     assert plan.length < 3.5
 
 
@@ -211,7 +211,7 @@ def test_the_way_to_a_lattice_state_costs_one_and_a_half_times_its_length_in_cel
     none = np.zeros(0, dtype=np.int8)
     headings = np.zeros((16, 2), dtype=np.int64)
     states, gaps = ends(
-        Floor(field, 0.1, BURGER.footprint, numbers, none, none, headings, yaws, 2.0, 0.2), pose
+        Floor(Ground(field, 0.1, BURGER.footprint), numbers, none, none, headings, yaws, 2.0, 0.2), pose
     )
     assert len(states) == 25
     length = np.hypot(states[:, 1] * 0.1 + 0.05 - pose[0], states[:, 0] * 0.1 + 0.05 - pose[1]) / 0.1

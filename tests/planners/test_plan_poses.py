@@ -179,7 +179,7 @@ def test_poses_are_planned_up_to_every_border_of_a_small_map(space):
     for ends in (((0.25, 0.25, 0.0), (0.9, 0.7, 0.0)), ((0.25, 0.75, 0.0), (0.95, 0.25, 0.0))):
         start, goal = (SE2.from_xyt(*end) for end in ends)
         config = OmplConfig(space=space, turning_radius=0.1, iterations=4000)
-        poses = solve_poses(costmap, BURGER.footprint, start, goal, config, 0.05, 3)
+        poses = solve_poses(costmap, BURGER.footprint, start, goal, config, 3)
         np.testing.assert_allclose(poses.xyt[[0, -1]], [start.xyt, goal.xyt], atol=1e-6)
         assert all(footprint_free(costmap.clearance, RES, BURGER.footprint, *pose) for pose in poses.xyt)
         assert path_length(poses.xy) < 2.0

@@ -10,7 +10,7 @@ from turtlebag.pipeline.navigation.lost import Event, Lost, RelocaliseConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
-from turtlebag.planners.tasks.wiggle import Wiggle, WiggleConfig
+from turtlebag.planners.tasks.wiggle import Wiggle
 
 S = 10**9
 
@@ -63,7 +63,7 @@ def test_the_ladder_takes_the_side_with_more_room_and_waits_where_there_is_none(
 
 
 def test_progress_is_a_move_or_a_turn_large_enough_within_the_time():
-    watch = ProgressWatch(RecoveryConfig(stuck_time=5.0, stuck_distance=0.06, stuck_angle=0.25))
+    watch = ProgressWatch(RecoveryConfig(stuck_time=5.0))
     at = lambda s, x, yaw=3.1: watch.stuck(round(s * S), SE2.from_xyt(x, 0.0, yaw))  # noqa: E731
     assert [at(0, 0.0), at(5, 0.059), at(5.001, 0.059)] == [False, False, True]
     assert [at(6, 0.061), at(11, 0.061), at(11.1, 0.0615)] == [False, False, True]
@@ -177,14 +177,13 @@ def test_a_goal_that_was_reached_is_stayed_at_as_long_as_it_says():
 
 
 def test_a_wiggle_is_a_triangle_wave_between_its_angles():
-    config = WiggleConfig(angle=1.2, w=0.7, least=3.0, most=25.0)
-    wiggle, heading, seen, dt = Wiggle(config), 0.0, [], 0.01
+    wiggle, heading, seen, dt = Wiggle(), 0.0, [], 0.01
     for k in range(2499):
         heading += wiggle.command(5 * S + round(k * dt * S), False).w * dt
         seen.append(heading)
     assert (max(seen), min(seen)) == pytest.approx((1.2, -1.2), abs=0.02)
     assert seen[round(1.2 / 0.7 / dt)] == pytest.approx(1.2, abs=0.02)
     assert (wiggle.command(30 * S, False), wiggle.gave_up) == (None, True)
-    short = Wiggle(config)
+    short = Wiggle()
     assert [short.command(t, True) is None for t in (0, 3 * S - 1, 3 * S)] == [False, False, True]
     assert not short.gave_up

@@ -16,7 +16,7 @@ from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.wavefront import wave
 
 NOTHING = np.zeros((0, 2))
-CONFIG = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0, raytrace_range=6.0)
+CONFIG = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0)
 
 
 def window(side: float = 8.0) -> RollingLayer:
