@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def inputs(args: argparse.Namespace) -> list[Path]:
     """World, robot and settings as far as they are files, and the bag whose commands are driven again."""
-    from turtlebag.pipeline.stages.replay import is_recording
+    from turtlebag.pipeline.stages.bag_commands import is_recording
     from turtlebag.sim.teleop import script_names
 
     replayed = is_recording(args.teleop) and args.teleop not in script_names()

@@ -19,7 +19,7 @@ from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Observation, Trajectory, Twist, seconds
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import trajectory_of
-from turtlebag.pipeline.stages.replay import is_recording, load_commands
+from turtlebag.pipeline.stages.bag_commands import is_recording, load_commands
 from turtlebag.pipeline.terminal.messages import Simulated, log, simulated_time
 from turtlebag.sim.driver import Stuck
 from turtlebag.sim.robots import RobotSpec, load_robot, static_transforms
