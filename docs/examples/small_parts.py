@@ -28,7 +28,7 @@ class GaussNewton:
             H[:3, :3] += 1e12 * np.eye(3)
             for c, e in zip(constraints, residuals(SE2(poses), constraints), strict=True):
                 squared = e @ c.information @ e
-                weight = 1.0 / (1.0 + squared / c.soft**2) if c.soft else 1.0
+                weight = 1.0 / (1.0 + squared / c.cauchy**2) if c.cauchy else 1.0
                 A, B = _jacobians(poses[c.i], poses[c.j])
                 for a, row in ((c.i, A), (c.j, B)):
                     b[3 * a : 3 * a + 3] += row.T @ (weight * c.information) @ e

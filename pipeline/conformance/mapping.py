@@ -176,13 +176,13 @@ def check_back_end(back_end: Callable[[], BackEnd]) -> None:
     pairs = [(k, k + 1) for k in range(29)] + [(0, 29), (3, 27)]
     exact = [Constraint(i, j, (truth[i].inverse() @ truth[j]).xyt, information, "step") for i, j in pairs]
     silent = replace(exact[5], T_i_j=np.array([9.0, 0.0, 0.0]), information=np.zeros((3, 3)))
-    lie = replace(exact[29], i=2, j=20, T_i_j=np.array([3.0, 0.0, 0.0]), soft=1.0)
+    lie = replace(exact[29], i=2, j=20, T_i_j=np.array([3.0, 0.0, 0.0]), cauchy=1.0)
     given = [start.xyt, *(c.T_i_j for c in (*exact, silent, lie)), information]
     before = bytes_of(*given)
     for graph, most, said in (
         (exact, 1e-3, "steps and loops that agree"),
         ([*exact, silent], 1e-3, "a constraint without information"),
-        ([*exact, lie], 0.05, "a loop that lies, under a Cauchy kernel (soft)"),
+        ([*exact, lie], 0.05, "a loop that lies, under a Cauchy kernel"),
     ):
         found, again = (_optimised(back_end, start, graph) for _ in range(2))
         if bytes_of(found.xyt) != bytes_of(again.xyt):

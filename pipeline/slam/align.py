@@ -76,14 +76,14 @@ def align(
     iterations: int = 10,
     prior: Array | None = None,
     prior_information: Array | None = None,
-    prior_soft: float = 0.0,
+    prior_cauchy: float = 0.0,
     most_points: int = 10**6,
 ) -> Alignment:
     """Align `scan`, started at `T_map_base` (3,), with key scans at `T_map_keys` (k, 3).
 
     `gate` is the largest accepted point distance [m], `sigma` the width of the Geman-McClure kernel
     on point-to-line distances [m]. The optional prior is a pose (3,) with information (3, 3) in its
-    own frame; `prior_soft` > 0 makes it heavy-tailed (Cauchy, width in standard deviations). Of a
+    own frame; `prior_cauchy` > 0 makes it heavy-tailed (Cauchy, width in standard deviations). Of a
     scan with more than `most_points` points every second, third, ... is used.
     """
     stride = 1 + (int(clouds.starts[scan + 1]) - int(clouds.starts[scan]) - 1) // most_points
@@ -101,7 +101,7 @@ def align(
         iterations,
         prior,
         prior_information,
-        prior_soft,
+        prior_cauchy,
     )
     known = usable - unknown
     overlap = matched / usable if usable else 0.0
@@ -121,7 +121,7 @@ def align_kernel(
     iterations: int,
     prior: Array,
     prior_information: Array,
-    prior_soft: float,
+    prior_cauchy: float,
 ) -> tuple[Array, Array, int, int, int, float, float]:
     """`align` on plain arrays: pose (3,), information (3, 3), points matched, usable, and in space that no
     key scan saw; rms [m], summed cost of all others."""
@@ -197,7 +197,7 @@ def align_kernel(
         rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
         if iteration == iterations:
             break
-        step = _step(hessian, faked, gradient, pose, prior, prior_information, prior_soft)
+        step = _step(hessian, faked, gradient, pose, prior, prior_information, prior_cauchy)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
@@ -241,7 +241,7 @@ def _step(
     pose: Array,
     prior: Array,
     prior_information: Array,
-    prior_soft: float,
+    prior_cauchy: float,
 ) -> Array:
     """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
     a = observable(hessian, faked)
@@ -253,8 +253,8 @@ def _step(
         dx, dy = pose[0] - prior[0], pose[1] - prior[1]
         e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior[2])])
         w = 1.0
-        if prior_soft > 0.0:
-            w = 1.0 / (1.0 + contradiction(e - answer, prior_information, a) / (prior_soft * prior_soft))
+        if prior_cauchy > 0.0:
+            w = 1.0 / (1.0 + contradiction(e - answer, prior_information, a) / (prior_cauchy * prior_cauchy))
         # what the scan sees it decides; odometry fills in the directions it is blind in
         w *= PRIOR_SHARE
         a = a + w * prior_information

@@ -28,8 +28,8 @@ class BackEnd(Protocol):
         """The poses (n,) of least cost, searched from `T_map_keys`, the first of which is held.
 
         Each constraint adds the squared error of `T_i_j`, the pose of key j seen from key i, weighed by its
-        `information` (3, 3) in the frame of j; with a Cauchy kernel of `soft` standard deviations where that
-        is not 0. Every key is joined to others, but by constraints whose information may be zero along a
+        `information` (3, 3) in the frame of j; with a Cauchy kernel of `cauchy` standard deviations where
+        that is not 0. Every key is joined to others, but by constraints whose information may be zero along a
         direction, or altogether. The search ends after so many iterations, or when nothing moves any more.
         """
         ...

@@ -14,7 +14,7 @@ Kind = Literal["step", "odometry", "steady", "loop", "pair"]
 class Constraint:
     """`T_i_j`, the pose of key j seen from key i, with its information in the frame of j.
 
-    In the plane (3,) and (3, 3); in space (4, 4) and (6, 6), rotation first. `soft` is the width of the
+    In the plane (3,) and (3, 3); in space (4, 4) and (6, 6), rotation first. `cauchy` is the width of the
     Cauchy kernel in standard deviations, 0 for none.
     """
 
@@ -23,4 +23,4 @@ class Constraint:
     T_i_j: Array
     information: Array
     kind: Kind
-    soft: float = 0.0
+    cauchy: float = 0.0

@@ -153,7 +153,7 @@ class Lines:
                 poses,
                 prior=prior,
                 prior_information=information,
-                prior_soft=CAUCHY,
+                prior_cauchy=CAUCHY,
                 most_points=MOST_POINTS,
             )
             e = between(prior, result.T_map_base.xyt)

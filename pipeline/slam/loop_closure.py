@@ -15,7 +15,7 @@ from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
-from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall, relaxed
+from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
@@ -45,7 +45,7 @@ def close_graph(
     chain: Chain,
     steps: list[Constraint],
     by_distance: LoopClosing,
-    by_looks: RecallConfig,
+    by_looks: PlaceRecognitionConfig,
     progress: Progress,
 ) -> Closed:
     """Close all loops of a track.
@@ -65,7 +65,7 @@ def close_graph(
     finder = close(T_map_keys, chain.segments(), known)
     if not by_looks.enabled:
         return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], chain.broken)
-    found = recall(scans, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
+    found = recognise_places(scans, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
     record = [*added, *finder.record]
     if found.loops or chain.broken.any():
         steps = relaxed(steps, found.released)
@@ -86,7 +86,7 @@ def _added(
     if not loops:
         return added, T_map_keys
     # first without kernels: from far away they would take every loop for an outlier
-    firm = [replace(loop, soft=0.0) for loop in loops]
+    firm = [replace(loop, cauchy=0.0) for loop in loops]
     roughly = solved(closing.back_end, T_map_keys, [*steps, *firm])
     return added, solved(closing.back_end, roughly, [*steps, *loops])
 

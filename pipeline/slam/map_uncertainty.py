@@ -124,10 +124,10 @@ def _springs(
     """The keys (k,) that each constraint ties to others (k,), and its information (k, 3, 3) about motions of
     the plane."""
     i, j = (np.array([getattr(c, end) for c in constraints], dtype=np.int64) for end in "ij")
-    soft = np.array([c.soft for c in constraints])
+    cauchy = np.array([c.cauchy for c in constraints])
     # Cauchy's weight, 1 where there is no kernel
-    kept = soft**2 / np.where(soft > 0.0, soft**2 + mahalanobis(T_map_keys, constraints), 1.0)
-    kept[soft == 0.0] = 1.0
+    kept = cauchy**2 / np.where(cauchy > 0.0, cauchy**2 + mahalanobis(T_map_keys, constraints), 1.0)
+    kept[cauchy == 0.0] = 1.0
     told = covariances(T_map_keys.xyt, j, [c.information for c in constraints])
     return i, j, kept[:, None, None] * np.linalg.inv(told)
 

@@ -44,8 +44,8 @@ from turtlebag.pipeline.slam.submaps import (
     RESOLUTION_M,
     Submap,
     laid_on,
-    likeness,
     make_submap,
+    similarity,
     windows,
 )
 from turtlebag.pipeline.slam.track import blind
@@ -60,12 +60,12 @@ RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
 SAME_WAY = 0.7
 
 
-class RecallConfig(BaseModel):
+class PlaceRecognitionConfig(BaseModel):
     """Place recognition."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     enabled: bool = True
-    candidates: int = Field(default=12, gt=0, description="submaps compared with a query, the likest ones")
+    candidates: int = Field(default=12, gt=0, description="most similar submaps compared with a query")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
     rival_share: float = Field(
@@ -79,7 +79,7 @@ class RecallConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Recall:
+class Recognition:
     """What was recognised: poses with the parts laid together, loops, the record of all candidates, the
     part of the log each key belongs to (keys,), and the broken steps that now say nothing (keys - 1,)."""
 
@@ -90,15 +90,15 @@ class Recall:
     released: NDArray[np.bool_]
 
 
-def recall(
+def recognise_places(
     scans: KeyScans,
     T_map_keys: SE2,
     steps: Sequence[Constraint],
     chain: Chain,
     known: Sequence[Constraint],
-    config: RecallConfig,
+    config: PlaceRecognitionConfig,
     closing: LoopClosing,
-) -> Recall:
+) -> Recognition:
     """Recognise places beyond the reach of the loops by distance.
 
     `known` are those loops, `closing` how they are looked for, aligned and weighed.
@@ -111,16 +111,16 @@ def recall(
     believed, record = _believed(scans, found, drift, config, by_distance)
     part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
     if not believed:
-        return Recall(T_map_keys, [], record, part, released)
+        return Recognition(T_map_keys, [], record, part, released)
     segment = chain.segments()
     for members in believed:
         poses, segment = _laid_together(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
     free = [*relaxed(steps, released), *known]
     # first without kernels: from far away they would take every loop for an outlier
-    firm = [replace(loop, soft=0.0) for loop in loops]
+    firm = [replace(loop, cauchy=0.0) for loop in loops]
     closed = solved(back_end, SE2(poses), [*free, *firm])
-    return Recall(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
+    return Recognition(solved(back_end, closed, [*free, *loops]), loops, record, part, released)
 
 
 def relaxed(steps: Sequence[Constraint], released: NDArray[np.bool_]) -> list[Constraint]:
@@ -134,7 +134,7 @@ def _candidates(
     scans: KeyScans,
     drift: Drift,
     known: Sequence[Constraint],
-    config: RecallConfig,
+    config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
 ) -> list[Recognised]:
     """Every submap that drift may have carried out of the loops' reach, laid on the places it resembles.
@@ -164,7 +164,7 @@ def _candidates(
             continue
         allowed = dict(zip(first_visits, off.tolist(), strict=False))
         others = [other for j in far.tolist() if (other := submap(j)) is not None]
-        like = likeness(query, others)
+        like = similarity(query, others)
         for k in np.argsort(-like, kind="stable")[: config.candidates].tolist():
             guess = between(poses[others[k].middle], poses[i])
             for score, start in laid_on(query, others[k]):
@@ -180,7 +180,7 @@ def _settled(
     other: Submap,
     start: Array,
     score: float,
-    config: RecallConfig,
+    config: PlaceRecognitionConfig,
     matcher: LoopMatch,
 ) -> Recognised:
     """A coarse pose of the query seen from the other made fine, and judged by all that can be checked."""
@@ -231,7 +231,7 @@ def _believed(
     scans: KeyScans,
     found: list[Recognised],
     drift: Drift,
-    config: RecallConfig,
+    config: PlaceRecognitionConfig,
     by_distance: LoopConfig,
 ) -> tuple[list[list[Recognised]], list[Recognised]]:
     """The sets of places that are believed, and the record of all with their verdicts."""

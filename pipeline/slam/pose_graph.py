@@ -127,9 +127,9 @@ def noise_model(constraint: Constraint) -> Any:
 
     floor = FLOOR[len(constraint.information)]
     gaussian: Any = gtsam.noiseModel.Gaussian.Information(constraint.information + floor)
-    if constraint.soft == 0.0:
+    if constraint.cauchy == 0.0:
         return gaussian
-    return gtsam.noiseModel.Robust.Create(_cauchy(constraint.soft), gaussian)
+    return gtsam.noiseModel.Robust.Create(_cauchy(constraint.cauchy), gaussian)
 
 
 @cache

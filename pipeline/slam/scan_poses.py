@@ -32,7 +32,7 @@ NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 CARRIED_M = 0.003
 
 
-class PosingConfig(BaseModel):
+class ReregistrationConfig(BaseModel):
     """Alignment of the scans between key scans."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -66,7 +66,7 @@ def pose_all_scans(
     clouds_of: Callable[[NDArray[np.int64]], Clouds],
     track: Track,
     T_map_keys: SE2,
-    config: PosingConfig,
+    config: ReregistrationConfig,
     gaps: NDArray[np.int64],
 ) -> tuple[SE2, Array]:
     """Poses (n,) of all scans in the map, and the share of each that lies on its surfaces (n,).

@@ -15,7 +15,7 @@ from turtlebag.pipeline.slam.clouds import Clouds, KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.place_recognition import RecallConfig, recall
+from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places
 from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.submaps import windows
@@ -112,7 +112,9 @@ def joined_track(a: Track, b: Track, T_a_b: SE2) -> Track:
     )
 
 
-def place_of(clouds: Clouds, a: Session, b: Session, config: RecallConfig, loops: LoopConfig) -> SE2 | None:
+def place_of(
+    clouds: Clouds, a: Session, b: Session, config: PlaceRecognitionConfig, loops: LoopConfig
+) -> SE2 | None:
     """Where session `b` (scans numbered on from `a`'s in `clouds`) lies in the map of `a`, by place
     recognition: the log of both is broken where they meet. Its beginning is asked first, more of it when
     that does not tell; one too short for so many submaps as must agree is believed by those it has. None
@@ -128,7 +130,7 @@ def place_of(clouds: Clouds, a: Session, b: Session, config: RecallConfig, loops
         steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]
         held = [c for c in told if max(c.i, c.j) < asked and c.kind not in STEPS]
         log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, chain.first(asked - 1), held
-        record = recall(*log, config, LoopClosing(loops)).record
+        record = recognise_places(*log, config, LoopClosing(loops)).record
         found = [place for place in record if place.verdict == "accepted" and place.j < n <= place.i]
         if found:
             best = max(found, key=lambda place: place.overlap)

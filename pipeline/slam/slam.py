@@ -30,7 +30,7 @@ from turtlebag.pipeline.slam.loop_search import Loop, LoopClosing, LoopConfig
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_checked_grid
 from turtlebag.pipeline.slam.odometry_trust import disbelieved, jumps
-from turtlebag.pipeline.slam.place_recognition import RecallConfig
+from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.range_calibration import (
     FIRST_KEYS,
     TRIANGULATES_M,
@@ -39,7 +39,7 @@ from turtlebag.pipeline.slam.range_calibration import (
 )
 from turtlebag.pipeline.slam.refine import RefineConfig, refine
 from turtlebag.pipeline.slam.repeated_scans import without_repeats
-from turtlebag.pipeline.slam.scan_poses import PosingConfig, pose_all_scans
+from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.selfcheck import SelfCheck, check_map
 from turtlebag.pipeline.slam.sessions import (
     Graph,
@@ -55,7 +55,7 @@ from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
 # Settings that the front end does not read; of all others a change starts it anew.
-LATER = {"back_end", "loops", "recall", "refine", "posing", "grid"}
+LATER = {"back_end", "loops", "place_recognition", "refine", "reregistration", "grid"}
 
 
 CloudsOf = Callable[[NDArray[np.int64] | None], Clouds]
@@ -88,9 +88,9 @@ class SlamConfig(BaseModel):
     tracking: TrackingConfig = TrackingConfig()
     back_end: BackEndName = "gtsam"
     loops: LoopConfig = LoopConfig()
-    recall: RecallConfig = RecallConfig()
+    place_recognition: PlaceRecognitionConfig = PlaceRecognitionConfig()
     refine: RefineConfig = RefineConfig()
-    posing: PosingConfig = PosingConfig()
+    reregistration: ReregistrationConfig = ReregistrationConfig()
     grid: OccupancyConfig = OccupancyConfig()
 
     def usable(self, lidar: LidarSpec) -> float:
@@ -212,7 +212,9 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
     )
     jumped = jumps(recording, track, track.T_track_base, borders)
     torn = np.concatenate([chain.gaps, np.stack([jumped - 1, jumped], axis=1)])
-    poses, overlap = pose_all_scans(clouds, session.clouds_of, track, graph.T_map_keys, config.posing, torn)
+    poses, overlap = pose_all_scans(
+        clouds, session.clouds_of, track, graph.T_map_keys, config.reregistration, torn
+    )
     grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
     breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
     placed = replace(track, overlap=overlap)
@@ -311,7 +313,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
         )
 
     config = _with_sensors(recording, run.config)[1]
-    T_map_b = place_of(clouds(), a, b, config.recall, config.loops)
+    T_map_b = place_of(clouds(), a, b, config.place_recognition, config.loops)
     if T_map_b is None:
         raise InputError(f"{b.recording.source}: no place of {a.recording.source} is recognised in it")
     track = joined_track(track_a, track_b, T_map_b)
@@ -350,9 +352,9 @@ def _by_odometry(config: SlamConfig) -> SlamConfig:
         "calibrate_ranges": False,
         "tracking": config.tracking.model_copy(update={"calibration": False}),
         "loops": config.loops.model_copy(update={"enabled": False}),
-        "recall": config.recall.model_copy(update={"enabled": False}),
+        "place_recognition": config.place_recognition.model_copy(update={"enabled": False}),
         "refine": config.refine.model_copy(update={"rounds": 0}),
-        "posing": config.posing.model_copy(update={"enabled": False}),
+        "reregistration": config.reregistration.model_copy(update={"enabled": False}),
     }
     return config.model_copy(update=off)
 
@@ -377,7 +379,7 @@ def _optimised(
         loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
         scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
         closed = run.steps.close_graph(
-            scans, closed.T_map_keys, chain, steps, closing, config.recall, run.progress
+            scans, closed.T_map_keys, chain, steps, closing, config.place_recognition, run.progress
         )
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:

@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import Chain
 
 FILE = "graph.npz"
-FORMAT = 8
+FORMAT = 9
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.
@@ -66,7 +66,7 @@ LAYOUT = {
     "constraint_j": ("i", "c"),
     "constraint_T_i_j": ("n", "c3"),
     "constraint_information": ("n", "c33"),
-    "constraint_soft": ("n", "c"),
+    "constraint_cauchy": ("n", "c"),
     "loop_i": ("i", "l"),
     "loop_j": ("i", "l"),
     "loop_T_j_i": ("n", "l3"),

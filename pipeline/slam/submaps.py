@@ -83,7 +83,7 @@ def make_submap(
     )
 
 
-def likeness(query: Submap, others: list[Submap]) -> Array:
+def similarity(query: Submap, others: list[Submap]) -> Array:
     """How much of the query's signature each of the others shares, 0..1 (histogram intersection)."""
     return np.array([float(np.minimum(query.signature, other.signature).sum()) for other in others])
 

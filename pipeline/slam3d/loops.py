@@ -138,7 +138,7 @@ def close_loops(
     known = [finder.config.constraint(loop) for loop in recognised if loop.accepted]
     if known:
         # first without kernels: from far away they would take every loop for an outlier
-        firm = [replace(constraint, soft=0.0) for constraint in known]
+        firm = [replace(constraint, cauchy=0.0) for constraint in known]
         start = optimise(finder.T, [*steps, *finder.loops, *firm])
         start = optimise(start, [*steps, *finder.loops, *known])
         finder = CloudLoops(keys, start, steps, voxel, config.every, known)

@@ -151,7 +151,7 @@ def _odometry(k: int, T: Array) -> Constraint:
     way, turn = np.linalg.norm(T[:3, 3]), np.linalg.norm(se3.log(T)[:3])
     along, yaw = 0.01 + 0.05 * way, 0.01 + 0.05 * turn
     sigmas = np.array([0.05, 0.05, yaw, along, along, 0.05])
-    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", soft=2.0)
+    return Constraint(k, k + 1, T, np.diag(sigmas**-2), "odometry", cauchy=2.0)
 
 
 def _drawn(

@@ -175,7 +175,7 @@ class Idle(Gtsam):
 
 class Gullible(Gtsam):
     def optimise(self, T_map_keys, constraints, iterations=30):
-        return super().optimise(T_map_keys, [replace(c, soft=0.0) for c in constraints], iterations)
+        return super().optimise(T_map_keys, [replace(c, cauchy=0.0) for c in constraints], iterations)
 
 
 class Floats(Gtsam):
@@ -377,7 +377,7 @@ def world(part):
         (testing.check_loop_match, Everywhere, "where nothing is seen overlap and information must be zero"),
         (testing.check_loop_match, Denies, "confirms: must be true for the true pose"),
         (testing.check_back_end, Idle, "steps and loops that agree: 0."),
-        (testing.check_back_end, Gullible, "a loop that lies, under a Cauchy kernel (soft)"),
+        (testing.check_back_end, Gullible, "a loop that lies, under a Cauchy kernel"),
         (testing.check_back_end, Floats, "the first pose must be held"),
         (testing.check_back_end, Fewer, "optimise: poses must be an array of shape (30, 3)"),
         (testing.check_localiser, Deaf, "not known after a scan: the filter has no pose yet"),

@@ -56,7 +56,11 @@ def test_every_front_end_maps_with_every_loop_matcher(log, front_end, match):
 
 @pytest.mark.slow
 def test_libraries_alone_map_and_give_the_same_bits_again(log):
-    alone = {"refine": {"rounds": 0}, "posing": {"enabled": False}, "tracking": {"calibration": False}}
+    alone = {
+        "refine": {"rounds": 0},
+        "reregistration": {"enabled": False},
+        "tracking": {"calibration": False},
+    }
     first, again = (run_slam(log, settings("kiss_icp", "open3d", **alone)) for _ in range(2))
     assert off(first.trajectory.poses, log) < 0.03
     assert first.track.source[1:].tolist() == [2] * (len(log) - 1)

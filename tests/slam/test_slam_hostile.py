@@ -146,7 +146,7 @@ def false_loops(kind: str, n: int, sure: Constraint) -> list[Constraint]:
     else:
         pairs, poses = [(5 + k, n // 2 + k) for k in range(8)], np.zeros((8, 3))
     return [
-        Constraint(i, j, T, sure.information, "loop", sure.soft)
+        Constraint(i, j, T, sure.information, "loop", sure.cauchy)
         for (i, j), T in zip(pairs, poses, strict=True)
     ]
 
@@ -176,7 +176,7 @@ def test_kernel_ends_where_graduated_non_convexity_does_after_refinement(plain):
     start = result.track.T_track_base[result.keys]
     lies = false_loops("ten at random", len(result.keys), loops[0])
     graph = [*steps, *loops, *lies]
-    bare = [replace(c, soft=0.0) if c.kind == "loop" else c for c in graph]
+    bare = [replace(c, cauchy=0.0) if c.kind == "loop" else c for c in graph]
     assert worst(optimise(start, bare), log, result) > 1.0
     clouds, config = make_clouds(log.recording, 30.0), SlamConfig().refine
     refined = [
@@ -237,7 +237,7 @@ def test_wheels_that_jump_out_of_what_was_seen_are_outvoted_by_what_is_seen_agai
 
 def worst_tracked(log: Known) -> float:
     """How far off the worst scan is [m] before any loop."""
-    off = {"loops": {"enabled": False}, "recall": {"enabled": False}, "refine": {"rounds": 0}}
+    off = {"loops": {"enabled": False}, "place_recognition": {"enabled": False}, "refine": {"rounds": 0}}
     track = run_slam(log.recording, SlamConfig.model_validate(off)).trajectory.poses
     truth = log.reference
     return float(np.linalg.norm((truth[0] @ track[0].inverse() @ track).xy - truth.xy, axis=1).max())

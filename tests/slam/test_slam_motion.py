@@ -20,7 +20,7 @@ from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
-from turtlebag.pipeline.slam.scan_poses import PosingConfig, pose_all_scans
+from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.stages.localise import sweep_ends
 
@@ -115,12 +115,12 @@ def test_a_correction_is_shared_out_between_the_key_scans_before_and_after():
     T_map_keys = SE2.from_array(poses[[0, 4, 8]] + [[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.0]])
     none, gap = np.zeros((0, 2), dtype=np.int64), np.array([[1, 2]])
     carried, _ = pose_all_scans(
-        lambda: clouds, lambda scans: clouds, track, T_map_keys, PosingConfig(enabled=False), none
+        lambda: clouds, lambda scans: clouds, track, T_map_keys, ReregistrationConfig(enabled=False), none
     )
     np.testing.assert_allclose(carried.y, [0.0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4, 0.4], atol=1e-9)
     # nothing is known of the motion from scan 1 to scan 2: the correction happens there
     carried, _ = pose_all_scans(
-        lambda: clouds, lambda scans: clouds, track, T_map_keys, PosingConfig(enabled=False), gap
+        lambda: clouds, lambda scans: clouds, track, T_map_keys, ReregistrationConfig(enabled=False), gap
     )
     np.testing.assert_allclose(carried.y, [0.0, 0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4], atol=1e-9)
     np.testing.assert_allclose(carried.x, poses[:, 0], atol=1e-9)
@@ -134,7 +134,7 @@ def test_a_prior_that_the_scan_contradicts_gives_way():
     found = {
         soft: align(
             clouds, 2, truth, np.arange(2), poses[:2], gate=0.3, sigma=0.05, iterations=20,
-            prior=lying, prior_information=np.diag([1e7, 1e7, 1e7]), prior_soft=soft,
+            prior=lying, prior_information=np.diag([1e7, 1e7, 1e7]), prior_cauchy=soft,
         ).T_map_base.xyt
         for soft in (0.0, 2.0)
     }  # fmt: skip

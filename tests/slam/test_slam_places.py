@@ -82,7 +82,7 @@ def test_a_submap_is_made_of_what_its_keys_see_from_its_middle():
     )
     np.testing.assert_array_equal(made.directions, np.bincount(bins, minlength=120))
     np.testing.assert_allclose(made.signature, submaps._signature(made.points, normals))
-    assert submaps.likeness(made, [made])[0] == pytest.approx(1.0)
+    assert submaps.similarity(made, [made])[0] == pytest.approx(1.0)
     assert (
         submaps.make_submap(clouds._replace(normals=0 * clouds.normals), keys, poses[keys], 6, chosen) is None
     )

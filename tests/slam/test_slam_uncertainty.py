@@ -81,9 +81,9 @@ def test_a_closed_loop_holds_a_map_together():
 def test_a_loop_that_its_kernel_has_given_up_holds_nothing():
     T, constraints = round_trip(closed=True)
     *steps, loop = constraints
-    wrong = replace(loop, T_i_j=loop.T_i_j + np.array([30.0, 0.0, 0.0]), soft=1.0)
+    wrong = replace(loop, T_i_j=loop.T_i_j + np.array([30.0, 0.0, 0.0]), cauchy=1.0)
     assert position_sigmas(T, [*steps, wrong])[1] == pytest.approx(position_sigmas(T, steps)[1], rel=0.01)
-    right = replace(loop, soft=1.0)
+    right = replace(loop, cauchy=1.0)
     assert position_sigmas(T, [*steps, right])[1] == pytest.approx(position_sigmas(T, constraints)[1])
 
 

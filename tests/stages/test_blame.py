@@ -95,7 +95,7 @@ def left_over(room, parts, **settings):
 
 @pytest.mark.slow
 def test_the_true_front_end_is_exact_until_others_move_it(room):
-    off = {"loops": {"enabled": False}, "refine": {"rounds": 0}, "posing": {"enabled": False}}
+    off = {"loops": {"enabled": False}, "refine": {"rounds": 0}, "reregistration": {"enabled": False}}
     assert left_over(room, [], **off)[0] > 0.004
     assert left_over(room, ["front_end"], **off)[0] < 1e-9
 
@@ -110,7 +110,7 @@ def test_true_loops_are_all_closed_where_they_truly_are(room):
     for edge in closed:
         i, j = result.keys[edge.i], result.keys[edge.j]
         np.testing.assert_allclose(edge.T_i_j, (truth[i].inverse() @ truth[j]).xyt)
-    off = {"refine": {"rounds": 0}, "posing": {"enabled": False}}
+    off = {"refine": {"rounds": 0}, "reregistration": {"enabled": False}}
     assert left_over(room, ["loops"], **off)[0] < left_over(room, [], **off)[0]
 
 

@@ -14,7 +14,7 @@ from benchmarks.slam_scores import errors
 from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.slam import place_recognition as recall
+from turtlebag.pipeline.slam import place_recognition
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
 from turtlebag.pipeline.slam.course import track_log
@@ -22,9 +22,9 @@ from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.loop_search import LoopConfig
-from turtlebag.pipeline.slam.place_recognition import RecallConfig
+from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, likeness, make_submap, windows
+from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, make_submap, similarity, windows
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts, witnessed_chain
 
@@ -34,7 +34,7 @@ def office() -> Known:
     first = [(9.0, 7.0), (10.1, 7.0), (10.1, 4.0), (10.4, 4.0), (10.1, 7.0), (14.7, 7.0), (14.7, 10.5)]
     again = [(15.0, 10.5), (14.7, 7.0), *[(27.0, 7.0), (27.0, 15.0), (7.0, 15.0), (7.0, 7.0)] * 2]
     return make_log(
-        "recall", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
+        "places", office_plan(1), np.array(first + again), Sensor(sick(180, 30.0), 0.3), drive=Drive(v=0.7),
         wheels=Wheels(0.02, -0.03, 0.003),
     )  # fmt: skip
 
@@ -102,7 +102,7 @@ def test_log_broken_in_two_is_put_together_again(broken):
 @pytest.mark.slow
 def test_broken_log_without_place_recognition_is_called_doubtful():
     log = BREAKS["gap in which odometry jumps"](office())
-    off = SlamConfig.model_validate({"recall": {"enabled": False}})
+    off = SlamConfig.model_validate({"place_recognition": {"enabled": False}})
     result = run_slam(log.recording, off)
     assert not result.check.good
     assert any("breaks" in reason for reason in result.check.reasons)
@@ -220,7 +220,7 @@ def test_submaps_lie_on_each_other_where_they_belong():
     score_, pose = laid_on(query, other)[0]
     assert score_ > 0.6
     assert np.hypot(*(pose[:2] - true[:2])) < 0.3
-    assert likeness(query, [query])[0] == pytest.approx(1.0)
+    assert similarity(query, [query])[0] == pytest.approx(1.0)
 
 
 def place(i: int, j: int, T_j_i: tuple[float, float, float], overlap: float = 0.9) -> Recognised:
@@ -246,20 +246,22 @@ def test_places_that_agree_outvote_the_aliases():
     assert [len(members) for members in sets] == [3, 2, 1]
     assert {found[k].i for k in sets[0]} == {22, 26, 30}
     assert competing(sets[0], sets[1], comparable, agree)
-    assert RecallConfig().min_support == 3
+    assert PlaceRecognitionConfig().min_support == 3
 
 
 def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
     """After a break nothing is known of, five rounds of a room cost what one does."""
     looked_at: list[int] = []
-    monkeypatch.setattr(recall, "make_submap", lambda *of: looked_at.append(of[3]))
+    monkeypatch.setattr(place_recognition, "make_submap", lambda *of: looked_at.append(of[3]))
     for laps in (1, 5):
         poses = around_the_room(60 * laps, laps=laps)
         moves = (SE2(poses[:-1]).inverse() @ SE2(poses[1:])).xyt
         steps = [Constraint(k, k + 1, move, 1e6 * np.eye(3), "step") for k, move in enumerate(moves)]
         drift = drift_of(poses, steps, np.arange(len(moves)) == 9)
         clouds, keys = make_clouds(recording(ROOM, poses[:2]), 30.0), np.arange(len(poses))
-        recall._candidates(KeyScans(clouds, keys), drift, [], RecallConfig(), LoopConfig())
+        place_recognition._candidates(
+            KeyScans(clouds, keys), drift, [], PlaceRecognitionConfig(), LoopConfig()
+        )
     assert looked_at.count(looked_at[0]) == 2
     assert 4 < len(looked_at) < 2.6 * (looked_at[1:].index(looked_at[0]) + 1)
 
@@ -273,14 +275,14 @@ def test_a_place_is_believed_where_visits_deny_each_other_little_more_than_usual
     monkeypatch, usual, laid, verdict
 ):
     """Cells of a maze are alike: nothing that fits tells them apart, what each saw through does."""
-    monkeypatch.setattr(recall, "_usually_denied", lambda *of: usual)
-    monkeypatch.setattr(recall, "_laid_out", lambda *of: np.full(9, laid))
+    monkeypatch.setattr(place_recognition, "_usually_denied", lambda *of: usual)
+    monkeypatch.setattr(place_recognition, "_laid_out", lambda *of: np.full(9, laid))
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     broken = np.arange(19) == 9
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
     found = [Recognised(i, i - 10, np.zeros(3), 1.0, 0.9, 0.0, 0.01, 1e6 * np.eye(3)) for i in (12, 14, 16)]
     drift = drift_of(poses, steps, broken)
-    believed, record = recall._believed(None, found, drift, RecallConfig(), LoopConfig())
+    believed, record = place_recognition._believed(None, found, drift, PlaceRecognitionConfig(), LoopConfig())
     assert {place.verdict for place in record} == {verdict}
     assert len(believed) == (verdict == "accepted")
 
