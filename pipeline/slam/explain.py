@@ -34,7 +34,7 @@ def loop_record(result: SlamResult) -> dict[str, Any]:
         "recognised": [candidate(place, result.T_map_keys) for place in result.recognised],
         "breaks": [
             {"after_scan": before, "before_scan": after, "mended": _mended(session, after)}
-            for before, after in session.chain.gaps.tolist()
+            for before, after in session.breaks.gaps.tolist()
         ],
     }
 

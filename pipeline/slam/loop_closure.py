@@ -16,14 +16,14 @@ from turtlebag.pipeline.slam.edits import HAND_M, HAND_RAD
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.loop_search import BATCH, Loop, LoopClosing, LoopFinder, close_loops
 from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig, recognise_places, relaxed
-from turtlebag.pipeline.slam.track_breaks import Chain
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 Progress = Callable[[Iterable[int], str, int], Iterable[int]]
 
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """Poses of the key scans with loops closed, the steps (those over mended breaks without a say) and
+    """Poses of the key scans with loops closed, the steps (those over bridged breaks without a say) and
     loops that hold them, the records of all candidates, and the breaks nothing mends (keys - 1,)."""
 
     T_map_keys: SE2
@@ -34,15 +34,15 @@ class Closed:
     unbridged: NDArray[np.bool_]
 
 
-def unclosed(T_map_keys: SE2, chain: Chain, steps: list[Constraint]) -> Closed:
+def unclosed(T_map_keys: SE2, breaks: TrackBreaks, steps: list[Constraint]) -> Closed:
     """The graph of the steps alone."""
-    return Closed(T_map_keys, steps, [], [], [], chain.broken)
+    return Closed(T_map_keys, steps, [], [], [], breaks.broken)
 
 
 def close_graph(
     scans: KeyScans,
     T_map_keys: SE2,
-    chain: Chain,
+    breaks: TrackBreaks,
     steps: list[Constraint],
     by_distance: LoopClosing,
     by_looks: PlaceRecognitionConfig,
@@ -54,7 +54,7 @@ def close_graph(
     join parts and tell the drift; keys without a loop are then looked for by distance again, from there.
     What a person added comes before all that; what was rejected is not tried.
     """
-    added, T_map_keys = _added(scans, T_map_keys, chain, steps, by_distance)
+    added, T_map_keys = _added(scans, T_map_keys, breaks, steps, by_distance)
     known = [by_distance.config.constraint(loop) for loop in added if loop.accepted]
     n = len(scans.keys)
 
@@ -62,25 +62,25 @@ def close_graph(
         batches = progress(range(-(-n // BATCH)), "closing loops", -(-n // BATCH))
         return close_loops(scans, start, steps, by_distance, batches, part, known)
 
-    finder = close(T_map_keys, chain.segments(), known)
+    finder = close(T_map_keys, breaks.segments(), known)
     if not by_looks.enabled:
-        return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], chain.broken)
-    found = recognise_places(scans, SE2(finder.poses), steps, chain, finder.loops, by_looks, by_distance)
+        return Closed(SE2(finder.poses), steps, finder.loops, [*added, *finder.record], [], breaks.broken)
+    found = recognise_places(scans, SE2(finder.poses), steps, breaks, finder.loops, by_looks, by_distance)
     record = [*added, *finder.record]
-    if found.loops or chain.broken.any():
+    if found.loops or breaks.broken.any():
         steps = relaxed(steps, found.released)
         record = [*added, *(loop for loop in finder.record if loop.accepted)]
         finder = close(found.T_map_keys, found.part, [*finder.loops, *found.loops])
         record += finder.record
-    unbridged = chain.broken & ~found.released & ~_spanned(record, n)
+    unbridged = breaks.broken & ~found.released & ~_spanned(record, n)
     return Closed(SE2(finder.poses), steps, finder.loops, record, found.record, unbridged)
 
 
 def _added(
-    scans: KeyScans, T_map_keys: SE2, chain: Chain, steps: list[Constraint], closing: LoopClosing
+    scans: KeyScans, T_map_keys: SE2, breaks: TrackBreaks, steps: list[Constraint], closing: LoopClosing
 ) -> tuple[list[Loop], SE2]:
     """The loops that a person added, aligned and judged like all, and the poses that those believed give."""
-    finder = LoopFinder(scans, T_map_keys, steps, closing, chain.segments())
+    finder = LoopFinder(scans, T_map_keys, steps, closing, breaks.segments())
     added = [finder.match_from(i, j, T_j_i, HAND_M, HAND_RAD) for i, j, T_j_i in closing.edits.added]
     loops = [closing.config.constraint(loop) for loop in added if loop.accepted]
     if not loops:

@@ -111,7 +111,7 @@ def close_loops(
 ) -> LoopFinder:
     """Runs along the log: `batches` yields 0, 1, ... for each BATCH keys (a progress bar's place).
 
-    Loops are looked for within a part of the log only (`part`, (keys,)): where the chain of poses is
+    Loops are looked for within a part of the log only (`part`, (keys,)): where the track is
     broken, distance says nothing. `known` are loops found otherwise. The finder returned holds the
     poses with loops closed, the loop constraints, and the record of all candidates.
     """

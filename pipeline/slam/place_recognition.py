@@ -1,6 +1,6 @@
 """Place recognition: loops where drift is larger than any gate, or unknown.
 
-Loops by distance (`loops`) are looked for where the robot believes to be. Where the chain of poses is
+Loops by distance (`loops`) are looked for where the robot believes to be. Where the track is
 broken or has drifted further than that, submaps are recognised by their looks instead. A place is
 believed only when several submaps in a row agree on it (PCM), nothing they see contradicts it when the
 whole stretch is laid there, and no other place does nearly as well: buildings repeat themselves.
@@ -49,7 +49,7 @@ from turtlebag.pipeline.slam.submaps import (
     windows,
 )
 from turtlebag.pipeline.slam.track import blind
-from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 
 # Another place rivals when no more than this many times as many points deny it (places that only look alike:
 # from 6 % up, rooms alike to the centimetre 1 to 3 %). A true place is denied no more than this many times
@@ -94,7 +94,7 @@ def recognise_places(
     scans: KeyScans,
     T_map_keys: SE2,
     steps: Sequence[Constraint],
-    chain: Chain,
+    breaks: TrackBreaks,
     known: Sequence[Constraint],
     config: PlaceRecognitionConfig,
     closing: LoopClosing,
@@ -105,14 +105,14 @@ def recognise_places(
     """
     by_distance, edits, back_end = closing.config, closing.edits, closing.back_end
     poses = T_map_keys.xyt.copy()
-    drift = drift_of(poses, steps, chain.broken)
+    drift = drift_of(poses, steps, breaks.broken)
     found = _candidates(scans, drift, known, config, by_distance)
     found = [place for place in found if not edits.rejects(place.i, np.array([place.j])).any()]
     believed, record = _believed(scans, found, drift, config, by_distance)
-    part, released = joined_parts(chain, [(place.i, place.j) for members in believed for place in members])
+    part, released = joined_parts(breaks, [(place.i, place.j) for members in believed for place in members])
     if not believed:
         return Recognition(T_map_keys, [], record, part, released)
-    segment = chain.segments()
+    segment = breaks.segments()
     for members in believed:
         poses, segment = _laid_together(poses, segment, members)
     loops = [by_distance.constraint(place) for members in believed for place in members]
@@ -324,7 +324,7 @@ def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:
 def _laid_together(
     poses: Array, part: NDArray[np.int64], members: list[Recognised]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Poses with the newer part of a broken chain moved to where its members say, and the parts joined."""
+    """Poses with the newer part of a broken track moved to where its members say, and the parts joined."""
     best = max(members, key=lambda place: place.overlap)
     newer, older = part[best.i], part[best.j]
     if newer == older:

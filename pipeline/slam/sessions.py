@@ -20,7 +20,7 @@ from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.scan_poses import carried_poses
 from turtlebag.pipeline.slam.submaps import windows
 from turtlebag.pipeline.slam.track import Track
-from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks
 
 STEPS = ("step", "odometry", "steady")
 """Kinds of constraints along the log."""
@@ -52,19 +52,19 @@ class Session:
     clouds_of: Callable[[NDArray[np.int64]], Clouds]
     motion: SE2 | None
     track: Track
-    chain: Chain
+    breaks: TrackBreaks
     graph: Graph
     ranges: RangeCalibration
 
     def carried(self) -> Track:
         """The track with its poses where the graph has them."""
         track = self.track
-        T = carried_poses(track.T_track_base, track.keys, self.graph.T_map_keys, self.chain.gaps)
+        T = carried_poses(track.T_track_base, track.keys, self.graph.T_map_keys, self.breaks.gaps)
         return replace(track, T_track_base=T)
 
-    def mended(self) -> Chain:
-        """The chain without the breaks that the graph mended."""
-        return self.chain.bridged(self.graph.unbridged)
+    def bridged(self) -> TrackBreaks:
+        """The breaks of the track that the graph did not bridge."""
+        return self.breaks.bridged(self.graph.unbridged)
 
 
 def joined_recording(recordings: list[Recording]) -> Recording:
@@ -119,17 +119,17 @@ def place_of(
     recognition: the log of both is broken where they meet. Its beginning is asked first, more of it when
     that does not tell; one too short for so many submaps as must agree is believed by those it has. None
     when no place is."""
-    n, chain = len(a.track.keys), joined_chain(a.mended(), b.mended(), len(a.recording), broken=True)
+    n, breaks = len(a.track.keys), joined_breaks(a.bridged(), b.bridged(), len(a.recording), broken=True)
     keys = np.concatenate([a.track.keys, b.track.keys + len(a.recording)])
     T = np.concatenate([a.graph.T_map_keys.xyt, b.graph.T_map_keys.xyt])
     told = [*a.graph.constraints, *(replace(c, i=c.i + n, j=c.j + n) for c in b.graph.constraints)]
-    submaps = len(windows(len(keys) - n, b.mended().broken))
+    submaps = len(windows(len(keys) - n, b.bridged().broken))
     config = config.model_copy(update={"min_support": max(min(config.min_support, submaps), 1)})
     for share in (8, 4, 2, 1):
         asked = n + (len(keys) - n) // share
         steps = [c for c in told if max(c.i, c.j) < asked and c.kind in STEPS]
         held = [c for c in told if max(c.i, c.j) < asked and c.kind not in STEPS]
-        log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, chain.first(asked - 1), held
+        log = KeyScans(clouds, keys[:asked]), SE2(T[:asked]), steps, breaks.first(asked - 1), held
         record = recognise_places(*log, config, LoopClosing(loops)).record
         found = [place for place in record if place.verdict == "accepted" and place.j < n <= place.i]
         if found:

@@ -51,7 +51,7 @@ from turtlebag.pipeline.slam.sessions import (
 )
 from turtlebag.pipeline.slam.steps import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.track_breaks import Chain, joined_chain, witnessed_chain
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks, track_breaks_of
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
 # Settings that the front end does not read; of all others a change starts it anew.
@@ -206,17 +206,17 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         session = _joined(session, _session(other, run), run)
     recording, config = session.recording, _with_sensors(session.recording, run.config)[1]
     usable = config.usable(recording.lidar)
-    clouds, track, chain, graph = session.clouds, session.track, session.chain, session.graph
+    clouds, track, breaks, graph = session.clouds, session.track, session.breaks, session.graph
     borders = np.array(
         [track.keys[c.j] for c in graph.constraints if c.kind == "loop" and c.j == c.i + 1], dtype=np.int64
     )
     jumped = jumps(recording, track, track.T_track_base, borders)
-    torn = np.concatenate([chain.gaps, np.stack([jumped - 1, jumped], axis=1)])
+    torn = np.concatenate([breaks.gaps, np.stack([jumped - 1, jumped], axis=1)])
     poses, overlap = pose_all_scans(
         clouds, session.clouds_of, track, graph.T_map_keys, config.reregistration, torn
     )
     grid, certainty = make_checked_grid(recording, poses, config.grid, usable, session.motion)
-    breaks = track.keys[1:][graph.unbridged & (chain.contradicted | chain.alone)]
+    broken_before = track.keys[1:][graph.unbridged & (breaks.contradicted | breaks.alone)]
     placed = replace(track, overlap=overlap)
     check = check_map(
         recording,
@@ -226,7 +226,7 @@ def _mapped(session: Session, more: Sequence[Recording], run: _Run) -> SlamResul
         graph.T_map_keys,
         graph.constraints,
         config.tracking.odometry,
-        breaks,
+        broken_before,
         borders,
         certainty,
     )
@@ -253,9 +253,9 @@ def _session(recording: Recording, run: _Run) -> Session:
         motion, clouds_of, track = _tracked(recording, run, config)
     clouds = once(lambda: among(clouds_of(track.keys), track.keys, len(recording)))
     doubted = disbelieved(recording, track, config.tracking.odometry, np.zeros(0, dtype=np.int64))
-    chain, steps = witnessed_chain(recording, track), step_constraints(track, config.tracking, doubted)
-    graph = _optimised(clouds, track, chain, steps, replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph, ranges)
+    breaks, steps = track_breaks_of(recording, track), step_constraints(track, config.tracking, doubted)
+    graph = _optimised(clouds, track, breaks, steps, replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, breaks, graph, ranges)
 
 
 def _without_odometry(recording: Recording) -> Recording:
@@ -322,9 +322,9 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
     steps = [c for c in step_constraints(track, config.tracking, doubted) if c.i != border.i]
     sweeps = [session.motion for session in (a, b) if session.motion is not None]
     motion = SE2(np.concatenate([sweep.xyt for sweep in sweeps])) if len(sweeps) == 2 else None
-    chain = joined_chain(a.mended(), b.mended(), len(a.recording))
-    graph = _optimised(clouds, track, chain, [*steps, border], replace(run, config=config))
-    return Session(recording, clouds, clouds_of, motion, track, chain, graph, a.ranges)
+    breaks = joined_breaks(a.bridged(), b.bridged(), len(a.recording))
+    graph = _optimised(clouds, track, breaks, [*steps, border], replace(run, config=config))
+    return Session(recording, clouds, clouds_of, motion, track, breaks, graph, a.ranges)
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
@@ -369,17 +369,17 @@ def chosen_parts(config: SlamConfig) -> dict[str, str | None]:
 
 
 def _optimised(
-    clouds: Callable[[], Clouds], track: Track, chain: Chain, steps: list[Constraint], run: _Run
+    clouds: Callable[[], Clouds], track: Track, breaks: TrackBreaks, steps: list[Constraint], run: _Run
 ) -> Graph:
     """The graph after loop closure and joint refinement of all key poses."""
     config, keys, back_end = run.config, track.keys, make_back_end(run.config.back_end)
     edits = KeyEdits.of(run.edits, keys)
-    closed = unclosed(track.T_track_base[keys], chain, steps)
+    closed = unclosed(track.T_track_base[keys], breaks, steps)
     if config.loops.enabled and len(keys) > 2:
         loops = config.loops if config.refine.rounds > 0 else config.loops.model_copy(update={"held_m": 0.0})
         scans, closing = KeyScans(clouds(), keys), LoopClosing(loops, edits, back_end)
         closed = run.steps.close_graph(
-            scans, closed.T_map_keys, chain, steps, closing, config.place_recognition, run.progress
+            scans, closed.T_map_keys, breaks, steps, closing, config.place_recognition, run.progress
         )
     T_map_keys, constraints = closed.T_map_keys, [*closed.steps, *closed.loops]
     if config.refine.rounds > 0 and len(keys) > 2:

@@ -1,4 +1,4 @@
-"""What a track says of the way from each key scan to the next: the chain that the pose graph hangs on."""
+"""What a track says of the way from each key scan to the next: the constraints that the graph hangs on."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from turtlebag.pipeline.slam.range_calibration import RangeCalibration
 from turtlebag.pipeline.slam.sessions import Graph, Session
 from turtlebag.pipeline.slam.slam import LATER, SlamConfig
 from turtlebag.pipeline.slam.track import Track
-from turtlebag.pipeline.slam.track_breaks import Chain
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 FILE = "graph.npz"
 FORMAT = 9
@@ -58,10 +58,10 @@ LAYOUT = {
     "track_source": ("i", "s"),
     "track_odometry_steps": ("n", "m3"),
     "track_usable": ("b", "s"),
-    "chain_broken": ("b", "m"),
-    "chain_contradicted": ("b", "m"),
-    "chain_alone": ("b", "m"),
-    "chain_gaps": ("i", "g2"),
+    "breaks_broken": ("b", "m"),
+    "breaks_contradicted": ("b", "m"),
+    "breaks_alone": ("b", "m"),
+    "breaks_gaps": ("i", "g2"),
     "constraint_i": ("i", "c"),
     "constraint_j": ("i", "c"),
     "constraint_T_i_j": ("n", "c3"),
@@ -79,7 +79,7 @@ LAYOUT = {
 OPTIONAL = ("T_odom_base", "motion", "track_odometry_steps")
 INDICES = {
     "track_keys": "s",
-    "chain_gaps": "s",
+    "breaks_gaps": "s",
     **{f"{record}_{end}": "k" for record in ("constraint", "loop", "recognised") for end in "ij"},
 }
 """Arrays that number scans or keys."""
@@ -118,7 +118,7 @@ def save_session(path: Path, session: Session, config: SlamConfig) -> None:
             for f in fields(Track)
             if f.name != "calibration"
         },
-        **{f"chain_{f.name}": getattr(session.chain, f.name) for f in fields(Chain)},
+        **{f"breaks_{f.name}": getattr(session.breaks, f.name) for f in fields(TrackBreaks)},
         **_columns("constraint", graph.constraints, Constraint),
         **_columns("loop", graph.loops, Loop),
         **_columns("recognised", graph.recognised, Recognised),
@@ -201,11 +201,11 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
         _rows("recognised", stored, Recognised),
         stored["unbridged"],
     )
-    chain = Chain(*(stored[f"chain_{f.name}"] for f in fields(Chain)))
+    breaks = TrackBreaks(*(stored[f"breaks_{f.name}"] for f in fields(TrackBreaks)))
     keys, clouds_of = stored["track_keys"], clouds_maker(recording, usable, motion)
     clouds = once(lambda: among(clouds_of(keys), keys, len(recording)))
     learnt = RangeCalibration(**ranges)
-    return Session(recording, clouds, clouds_of, motion, Track(**track), chain, graph, learnt), config
+    return Session(recording, clouds, clouds_of, motion, Track(**track), breaks, graph, learnt), config
 
 
 def _check(stored: dict[str, Any], beams: int) -> None:

@@ -1,7 +1,7 @@
-"""How far the chain of key scans can be trusted: what no witness saw may be anything.
+"""Where a track breaks: what neither scans nor odometry confirm may be anything.
 
 Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
-while, or one fits nothing that was seen before it, and the two do not confirm each other, the chain is
+while, or one fits nothing that was seen before it, and the two do not confirm each other, the track is
 broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than elsewhere.
 Both say how far off a place may be when the robot returns to it.
 """
@@ -28,7 +28,7 @@ SHORT_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class TrackBreaks:
     """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
     whether its witnesses contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last scan
     before and the first after each break."""
@@ -42,7 +42,7 @@ class Chain:
         """Number of the unbroken part each key lies in, (keys,)."""
         return np.concatenate([[0], np.cumsum(self.broken)])
 
-    def first(self, steps: int) -> Chain:
+    def first(self, steps: int) -> TrackBreaks:
         """So many of its steps."""
         return replace(
             self,
@@ -51,17 +51,17 @@ class Chain:
             alone=self.alone[:steps],
         )
 
-    def bridged(self, unbridged: NDArray[np.bool_]) -> Chain:
-        """The chain with its breaks mended, all but the given ones (keys - 1,)."""
+    def bridged(self, unbridged: NDArray[np.bool_]) -> TrackBreaks:
+        """Only the breaks that nothing bridges, `unbridged` (keys - 1,)."""
         broken = self.broken & unbridged
-        return Chain(broken, self.contradicted & broken, self.alone & broken, self.gaps)
+        return TrackBreaks(broken, self.contradicted & broken, self.alone & broken, self.gaps)
 
 
-def joined_chain(a: Chain, b: Chain, scans: int, *, broken: bool = False) -> Chain:
-    """The chain of two recordings, one found in the map of the other, or not yet: then it is broken there.
+def joined_breaks(a: TrackBreaks, b: TrackBreaks, scans: int, *, broken: bool = False) -> TrackBreaks:
+    """The breaks of two recordings, one found in the map of the other, or not yet: then there is one between.
     `scans` is how many the first one has."""
     border, no = np.array([broken]), np.zeros(1, dtype=bool)
-    return Chain(
+    return TrackBreaks(
         np.concatenate([a.broken, border, b.broken]),
         np.concatenate([a.contradicted, border, b.contradicted]),
         np.concatenate([a.alone, no, b.alone]),
@@ -70,27 +70,27 @@ def joined_chain(a: Chain, b: Chain, scans: int, *, broken: bool = False) -> Cha
 
 
 def joined_parts(
-    chain: Chain, joins: Sequence[tuple[int, int]]
+    breaks: TrackBreaks, joins: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """The part of the log that each key belongs to (keys,), and the broken steps (keys - 1,) that say
     nothing because their ends are held together otherwise.
 
     `joins` are pairs of keys recognised as one place. A broken step that nothing contradicts still joins.
     """
-    segment = chain.segments()
+    segment = breaks.segments()
     part = np.arange(segment[-1] + 1)
     for i, j in joins:
         part[part == part[segment[i]]] = part[segment[j]]
-    released = np.zeros(len(chain.broken), dtype=bool)
-    for step in np.flatnonzero(chain.broken).tolist():
+    released = np.zeros(len(breaks.broken), dtype=bool)
+    for step in np.flatnonzero(breaks.broken).tolist():
         one, two = part[segment[step]], part[segment[step + 1]]
         released[step] = one == two
-        if not chain.contradicted[step]:
+        if not breaks.contradicted[step]:
             part[part == two] = one
     return np.asarray(part[segment]), released
 
 
-def witnessed_chain(recording: Recording, track: Track) -> Chain:
+def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
     unseen = blind(track.information)
@@ -114,7 +114,7 @@ def witnessed_chain(recording: Recording, track: Track) -> Chain:
             alone[step] |= not fits
             gaps.append((before, after))
     between = np.array(gaps, dtype=np.int64).reshape(-1, 2)
-    return Chain(broken, contradicted, alone, between)
+    return TrackBreaks(broken, contradicted, alone, between)
 
 
 def gaps_between(stamps_ns: NDArray[np.int64], saw: NDArray[np.bool_]) -> NDArray[np.int64]:

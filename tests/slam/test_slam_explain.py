@@ -45,8 +45,8 @@ def made():
         keys=KEYS, T_track_base=SE2(np.zeros((16, 3))), source=np.zeros(16, dtype=np.int8),
         overlap=np.linspace(0.0, 1.0, 16), calibration=Calibration(),
     )  # fmt: skip
-    chain = SimpleNamespace(gaps=np.array([[3, 4], [6, 7], [10, 12]]))
-    session = SimpleNamespace(track=track, chain=chain, graph=SimpleNamespace(unbridged=unbridged))
+    breaks = SimpleNamespace(gaps=np.array([[3, 4], [6, 7], [10, 12]]))
+    session = SimpleNamespace(track=track, breaks=breaks, graph=SimpleNamespace(unbridged=unbridged))
     check = SimpleNamespace(denied=np.array([[0, 2, 0.1], [1, 3, 0.6], [0, 3, 0.3]]))
     return SimpleNamespace(
         session=session, keys=KEYS, T_map_keys=POSES, loops=[loop], recognised=[place], track=track,

@@ -26,7 +26,7 @@ from turtlebag.pipeline.slam.place_recognition import PlaceRecognitionConfig
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, make_submap, similarity, windows
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
-from turtlebag.pipeline.slam.track_breaks import Chain, joined_parts, witnessed_chain
+from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts, track_breaks_of
 
 
 def office() -> Known:
@@ -127,15 +127,15 @@ def test_robot_lost_among_rooms_like_one_another_is_called_doubtful(there_and_ba
     assert any("breaks" in reason for reason in result.check.reasons)
 
 
-def chain_of(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> Chain:
+def breaks_at(n: int, broken: tuple[int, ...], against: tuple[int, ...]) -> TrackBreaks:
     steps = np.arange(n)
     gone = np.isin(steps, broken)
-    return Chain(gone, np.isin(steps, against), gone & False, np.zeros((0, 2), int))
+    return TrackBreaks(gone, np.isin(steps, against), gone & False, np.zeros((0, 2), int))
 
 
 def test_breaks_part_the_log_until_a_place_joins_it():
-    chain = chain_of(6, (1, 3, 4), (1, 4))
-    part, released = joined_parts(chain, [])
+    breaks = breaks_at(6, (1, 3, 4), (1, 4))
+    part, released = joined_parts(breaks, [])
     # 0 1 | 2 3 : 4 | 5 6, the middle break being one that nothing contradicts
     assert [len(set(part[list(keys)])) for keys in ((0, 1), (2, 3, 4), (5, 6), (1, 2), (4, 5))] == [
         1,
@@ -145,10 +145,10 @@ def test_breaks_part_the_log_until_a_place_joins_it():
         2,
     ]
     assert not released.any()
-    part, released = joined_parts(chain, [(6, 0)])
+    part, released = joined_parts(breaks, [(6, 0)])
     assert part[6] == part[0] != part[2]
     assert released.tolist() == [False, False, False, False, False, False]
-    part, released = joined_parts(chain, [(6, 0), (3, 1)])
+    part, released = joined_parts(breaks, [(6, 0), (3, 1)])
     assert len(set(part.tolist())) == 1
     assert released.tolist() == [False, True, False, False, True, False]
 
@@ -168,26 +168,26 @@ def scans_with_a_gap(odometry_agrees: bool) -> tuple[Recording, Track]:
 
 @pytest.mark.parametrize("agrees", [True, False])
 def test_gap_breaks_the_chain_unless_scans_and_odometry_confirm_each_other(agrees):
-    chain = witnessed_chain(*scans_with_a_gap(agrees))
-    assert chain.broken.sum() == (0 if agrees else 1)
-    assert chain.contradicted.sum() == (0 if agrees else 1)
-    assert chain.gaps.tolist() == ([] if agrees else [[29, 30]])
+    breaks = track_breaks_of(*scans_with_a_gap(agrees))
+    assert breaks.broken.sum() == (0 if agrees else 1)
+    assert breaks.contradicted.sum() == (0 if agrees else 1)
+    assert breaks.gaps.tolist() == ([] if agrees else [[29, 30]])
 
 
 def test_a_scan_that_fits_nothing_seen_before_breaks_the_chain_though_none_is_missing():
     """Scans of another place for a tenth of a log: 13 m off, and called good."""
     log, track = scans_with_a_gap(odometry_agrees=True)
     log = replace(log, stamps_ns=np.arange(60, dtype=np.int64) * 200_000_000)
-    assert not witnessed_chain(log, track).broken.any()
+    assert not track_breaks_of(log, track).broken.any()
     overlap = track.overlap.copy()
     overlap[[20, 21]] = 0.1
-    chain = witnessed_chain(log, replace(track, overlap=overlap))
+    breaks = track_breaks_of(log, replace(track, overlap=overlap))
     step = int(np.searchsorted(track.keys, 20)) - 1
-    assert np.flatnonzero(chain.broken).tolist() == np.flatnonzero(chain.alone).tolist() == [step]
-    assert chain.gaps.tolist() == [[19, 20]]
+    assert np.flatnonzero(breaks.broken).tolist() == np.flatnonzero(breaks.alone).tolist() == [step]
+    assert breaks.gaps.tolist() == [[19, 20]]
     # of a scan without surfaces nothing is asked
     usable = track.usable & ~np.isin(np.arange(60), [20, 21])
-    assert not witnessed_chain(log, replace(track, overlap=overlap, usable=usable)).broken.any()
+    assert not track_breaks_of(log, replace(track, overlap=overlap, usable=usable)).broken.any()
 
 
 @pytest.mark.parametrize(("wait_s", "moved_m", "broken"), [(3, 0.2, 0), (3, 0.8, 0), (9, 0.2, 1)])
@@ -202,7 +202,7 @@ def test_a_blind_direction_after_a_short_gap_is_left_to_the_odometry(wait_s, mov
     track = dead_reckoning(log, make_clouds(log, 30.0))
     keys = np.arange(20)
     blind = replace(track, keys=keys, information=along, overlap=np.ones(20), usable=np.ones(20, dtype=bool))
-    assert witnessed_chain(log, blind).broken.sum() == broken
+    assert track_breaks_of(log, blind).broken.sum() == broken
 
 
 def test_submaps_lie_on_each_other_where_they_belong():

@@ -175,7 +175,7 @@ WRONG = {
     "poses beyond the earth": ("track_T_track_base", lambda a: a * 0.0 + 1e300),
     "fractions of nanoseconds": ("stamps_ns", lambda a: a + 0.5),
     "words": ("noise", lambda a: np.array(["x"] * 3)),
-    "one step too few": ("chain_broken", lambda a: a[1:]),
+    "one step too few": ("breaks_broken", lambda a: a[1:]),
     "no mounting": ("T_base_lidar", lambda a: a[:2]),
     "a scan too few": ("ranges", lambda a: a[:-1]),
     "settings that are none": (
