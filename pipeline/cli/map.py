@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `map`."""
     parser.add_argument("input", type=Path, metavar="INPUT", help="record folder, bag or CARMEN log")
     add_output(parser)
-    text = "truth folder of a recording: adds error metrics"
+    text = "truth folder of the recording: adds error metrics and decides on verdict and exit code"
     parser.add_argument("--truth", type=Path, metavar="DIR", help=text)
     text = "relations file of a benchmark: adds error metrics"
     parser.add_argument("--relations", type=Path, metavar="FILE", help=text)
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the map."""
+    """Build the map; 0 done, 1 when the truth says that it is bad."""
     from turtlebag.pipeline.stages.map import build_map
 
     placed, upside_down = laser(args.laser)

@@ -57,12 +57,12 @@ def build_map(
     force: bool = False,
     command: Sequence[str] = (),
 ) -> int:
-    """Map `source` into the folder `out`; returns the exit code.
+    """Map `source` into the folder `out`; 0 done, 1 when the truth says that the map is bad.
 
     `topic` names the scans of a bag, LaserScan or PointCloud2; without it /scan or the only LaserScan
     topic is mapped in 2D, and where there is none the point clouds in 3D.
 
-    `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both only add
+    `truth` is a record's `truth` folder (or the record), `relations` a benchmark file; both add
     metrics. `also` are later recordings of the same place, joined into one graph; `continued` is the folder
     of an earlier map, whose graph `source` and they join without it being made again. `named` is a name by
     which the map is saved too, as `map_saver -f` would. `edits` is a file of loops that a person rejected or
@@ -131,8 +131,7 @@ def build_map(
             extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
             | made.manifest,
         )
-    tell_map(metrics, out, slam_s)
-    return 0
+    return 0 if tell_map(metrics, out, slam_s) else 1
 
 
 def _map_scans(

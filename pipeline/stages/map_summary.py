@@ -40,21 +40,38 @@ class Mapped:
 
 SHOWN = (".yaml", ".pgm", ".ply", ".tum")
 """What people open; the other files beside them are named in the documentation."""
+BAD_M = 0.2
+"""A map is bad when the truth says, after a rigid fit, that a scan of it lies farther off."""
 
 
-def tell_map(metrics: Mapping[str, Any], out: Path, seconds: float) -> None:
-    """The verdict, the errors where they are known and the files, in as many lines."""
-    for reason in metrics["self_check"]["reasons"]:
+def tell_map(metrics: Mapping[str, Any], out: Path, seconds: float) -> bool:
+    """The verdict, the errors where they are known and the files, in as many lines; False for a map that
+    the truth denies.
+    """
+    check, bad = metrics["self_check"], verdict_of(metrics) == "bad"
+    for reason in check["reasons"]:
         log.warning(f"doubtful map: {reason}")
     for line in map_lines(metrics, out, seconds):
         log.info(line)
+    if bad and check["verdict"] == "good":
+        log.warning("the self-check found nothing wrong: is the truth that of this recording?")
+    return not bad
+
+
+def verdict_of(metrics: Mapping[str, Any]) -> str:
+    """`bad` for a map that the truth denies, else the verdict of the self-check.
+
+    After a rigid fit, because a map without odometry begins at the origin, wherever that is in the world.
+    """
+    bad = metrics.get("ate_aligned_m", {"max": 0.0})["max"] > BAD_M
+    return "bad" if bad else str(metrics["self_check"]["verdict"])
 
 
 def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator[str]:
     """The lines of a map's metrics and of the folder it was written to."""
-    loops, verdict = metrics["loops"], metrics["self_check"]["verdict"]
+    loops = metrics["loops"]
     yield (
-        f"{verdict} map of {metrics['scans']} scans ({metrics['keyframes']} key scans, "
+        f"{verdict_of(metrics)} map of {metrics['scans']} scans ({metrics['keyframes']} key scans, "
         f"{loops['accepted']} of {loops['proposed']} loop candidates accepted) in {seconds:.1f} s"
     )
     if "range_error_m" in metrics:

@@ -10,7 +10,7 @@ import pytest
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import VERBS, main
-from turtlebag.pipeline.stages.map_summary import map_lines
+from turtlebag.pipeline.stages.map_summary import map_lines, tell_map
 from turtlebag.pipeline.terminal import messages as console
 
 
@@ -104,6 +104,34 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
         "wall error: 0.8 cm on average, 100.0% of the cells within one cell",
         files,
     ]
+
+
+@pytest.mark.parametrize(
+    ("reasons", "worst", "first", "said"),
+    [
+        ([], None, "good", ""),
+        (["it is bent"], None, "doubtful", "doubtful map: it is bent"),
+        ([], 0.15, "good", ""),
+        (["it is bent"], 0.15, "doubtful", "doubtful map: it is bent"),
+        (["it is bent"], 0.25, "bad", "doubtful map: it is bent"),
+        ([], 0.25, "bad", "is the truth that of this recording?"),
+    ],
+)
+def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
+    normal, tmp_path, capfd, reasons, worst, first, said
+):
+    console.set_verbosity(0)
+    check = {"verdict": "doubtful" if reasons else "good", "reasons": reasons}
+    loops = {"proposed": 0, "accepted": 0, "rejected": 0}
+    metrics = {"scans": 9, "keyframes": 3, "loops": loops, "self_check": check}
+    if worst is not None:
+        # Not aligned it is off by more: a map without odometry begins at the origin.
+        metrics |= {"ate_m": {"rmse": 2.0, "max": 2.1}, "ate_aligned_m": {"rmse": 0.1, "max": worst}}
+    assert tell_map(metrics, tmp_path, 1.0) == (first != "bad")
+    told = capfd.readouterr().err
+    assert f"{first} map of 9 scans" in told
+    assert said in told
+    assert ("is the truth" in told) == ("is the truth" in said)
 
 
 @pytest.mark.slow

@@ -98,6 +98,23 @@ def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("elsewhere", "code"), [(False, 0), (True, 1)])
+def test_the_exit_code_of_a_map_follows_the_truth(room_log, tmp_path, capsys, elsewhere, code):
+    """Turned as a whole, the truth is the same drive; mirrored it is another, whatever the mapper believes."""
+    truth = load_tum(room_log / "truth/trajectory.tum")
+    poses = SE2.from_xyt(1.0, 2.0, 3.0) @ truth.poses
+    if elsewhere:
+        poses = SE2(poses.xyt * [1.0, -1.0, -1.0])
+    (tmp_path / "truth").mkdir()
+    save_tum(Trajectory(truth.stamps_ns, poses), tmp_path / "truth/trajectory.tum")
+    words = ["map", room_log / "log.clf", "--truth", tmp_path / "truth", "--out", tmp_path / "out"]
+    assert cli.main([str(word) for word in words]) == code
+    assert f"{'bad' if elsewhere else 'good'} map of " in capsys.readouterr().err
+    check = json.loads((tmp_path / "out/metrics.json").read_text())["self_check"]
+    assert check["verdict"] == "good"
+
+
+@pytest.mark.slow
 def test_the_truth_of_another_time_is_one_line(room_log, tmp_path, capsys):
     truth = load_tum(room_log / "truth/trajectory.tum")
     later = tmp_path / "later"
