@@ -8,6 +8,7 @@ from pathlib import Path
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.output_rules import is_output
 from turtlebag.datasets.relations import Relations, load_relations
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Trajectory
@@ -60,8 +61,14 @@ class References:
 
 
 def truth_folder(path: Path) -> Path:
-    """The truth folder of a record, given itself or the record; InputError when there is none."""
-    for folder in (path, path / "truth"):
-        if (folder / "trajectory.tum").is_file():
+    """The truth folder of a record, given itself or the record; InputError when there is none.
+
+    A trajectory beside a manifest of ours is an estimate: what would be measured against itself is perfect.
+    """
+    found = [folder for folder in (path, path / "truth") if (folder / "trajectory.tum").is_file()]
+    for folder in found:
+        if not is_output(folder):
             return folder
+    if found:
+        raise InputError(f"{path}: holds an estimate, not the truth (expected the truth/ of a record)")
     raise InputError(f"{path}: no truth found (expected trajectory.tum in it or in its truth/)")

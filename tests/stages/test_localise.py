@@ -1,6 +1,7 @@
 """The localise stage: a small CARMEN log of the synthetic room, through the command line."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from localisation_room import STILL_LIDAR, Step, drive, l_shaped_room
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import write_manifest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.cli import main as cli
 from turtlebag.pipeline.stages.localise import checked_odometry, load_localise_config, sweep_ends
+from turtlebag.pipeline.stages.map_references import truth_folder
 
 # What a CARMEN log can say: 181 beams over half a turn, the laser on the robot's centre.
 LASER = LidarSpec(181, -np.pi / 2.0, np.pi / 180.0, 0.0, 3.5)
@@ -159,6 +162,7 @@ def test_without_an_initial_pose_it_is_rejected_with_complete_outputs(room_log, 
     [
         (["--initial-pose=2,2"], "expected three numbers"),
         (["--initial-pose=2,2,nan"], "not a finite number"),
+        (["--initial-pose=40,3,0"], "--initial-pose 40,3,0: is off the map "),
         (["--initial-pose=2,2,0", "--set", "amcl.min_particles=0"], "min_particles"),
         (["--initial-pose=2,2,0", "--set", "amcl.no_such=1"], "unknown key"),
         (["--initial-pose=2,2,0", "--truth", "nowhere"], "nowhere: no truth found"),
@@ -170,6 +174,23 @@ def test_bad_input_is_one_line_and_nothing_is_written(room_log, tmp_path, capsys
     assert words in error
     assert error.count("\n") == 1
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("verb", ["map", "localise"])
+def test_an_estimate_is_no_truth_and_a_run_with_both_has_one(room_log, tmp_path, capsys, verb):
+    estimate = tmp_path / "estimate"
+    estimate.mkdir()
+    save_tum(load_tum(room_log / "truth/trajectory.tum"), estimate / "trajectory.tum")
+    write_manifest(estimate, "map", [], {}, wall_s=1.0)
+    on = ["--map", str(room_log / "map.yaml"), "--initial-pose=2,2,0"] if verb == "localise" else []
+    words = [verb, str(room_log / "log.clf"), *on, "--truth", str(estimate), "--out", str(tmp_path / "out")]
+    assert cli.main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"turtlebag: {estimate}: holds an estimate, not the truth ")
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    shutil.copytree(room_log / "truth", estimate / "truth")
+    assert truth_folder(estimate) == estimate / "truth"
 
 
 def test_a_map_with_nothing_on_it_is_refused(room_log, tmp_path, capsys):
