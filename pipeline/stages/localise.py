@@ -26,11 +26,13 @@ from turtlebag.pipeline.localisation.interface import Localiser, require_estimat
 from turtlebag.pipeline.localisation.localisers import LocaliserName, make_localiser
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
+from turtlebag.pipeline.navigation.pose_check import require_on_map
 from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
+from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.reports.metrics.navigation import localisation_errors
 
 
@@ -84,6 +86,8 @@ def localise(
     config = config or LocaliseConfig()
     check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
+    if isinstance(initial_pose, SE2):
+        require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
     recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
     turns = compared_turns(recording)
     recording = facing(in_step(recording, turns)) if turns.alike else recording
