@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.bags.mapping_input import read_for_mapping
 from turtlebag.datasets.bags.scans import TURNED_OVER, turned_over
 from turtlebag.datasets.bags.source import is_bag, open_bag
+from turtlebag.datasets.bags.units import ARM_M
 from turtlebag.datasets.carmen import is_carmen, parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import read_unpacked
@@ -22,8 +24,11 @@ def load_recording(
 
     `T_base_lidar` and with it `upside_down` override what the input says of the laser's place on the robot,
     `topic` names the scans of a bag that has several. Truth topics are never read. InputError when there is
-    nothing to map with.
+    nothing to map with, or the laser would sit further from the robot than any does.
     """
+    if T_base_lidar is not None and (arm := math.hypot(*T_base_lidar.xy)) > ARM_M:
+        told = ",".join(f"{value:g}" for value in T_base_lidar.xyt)
+        raise InputError(f"--laser {told}: {arm:.4g} m from the robot's centre; X and Y are metres")
     recording = _read(path, T_base_lidar, topic)
     if T_base_lidar is None or not upside_down:
         return recording

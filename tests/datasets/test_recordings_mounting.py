@@ -1,6 +1,7 @@
 """Where the lidar sits and which way up: told by the bag, by an option, or by nobody."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -67,6 +68,14 @@ def test_an_option_turns_the_lidar_over(tmp_path, log):
     for wrong in ("0,0,0,down", "0,0,upside-down", "upside-down", "0,0,0,upside-down,upside-down"):
         with pytest.raises(InputError, match=f"--laser {wrong.removesuffix(',upside-down')}: expected"):
             laser(wrong)
+
+
+@pytest.mark.parametrize("kind", ["bag", "log"])
+def test_a_place_of_the_laser_in_millimetres_is_refused(tmp_path, kind):
+    """By hand as by the bag's own transforms; the file is not read for it."""
+    told = "--laser -32,0,0: 32 m from the robot's centre; X and Y are metres"
+    with pytest.raises(InputError, match=f"^{re.escape(told)}$"):
+        load_recording(tmp_path / kind, T_base_lidar=laser("-32,0,0")[0])
 
 
 @pytest.mark.parametrize("static", [False, True], ids=["no static transforms", "another frame"])
