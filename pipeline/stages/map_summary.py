@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from turtlebag.datasets.types import Recording, Recording3D
 from turtlebag.pipeline.slam.turn_comparison import delay_metrics
-from turtlebag.pipeline.terminal.messages import length, log
+from turtlebag.pipeline.terminal.messages import length, log, number_of
 
 if TYPE_CHECKING:
     from turtlebag.pipeline.slam.slam import SlamResult
@@ -71,9 +71,12 @@ def map_lines(metrics: Mapping[str, Any], out: Path, seconds: float) -> Iterator
     """The lines of a map's metrics and of the folder it was written to."""
     loops = metrics["loops"]
     yield (
-        f"{verdict_of(metrics)} map of {metrics['scans']} scans ({metrics['keyframes']} key scans, "
+        f"{verdict_of(metrics)} map of {number_of(metrics['scans'], 'scan')} "
+        f"({number_of(metrics['keyframes'], 'key scan')}, "
         f"{loops['accepted']} of {loops['proposed']} loop candidates accepted) in {seconds:.1f} s"
     )
+    if metrics["self_check"]["revisits"] == 0:
+        yield "no place was seen twice, so the self-check had nothing to compare"
     if "range_error_m" in metrics:
         near, far = (f"{1e3 * off:+.0f} mm" for off in metrics["range_error_m"].values())
         yield f"the lidar's ranges are off by {near} at 1 m and {far} at 3 m, as the scans show; corrected"

@@ -89,7 +89,7 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
         "scans": 1123,
         "keyframes": 143,
         "loops": {"proposed": 34, "accepted": 33, "rejected": 1},
-        "self_check": {"verdict": "good", "reasons": []},
+        "self_check": {"verdict": "good", "reasons": [], "revisits": 58},
     }
     errors = {
         "ate_m": {"rmse": 0.0022, "max": 0.007},
@@ -98,6 +98,11 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
     files = f"{tmp_path}: map.pgm, map.yaml, map_house.pgm, map_house.yaml"
     first = "good map of 1123 scans (143 key scans, 33 of 34 loop candidates accepted) in 91.0 s"
     assert list(map_lines(metrics, tmp_path, 91.0)) == [first, files]
+    little = {"scans": 9, "keyframes": 1, "self_check": {"verdict": "good", "reasons": [], "revisits": 0}}
+    assert list(map_lines({**metrics, **little}, tmp_path, 1.0))[:2] == [
+        "good map of 9 scans (1 key scan, 33 of 34 loop candidates accepted) in 1.0 s",
+        "no place was seen twice, so the self-check had nothing to compare",
+    ]
     assert list(map_lines({**metrics, **errors}, tmp_path, 91.0)) == [
         first,
         "trajectory error (ATE): 0.2 cm RMSE, 0.7 cm at most",
@@ -121,7 +126,7 @@ def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(
     normal, tmp_path, capfd, reasons, worst, first, said
 ):
     console.set_verbosity(0)
-    check = {"verdict": "doubtful" if reasons else "good", "reasons": reasons}
+    check = {"verdict": "doubtful" if reasons else "good", "reasons": reasons, "revisits": 1}
     loops = {"proposed": 0, "accepted": 0, "rejected": 0}
     metrics = {"scans": 9, "keyframes": 3, "loops": loops, "self_check": check}
     if worst is not None:

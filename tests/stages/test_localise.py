@@ -103,7 +103,7 @@ def test_a_robot_that_only_believes_to_be_localised_is_a_failure(room_log, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize(("elsewhere", "code"), [(False, 0), (True, 1)])
 def test_the_exit_code_of_a_map_follows_the_truth(room_log, tmp_path, capsys, elsewhere, code):
-    """Turned as a whole, the truth is the same drive; mirrored it is another, whatever the self-check says."""
+    """Turned as a whole, the truth is of the same drive; mirrored, of another that the self-check misses."""
     truth = load_tum(room_log / "truth/trajectory.tum")
     poses = SE2.from_xyt(1.0, 2.0, 3.0) @ truth.poses
     if elsewhere:
