@@ -11,6 +11,7 @@ from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.terminal.messages import note_degrees
 
 
 class OrOwn(tuple[str, ...]):
@@ -131,6 +132,7 @@ def pose(text: str, option: str) -> SE2:
             raise InputError(f"{option} {text}: {name} is not a finite number")
         if abs(value) > 1e9:
             raise InputError(f"{option} {text}: {name} is larger than any map")
+    note_degrees(f"{option} {text}", values[2])
     return SE2.from_xyt(*values)
 
 

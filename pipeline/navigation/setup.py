@@ -29,6 +29,7 @@ from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.takeover import load_script
+from turtlebag.pipeline.terminal.messages import note_degrees
 from turtlebag.planners.costmap import Costmap, costmap_from_grid
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_waypoints, tutorial_patrol
@@ -135,7 +136,13 @@ def _places(request: Request) -> WaypointFile:
             raise InputError("--task goal: needs --goal X,Y,YAW")
         x, y, yaw = request.goal.xyt.tolist()
         return WaypointFile((Waypoint(request.goal, "", (x, y, yaw)),))
-    return tutorial_patrol() if request.waypoints_path is None else load_waypoints(request.waypoints_path)
+    if request.waypoints_path is None:
+        return tutorial_patrol()
+    found = load_waypoints(request.waypoints_path)
+    for number, waypoint in enumerate(found.waypoints, start=1):
+        if waypoint.T_map_goal is not None:
+            note_degrees(f"waypoint {number}", waypoint.written[2])
+    return found
 
 
 def _with_options(config: NavigateConfig, request: Request) -> NavigateConfig:

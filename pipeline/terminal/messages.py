@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -87,6 +88,12 @@ def log_notes(notes: Iterable[str]) -> None:
     """What was repaired or left out on reading, each note once."""
     for note in dict.fromkeys(notes):
         log.warning(f"note: {note}")
+
+
+def note_degrees(what: str, yaw: float) -> None:
+    """A note where a yaw is more than a full turn [rad]."""
+    if abs(yaw) > 2.0 * math.pi:
+        log_notes([f"{what}: yaw {yaw:g} rad: is it in degrees?"])
 
 
 def say(line: str) -> None:

@@ -50,7 +50,7 @@ def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
 
 
 @pytest.mark.parametrize("log", [False, True], ids=["bag", "CARMEN log"])
-def test_an_option_turns_the_lidar_over(tmp_path, log):
+def test_an_option_turns_the_lidar_over(tmp_path, caplog, log):
     path = tmp_path / "a.clf"
     path.write_text(flaser(np.linspace(1.0, 2.0, 180)))
     if not log:
@@ -65,6 +65,9 @@ def test_an_option_turns_the_lidar_over(tmp_path, log):
     assert turned.notes == (*upright.notes, "the laser hangs upside down; its scans were turned over")
     assert laser("0.1,0.2,0.3")[1] is False
     assert laser(None) == (None, False)
+    assert not caplog.messages
+    laser("0.1,0.2,180,upside-down")
+    assert caplog.messages == ["note: --laser 0.1,0.2,180: yaw 180 rad: is it in degrees?"]
     for wrong in ("0,0,0,down", "0,0,upside-down", "upside-down", "0,0,0,upside-down,upside-down"):
         with pytest.raises(InputError, match=f"--laser {wrong.removesuffix(',upside-down')}: expected"):
             laser(wrong)

@@ -113,10 +113,12 @@ def test_an_outline_off_the_map_is_refused_by_its_number(true_map, tmp_path, cap
     assert "keepout.yaml: keepout 2: lies outside the map" in capsys.readouterr().err
 
 
-def test_the_manifest_of_a_run_names_every_file_that_went_in(true_map, tmp_path):
+def test_the_manifest_of_a_run_names_every_file_that_went_in_and_a_yaw_in_degrees_is_asked_about(
+    true_map, tmp_path, capfd
+):
     contents = {
         "keepout.yaml": "keepout: [[[0, 0], [0.5, 0], [0.5, 0.02]]]",
-        "points.yaml": "waypoints: [[-1.5, 0.5, 0]]",
+        "points.yaml": "waypoints: [[-1.5, 0.5, 90]]",
         "takeover.yaml": "[]",
         "config.yaml": "{}",
         "world.yaml": (FOLDER / "turtlebot3_world.yaml").read_text(),
@@ -128,6 +130,7 @@ def test_the_manifest_of_a_run_names_every_file_that_went_in(true_map, tmp_path)
     words += f" --map {true_map} --waypoints {tmp_path}/points.yaml --keepout {tmp_path}/keepout.yaml"
     words += f" --takeover {tmp_path}/takeover.yaml --config {tmp_path}/config.yaml --out {tmp_path}/run"
     assert main(words.split()) == 1  # nobody told it where it is: refused as soon as it looks
+    assert capfd.readouterr().err.startswith("note: waypoint 1: yaw 90 rad: is it in degrees?\n")
     inputs = json.loads((tmp_path / "run" / "manifest.json").read_text())["inputs"]
     assert set(inputs) == {"map", "map_image", "world", "robot", "waypoints", "keepout", "takeover", "config"}
     for name, text in contents.items():
