@@ -15,6 +15,12 @@ Model = TypeVar("Model", bound=BaseModel)
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same in a tenth of the time
 DEEPEST = 100
 """Collections within collections; libyaml would go on until the stack is full, and the process gone."""
+KINDS = {
+    **dict.fromkeys(("tuple_type", "list_type"), "expected a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "expected keys and values"),
+    "missing": "is missing",
+}
+"""In words that name no class of Python, what pydantic says of a value of the wrong make."""
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -28,6 +34,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file") from None
     data = parsed(text, where=str(path))
+    if data is None:
+        raise InputError(f"{path}: the file is empty")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected keys and values, found a {type(data).__name__}")
     return data
@@ -66,9 +74,11 @@ def checked(model: type[Model], data: Any, *, where: str) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "top level"
-        what = first["msg"]
+        what = KINDS.get(first["type"], first["msg"])
         if first["type"] == "extra_forbidden":
             what = f"unknown key{_known_beside(model, first['loc'])}"
+        elif description := _description(model, first["loc"]):
+            what += f" ({description})"
         raise InputError(f"{where}: {key}: {' '.join(what.split())}") from None
 
 
@@ -81,6 +91,15 @@ def _known_beside(model: type[BaseModel], loc: Sequence[int | str]) -> str:
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return ""
     return f" (known: {', '.join(inner.model_fields)})"
+
+
+def _description(model: type[BaseModel], loc: Sequence[int | str]) -> str | None:
+    """What the innermost key of a place is to hold, where the models say so."""
+    field = model.model_fields.get(str(loc[0])) if loc else None
+    inner: Any = None if field is None else field.annotation
+    if isinstance(inner, type) and issubclass(inner, BaseModel):
+        return _description(inner, loc[1:])
+    return None if field is None else field.description
 
 
 def load_model(model: type[Model], path: Path) -> Model:

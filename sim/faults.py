@@ -15,7 +15,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Imu, Scan, Twist
 
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Spans = tuple[tuple[NonNegative, NonNegative], ...]
+Spans = Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(description="[start, end] for each")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
@@ -32,9 +32,15 @@ class FaultConfig(Settings):
     scan_silent: Spans = ()
     """Spans in which no scan is taken."""
     imu_silent: Spans = ()
-    slip: tuple[tuple[NonNegative, NonNegative, Share, Share], ...] = ()
+    slip: Annotated[
+        tuple[tuple[NonNegative, NonNegative, Share, Share], ...],
+        Field(description="[start, end, left share, right share] for each"),
+    ] = ()
     """Start, end, and the shares of the left and the right wheel's turning that move nothing."""
-    kidnap: tuple[tuple[NonNegative, Finite, Finite, Finite], ...] = ()
+    kidnap: Annotated[
+        tuple[tuple[NonNegative, Finite, Finite, Finite], ...],
+        Field(description="[seconds, x, y, yaw] for each"),
+    ] = ()
     """When, and the true x, y, yaw where the robot is put down; odometry notices nothing."""
 
     @field_validator("scan_silent", "imu_silent", "slip")

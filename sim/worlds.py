@@ -56,6 +56,8 @@ def load_world(name_or_path: str) -> World:
         given = checked(GeneratorSpec, data, where=str(path))
         settings = ",".join([str(given.seed), *(f"{key}={value}" for key, value in given.options.items())])
         return _generated(str(path), given.generator, settings)
+    if "shapes" not in data:
+        raise InputError(f"{path}: not a world file: it has no 'shapes'")
     spec = checked(WorldSpec, data, where=str(path))
     options = _chosen(spec, settings)
     shapes = [shape for shape in spec.shapes if all(options.get(k) == v for k, v in shape.when.items())]

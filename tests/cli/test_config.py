@@ -79,7 +79,12 @@ def test_a_wrong_setting_names_its_key_in_one_line(setting, message):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("a: [", "line 1: not valid YAML"), ("- 1", "found a list"), ("x: 1", "x: unknown key")],
+    [
+        ("a: [", "line 1: not valid YAML"),
+        ("- 1", "found a list"),
+        ("# 1", "the file is empty"),
+        ("x: 1", "x: unknown key"),
+    ],
 )
 def test_a_wrong_file_names_itself(tmp_path, text, message):
     path = tmp_path / "c.yaml"
@@ -87,6 +92,27 @@ def test_a_wrong_file_names_itself(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         load_config(Outer, path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("kidnap=3", "kidnap: expected a list ([seconds, x, y, yaw] for each)"),
+        ("kidnap=[3, 1, 1, 0]", "kidnap.0: expected a list ([seconds, x, y, yaw] for each)"),
+        ("kidnap=[[3, 1, 1]]", "kidnap.0.3: is missing ([seconds, x, y, yaw] for each)"),
+        ("imu_silent=4", "imu_silent: expected a list ([start, end] for each)"),
+        ("slip=4", "slip: expected a list ([start, end, left share, right share] for each)"),
+    ],
+)
+def test_a_value_of_the_wrong_make_is_told_what_the_key_holds(setting, message):
+    with pytest.raises(InputError) as caught:
+        load_config(NavigateConfig, settings=[f"sim.faults.{setting}"])
+    assert str(caught.value) == f"--set: sim.faults.{message}"
+
+
+def test_a_section_is_told_to_be_keys_and_values():
+    with pytest.raises(InputError, match=r"^--set: relocalise: expected keys and values$"):
+        load_config(NavigateConfig, settings=["relocalise=3"])
 
 
 def test_resolved_configuration_reads_back(tmp_path):

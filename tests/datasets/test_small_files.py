@@ -76,7 +76,7 @@ def test_yaml_is_read_with_one_line_for_what_is_wrong(tmp_path):
     for text, says in (
         ("a: [1\nb: 2\n", "a.yaml, line 2: not valid YAML"),
         ("- 1\n", "expected keys and values, found a list"),
-        ("", "found a NoneType"),
+        ("", "the file is empty"),
         ("a: 0000-00-00\n", "not valid YAML"), ("[" * 500_000, "nested too deeply"),
     ):  # fmt: skip
         path.write_text(text)

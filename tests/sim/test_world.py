@@ -92,6 +92,13 @@ def test_a_bad_world_file_is_one_line_that_says_what_is_wrong(tmp_path, shapes, 
     assert "mine.yaml" in str(caught.value)
 
 
+def test_a_map_is_no_world_file(tmp_path):
+    path = tmp_path / "map.yaml"
+    path.write_text("image: map.pgm\nresolution: 0.05\n")
+    with pytest.raises(InputError, match=r"map\.yaml: not a world file: it has no 'shapes'$"):
+        load_world(str(path))
+
+
 def test_an_unknown_world_lists_the_known():
     with pytest.raises(InputError, match="unknown world 'moon'") as caught:
         load_world("moon")
