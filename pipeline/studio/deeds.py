@@ -26,7 +26,7 @@ def map_start(run: Run, deed: inputs.MapStart) -> str:
     """Begin a new map; one that is loaded is put away."""
     if run.pilot.mapping:
         raise InputError("map_start: a map is being made already; stop it first")
-    run.end_task("ended: a new map was begun")
+    run.end_task("ended: a new map was started")
     _new_map(run)
     return "mapping"
 
@@ -106,20 +106,20 @@ def goal(run: Run, deed: inputs.SetGoal) -> str:
 def patrol(run: Run, deed: inputs.Patrol) -> str:
     """Go to one place after the other."""
     navigation = _localised(run, "patrol")
-    run.end_task("ended: a patrol was begun")
+    run.end_task("ended: a patrol was started")
     stopovers, now = deed.waypoints, run.stamp_ns
     return _begin(run, tasks.patrol_task(run.pilot.kit, navigation, stopovers, deed.laps, now))
 
 
 def avoid(run: Run, deed: inputs.Avoid) -> str:
     """Drive about."""
-    run.end_task("ended: to drive around")
+    run.end_task("ended: avoid was started")
     return _begin(run, tasks.avoid_task(run.pilot.kit, run.say, run.stamp_ns))
 
 
 def explore(run: Run, deed: inputs.Explore) -> str:
     """Map what can be reached: the map that is being made is gone on with."""
-    run.end_task("ended: to explore")
+    run.end_task("ended: explore was started")
     if not run.pilot.mapping:
         _new_map(run)
     assert run.pilot.mapper is not None

@@ -157,7 +157,7 @@ class Frames:
         self._paths[name] = version, len(points)
 
     def _bag(self, message: Message, bag: BagMarks) -> None:
-        """Where a bag that is played stands, and the loop that is looked at."""
+        """Where a bag that is played stands, and the selected loop."""
         loop = bag.loop
         said = None if loop is None else {"scan": loop.scan, "place": loop.place, "told": loop.told}
         message.header["bag"] = {

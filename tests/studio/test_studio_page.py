@@ -3,6 +3,7 @@
 import asyncio
 import io
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -55,6 +56,30 @@ def test_the_page_fits_and_complains_of_nothing(browser, session, served, width,
     assert browser.evaluate(CLIPPED) == []
     assert browser.problems() == []
     assert all(address.startswith(HERE) for address in browser.requests())
+
+
+@pytest.mark.parametrize(("width", "height"), [(844, 390), (800, 900), (360, 740)])
+def test_the_drive_pad_of_a_small_window_leaves_the_scale_bar_in_sight(
+    browser, session, served, width, height
+):
+    open_page(browser, served, width, height, touch=True)
+    bottom = "document.getElementById({!r}).getBoundingClientRect().bottom"
+    assert browser.evaluate(f"{bottom.format('stage')} - {bottom.format('pad')}") >= 54  # its label's top
+
+
+def test_a_window_made_narrow_folds_the_panel_and_one_made_wide_shows_it(browser, session, served):
+    open_page(browser, served)
+    seen = "document.getElementById('panel').checkVisibility({visibilityProperty: true})"
+    told = "document.getElementById('fold').ariaExpanded"
+    for width, wanted in ((400, f"!{seen} && {told} === 'false'"), (1280, f"{seen} && {told} === 'true'")):
+        size = {"width": width, "height": 720, "deviceScaleFactor": 1, "mobile": False}
+        browser.call("Emulation.setDeviceMetricsOverride", **size)
+        until(partial(browser.evaluate, wanted))
+
+
+def test_the_speed_of_a_task_is_shown(page, session):
+    session.told = {"task": "avoid", "command": (0.15, -0.5)}
+    until(lambda: shown_text(page, "cmd") == "0.15 m/s, -0.5 rad/s")
 
 
 @pytest.mark.parametrize(("width", "height", "touch"), [SIZES[0], SIZES[2]])

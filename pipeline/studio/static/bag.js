@@ -58,7 +58,7 @@ export function showBag(head) {
   if (!held) put(byId("time"), "value", String(bag.position));
   put(byId("when"), "textContent", `${bag.position.toFixed(1)} of ${bag.duration.toFixed(1)} s`);
   const { loop } = bag;
-  put(byId("told"), "textContent", loop ? `Scan ${loop.scan} at scan ${loop.place}: ${loop.told}.` : "No loop is looked at.");
+  put(byId("told"), "textContent", loop ? `Scan ${loop.scan} at scan ${loop.place}: ${loop.told}.` : "No loop selected.");
   put(byId("reject"), "disabled", !loop);
   const list = byId("edits"), told = JSON.stringify(bag.edits);
   if (list.dataset.told === told) return;

@@ -107,7 +107,7 @@ function graph() {
   dots("graph_nodes", 3, 4, colour.slam);
 }
 
-/** The two scans of the loop that is looked at. */
+/** The two scans of the selected loop. */
 function loop() {
   dots("loop_place", 2, 4, colour.good);
   dots("loop_scan", 2, 3, colour.odometry);
@@ -266,8 +266,8 @@ export const LAYERS = [
   ["ghost", "True world (ghost)", ghost, false],
   ["keepout", "Keep-outs", keepouts, true],
   ["boxes", "Boxes", boxes, true],
-  ["odom_path", "Path by odometry", () => path("odom_path", colour.odometry, 1.5), true],
-  ["slam_path", "Path by SLAM", () => path("slam_path", colour.slam, 2), true],
+  ["odom_path", "Odometry path", () => path("odom_path", colour.odometry, 1.5), true],
+  ["slam_path", "SLAM path", () => path("slam_path", colour.slam, 2), true],
   ["graph", "Pose graph, loops", graph, true],
   ["sectors", "Avoidance sectors", sectors, true],
   ["particles", "Particles", particles, true],
@@ -276,7 +276,7 @@ export const LAYERS = [
   ["local", "Local trajectory", () => path("local", colour.estimate, 3), true],
   ["waypoints", "Waypoints", null, true],
   ["goals", "Goals", goals, true],
-  ["loop", "Loop looked at", loop, true],
+  ["loop", "Selected loop", loop, true],
   ["robot", "Robot", () => scene.head.pose && body(scene.head.pose, colour.estimate, 0.6), true],
 ];
 

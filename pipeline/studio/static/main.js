@@ -3,7 +3,7 @@
 import { attachBag, bagged } from "./bag.js";
 import { draw, LAYERS, readColours } from "./draw.js";
 import { Drive } from "./drive.js";
-import { allow, byId, keepouts, log, refuse, show } from "./panel.js";
+import { allow, byId, keepouts, log, put, refuse, show } from "./panel.js";
 import { listen } from "./pointer.js";
 import { begin, dark, scene, take } from "./scene.js";
 import { Connection } from "./socket.js";
@@ -63,9 +63,8 @@ async function copy(place) {
   read();
 }
 
-const drive = new Drive((message) => connection.send(message), (v, w) => {
-  byId("cmd").textContent = `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`;
-});
+const speeds = (v, w) => put(byId("cmd"), "textContent", `${v.toFixed(2)} m/s, ${w.toFixed(1)} rad/s`);
+const drive = new Drive((message) => connection.send(message), speeds);
 const waypoints = new Waypoints(byId("waypoints"), changed, refuse);
 const desk = new Desk({ send, copy, refuse, waypoints, size: () => Number(byId("size").value), chosen });
 const connection = new Connection(arrived, told);
@@ -97,6 +96,7 @@ function arrived(header, blobs) {
     take(header, blobs);
     show(header, desk.name);
     if (!header.driver && (drive.v || drive.w)) drive.forget();
+    if (!drive.v && !drive.w) speeds(...header.cmd);
     if (scene.keepouts !== before) keepouts(send);
     if (header.map != null && header.map !== map) showAll();
     if (header.waypoints) waypoints.replace(header.waypoints.map(([x, y, yaw, wait]) => ({ pose: [x, y, yaw], wait })));
@@ -199,8 +199,8 @@ byId("speed").addEventListener("change", ({ target }) => {
   if (entered) stage.focus();
 });
 
-function flip(id, name) {
-  byId(id).ariaExpanded = String(!document.body.classList.toggle(name));
+function flip(id, name, on) {
+  byId(id).ariaExpanded = String(!document.body.classList.toggle(name, on));
 }
 
 document.addEventListener("keydown", (event) => {
@@ -240,8 +240,11 @@ byId("layers").querySelector("ul").append(...[...LAYERS].reverse().map(([name, t
   return row;
 }));
 
-if (matchMedia("(max-height: 500px)").matches) flip("unfold", "short");
-if (matchMedia("(max-width: 600px)").matches) flip("fold", "folded");
+for (const [small, ...folds] of [["(max-height: 500px)", "unfold", "short"], ["(max-width: 600px)", "fold", "folded"]]) {
+  const media = matchMedia(small), fit = () => flip(...folds, media.matches);
+  media.addEventListener("change", fit);
+  fit();
+}
 listen(stage, desk, () => scene.head.driver || desk.name === "point", changed, (place) => { cursor = place; });
 attachBag(send);
 drive.attach(byId("pad"), byId("knob"));
