@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "convert a bag to another format, or a CARMEN log to a bag",
         "turtlebag bag convert data/record --out record.bag",
     )
-    add_output(sub)
+    add_output(sub, "NAME.bag for a ROS 1 bag; any other name is the folder of a rosbag2 bag", what="OUT")
     sub.add_argument(
         "--storage",
         choices=("mcap", "sqlite3"),
@@ -193,6 +193,8 @@ def _convert(args: argparse.Namespace) -> int:
         raise InputError(f"{args.bag}: no such file or folder")
     if args.exclude and _is_log(args.bag):
         raise InputError(f"--exclude {args.exclude[0]}: a CARMEN log has no topics to exclude")
+    if args.out.suffix in (".gz", ".bz2"):
+        raise InputError(f"--out {args.out}: bags are written unpacked; leave out {args.out.suffix}")
     if args.out.suffix == ".bag":
         if args.storage is not None:
             raise InputError(f"--storage {args.storage}: does not apply to a ROS 1 bag; remove the option")

@@ -14,7 +14,7 @@ EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `turtlebag compare`."""
-    parser.add_argument("a", type=Path, metavar="A", help="output of record, map or navigate")
+    parser.add_argument("a", type=Path, metavar="A", help="output of record, map, localise, plan or navigate")
     text = (
         "another output of the same stage; or files of other systems: trajectories (TUM, KITTI, EuRoC csv) "
         "and maps (yaml), the two of one system under one NAME"

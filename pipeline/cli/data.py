@@ -13,7 +13,8 @@ EXAMPLE = "turtlebag data fetch intel"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The actions and theirs."""
     actions = parser.add_subparsers(dest="action", metavar="list|fetch", required=True)
-    listing = actions.add_parser("list", help="list the logs with their contents, licences and citations")
+    text = "list the logs with their contents, licences and citations"
+    listing = actions.add_parser("list", help=text, **epilog("turtlebag data list"))
     listing.set_defaults(act=_list)
     fetching = actions.add_parser(
         "fetch",

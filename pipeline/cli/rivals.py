@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def add_rival_options(parser: argparse.ArgumentParser) -> None:
     """--rival-base, --rival-times and --rival-shift."""
     for name, value, text in (
-        ("base", "X,Y,YAW", "where on the robot sits what the rival tracks (a camera, say)"),
+        ("base", "X,Y,YAW", "pose on the robot of the sensor that the rival's trajectory follows"),
         ("times", "FILE", "times of its KITTI poses in seconds, one a line (default: those of the scans)"),
         ("shift", "SECONDS", "add this to its stamps"),
     ):

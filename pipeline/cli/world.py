@@ -13,7 +13,8 @@ EXAMPLE = "turtlebag world show turtlebot3_world --out world.png"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     actions = parser.add_subparsers(dest="action", metavar="list|show", required=True)
-    actions.add_parser("list", help="list the built-in worlds, robots and teleop scripts")
+    text = "list the built-in worlds, robots and teleop scripts"
+    actions.add_parser("list", help=text, **epilog("turtlebag world list"))
     text = "draw a world as a PNG"
     show = actions.add_parser("show", help=text, description=f"D{text[1:]}.", **epilog(EXAMPLE))
     show.add_argument("world", metavar="W", help="world: a name or a YAML or SDF file")

@@ -82,6 +82,12 @@ def test_convert_writes_what_map_reads(drive, tmp_path, monkeypatch, options):
     assert main(["bag", "convert", str(drive), *options, "--force"]) == 0
 
 
+def test_convert_does_not_make_a_folder_named_as_a_packed_bag(drive, tmp_path, capsys):
+    assert main(["bag", "convert", str(drive), "--out", str(tmp_path / "a.bag.gz")]) == 2
+    assert capsys.readouterr().err.endswith("a.bag.gz: bags are written unpacked; leave out .gz\n")
+    assert not any(tmp_path.iterdir())
+
+
 def test_info_of_a_carmen_log(tmp_path, capsys):
     line = "FLASER 180 " + "1.00 " * 180 + "0 0 0 0 0 0 {}.5 nohost 0\n"
     (tmp_path / "a.log").write_text("".join(line.format(k) for k in range(4)))

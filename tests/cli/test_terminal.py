@@ -45,10 +45,16 @@ def test_the_version_is_told(capsys):
     assert capsys.readouterr().out == "turtlebag 0.1.0\n"
 
 
-@pytest.mark.parametrize("verb", VERBS)
+ACTIONS = [
+    *(f"bag {action}" for action in ("info", "doctor", "play", "recover", "convert")),
+    *("world list", "world show", "data list", "data fetch"),
+]
+
+
+@pytest.mark.parametrize("verb", [*VERBS, *ACTIONS])
 def test_the_help_of_a_verb_has_an_example(capsys, verb):
     with pytest.raises(SystemExit) as ended:
-        main([verb, "--help"])
+        main([*verb.split(), "--help"])
     assert ended.value.code == 0
     assert "example:\n  turtlebag " + verb in capsys.readouterr().out
 
