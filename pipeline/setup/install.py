@@ -132,10 +132,25 @@ def _fill(environment: Path, project: Path, handle: int) -> None:
     _run([python, *PIP, "-r", str(lock)], log, what, handle)
     own = ("--no-build-isolation", "--editable", str(project))
     _run([python, *PIP, *own], log, what, handle)
+    put_on_path(environment, project)
     sources = [str(environment / "lib"), *map(str, project.glob("[!.]*"))]
     with suppress(Failed):  # a file for another Python; whoever imports it is told
         _run([python, *COMPILE, *sources], log, "the sources could not be compiled", handle)
     (environment / UNFINISHED).unlink()
+
+
+def put_on_path(environment: Path, project: Path) -> None:
+    """Let `turtlebag` be found on Python's path too.
+
+    The finder of an editable install is asked last: in a folder that holds a clone named turtlebag, the clone
+    would be taken for the package.
+    """
+    link = environment.resolve() / "lib/checkout/turtlebag"
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to(project.resolve() / "pipeline/turtlebag")
+    for packages in environment.glob("lib/python*/site-packages"):
+        (packages / "turtlebag.pth").write_text(f"{link.parent}\n")
 
 
 def _damaged(python: str) -> str:

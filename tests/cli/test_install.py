@@ -20,6 +20,7 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli import doctor
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.setup.install import put_on_path
 
 ROOT = Path(__file__).parents[2]
 # What pip 23 said of a mirror where nobody listens, and of one that breaks off.
@@ -209,6 +210,20 @@ def test_a_trial_that_fails_is_tried_again_without_a_new_environment(machine):
     machine.sick.unlink()
     assert machine.setup()[0] == 0
     assert (machine.folder / ".venv/kept").exists()
+
+
+def test_a_folder_named_turtlebag_is_not_taken_for_the_package(tmp_path):
+    """That of a clone, say, seen from the folder that holds it; asked twice, as by two set-ups."""
+    packages = tmp_path / "env/lib/python3.0/site-packages"
+    packages.mkdir(parents=True)
+    (tmp_path / "turtlebag/datasets").mkdir(parents=True)
+    for _ in range(2):
+        put_on_path(tmp_path / "env", ROOT)
+    code = f"import site; site.addsitedir({str(packages)!r}); import turtlebag; print(turtlebag.__file__)"
+    # Without this environment's own packages, whose finder would find it.
+    words = [sys.executable, "-S", "-c", code]
+    found = subprocess.check_output(words, cwd=tmp_path, text=True, timeout=20)
+    assert Path(found.strip()).resolve() == ROOT / "pipeline/turtlebag/__init__.py"
 
 
 def test_damage_is_files_of_a_package_that_are_not_there(tmp_path):
