@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -72,6 +73,11 @@ def tutorial_rule(sectors: Sectors, config: AvoidConfig) -> Decision:
     if sectors.front <= config.slow_distance:
         return Decision(f"slow, veer {side}", Twist(config.slow_v, sign * config.slow_w))
     return Decision("straight", Twist(config.cruise_v, 0.0))
+
+
+def in_words(state: str) -> str:
+    """A state of the run log as people read it: `stop, turn left`."""
+    return re.sub(r"^(stop|slow) ", r"\1, ", state.replace("_", " "))
 
 
 def decision_line(t_s: float, sectors: Sectors, decision: Decision) -> str:
