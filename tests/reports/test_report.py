@@ -106,6 +106,13 @@ def test_numbers_of_the_stages_are_in_metrics_json(page):
     assert 0.05 < metrics["record"]["odometry_ate_m"]["rmse"] < 0.3
 
 
+def test_a_value_stands_with_the_unit_it_is_stored_in_or_none(page):
+    text = page.read_text()
+    assert re.search(r"<code>0\.0\d+</code> m at <code>ate_m\.rmse", text)
+    assert "<code>150</code> at <code>scans" in text
+    assert "<code>False</code> at <code>true_success" in text
+
+
 def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(page, stages):
     text = page.read_text()
     assert str(stages[0].parent) not in text
@@ -199,6 +206,9 @@ def test_a_changed_output_is_found_by_its_hash(tmp_path):
 def test_values_are_shown_in_human_units():
     assert shown(0.00875, "cm") == "0.88\u202fcm"
     assert shown(0.25, "cm") == "25.0\u202fcm"
+    assert shown(42.676, "cm") == "42.68\u202fm"
+    assert [shown(value, "count") for value in (0, 150, 2.5)] == ["0", "150", "2.5"]
+    assert [shown(value, "plain") for value in (0.0, 100.0, 0.123456)] == ["0", "100", "0.1235"]
     assert shown(-0.5, "m") == "\u22120.50\u202fm"
     assert shown(3.141592653589793, "deg") == "180.00°"
     assert shown(float("inf"), "m") == shown(None, "m") == "\u2013"
@@ -216,7 +226,7 @@ def test_an_output_folder_may_be_called_as_any_other_word_of_the_commands_is(nam
     commands = {
         "record": "record --world map --robot burger --teleop tour --seed 1 --out rec",
         "map": f"map --explain rec --truth=rec/truth --out={name} --set front_end=lines --force",
-        "patrol": f"navigate --world patrol --task patrol --robot burger --seed 1 --map {name}/map.yaml --out run",
+        "patrol": f"navigate --world x --task patrol --robot burger --seed 1 --map {name}/map.yaml --out run",
         "plan": f"plan --map {name} --planner RRTConnect --seed 1 --start 1,2,3 --out plan",
     }
     stages = []
@@ -228,7 +238,7 @@ def test_an_output_folder_may_be_called_as_any_other_word_of_the_commands_is(nam
     assert [step.command.removeprefix("turtlebag ") for step in steps] == [
         "record --world map --robot burger --teleop tour --seed 1 --out w/record",
         "map --explain w/record --truth=w/record/truth --out=w/map --set front_end=lines",
-        "navigate --world patrol --task patrol --robot burger --seed 1 --map w/map/map.yaml --out w/patrol",
+        "navigate --world x --task patrol --robot burger --seed 1 --map w/map/map.yaml --out w/patrol",
         "plan --map w/map --planner RRTConnect --seed 1 --start 1,2,3 --out w/plan",
     ]
     assert command_of(stages[1], "A") == (
