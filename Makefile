@@ -39,6 +39,9 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 # Outputs of a task that failed are whole and keep their manifest, but so old that make does the stage again.
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
 OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; }
+RECORD = $(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
+NAVIGATE = $(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
+  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
 
 help: ## list the targets
 	@grep -hE '^[a-z][a-z _-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 20
@@ -74,7 +77,7 @@ navigate: $(RUN_DIR)/manifest.json ## drive a task in closed loop   (TASK GOAL M
 report: $(REPORT_DIR)/manifest.json ## make the report page of a run   (OUT, or as navigate)
 
 $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeline/stages/record.py | $(READY)
-	$(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D) $(OR_AGAIN)
+	@$(info $(RECORD))$(RECORD) $(OR_AGAIN)
 
 $(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) $(wildcard pipeline/stages/map*.py) pipeline/stages/settings.py | $(READY)
 	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth) $(OR_AGAIN)
@@ -84,8 +87,7 @@ data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
 	sed 's/^image: map.pgm/image: $(notdir $(@:.yaml=.pgm))/' $(MAP_DIR)/map.yaml > $@
 
 $(RUN_DIR)/manifest.json: $(if $(NEEDS_MAP),$(or $(MAP),$(MAP_DIR)/manifest.json)) $(call sources,sim datasets planners pipeline) | $(READY)
-	$(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
-	  $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL)) $(OR_AGAIN)
+	@$(info $(strip $(NAVIGATE)))$(NAVIGATE) $(OR_AGAIN)
 
 $(REPORT_DIR)/manifest.json: $(RUN_DIR)/manifest.json $(call sources,reports datasets) pipeline/stages/report.py | $(READY)
 	$(TURTLEBAG) report --force --out $(@D) $(REPORT_ON)

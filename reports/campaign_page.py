@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -63,8 +65,8 @@ class Running:
 class Study:
     """A finished campaign as its page shows it: its question, its table, and the numbers made of that.
 
-    `against` is the level of the factor `compare` that the pairs hold the others against; `file` the text of
-    the campaign file; `worst` its worst case by the first result, if that is a number.
+    `against` is the level of the factor `compare` that the pairs hold the others against; `source` names the
+    campaign file, `file` is its text; `worst` its worst case by the first result, if that is a number.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Study:
     pairs: Sequence[PairedSummary]
     compare: str
     against: Any
+    source: str
     file: str
     worst: Worst | None
 
@@ -124,17 +127,29 @@ def render_campaign(study: Study, pictures: Sequence[Picture], base: str) -> str
         name=study.name,
         question=study.question,
         total=len(study.rows),
-        sizes=", ".join(f"{words(factor)} {len(levels_of(study.rows, factor))}" for factor in study.factors),
+        sizes=_sizes(study),
         failed=len(failed),
         failures=[_failure(row, study.factors) for row in failed[:MOST_FAILURES]],
         pictures=pictures,
         compare=words(study.compare),
-        against=words(study.against),
+        against=f"{words(study.compare)} = {words(study.against)}",
         pairs=compared,
         clear=_clear(compared),
         levels=[_level(factor, item, study.names) for factor, found in summaries for item in found],
+        source=shlex.quote(study.source),
         file=study.file,
         worst=_worst(study.worst, study.factors, base),
+    )
+
+
+def _sizes(study: Study) -> str:
+    """How many levels each factor has: `2 levels of hz x 3 seeds`."""
+    counts = {factor: len(levels_of(study.rows, factor)) for factor in study.factors}
+    whole = math.prod(counts.values()) == len(study.rows)
+    return (" \u00d7 " if whole else ", ").join(
+        f"{n} {factor if factor == 'seed' else 'level'}{'' if n == 1 else 's'}"
+        f"{'' if factor == 'seed' else f' of {words(factor)}'}"
+        for factor, n in counts.items()
     )
 
 

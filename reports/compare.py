@@ -23,7 +23,7 @@ from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown
-from turtlebag.reports.provenance import rename
+from turtlebag.reports.provenance import renamed
 from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import Group, Stage
 
@@ -95,9 +95,8 @@ def compare(a: Stage, b: Stage) -> Comparison:
 def command_of(stage: Stage, name: str) -> str:
     """The command that made a stage, its output called `name`, of absolute paths the last part only."""
     out = stage.option("out")
-    words = [word for word in stage.command if word != "--force"]
-    if out is not None:
-        words = [rename(word, {out.rstrip("/"): name}) for word in words]
+    names = {} if out is None else {out.rstrip("/"): name}
+    words = [word for word in renamed(stage.command, names) if word != "--force"]
     return shlex.join(re.sub(r"^(--[\w-]+=)?/.*/(?=[^/])", r"\1", word) for word in words)
 
 

@@ -128,9 +128,9 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     pairs, residual_m = shown_edges(graph, record)
     what = "loops" if record is not None else "edges between distant keys"
     caption = (
-        "Dots are key scans. Lines join visits to the same place: blue where they agree with the "
-        f"map, orange where they conflict with it. {len(graph.T_map_keys)} key scans, {len(graph.i)} edges; "
-        f"the {len(pairs)} {what} are drawn"
+        "Dots are key scans; the grey line joins each to the next. Coloured lines join visits to one place: "
+        "blue where they agree with the map, orange where they conflict with it. "
+        f"{len(graph.T_map_keys)} key scans, {len(graph.i)} edges; the {len(pairs)} {what} are drawn"
     )
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
@@ -281,9 +281,9 @@ def _particle_pictures(
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
     caption = (
-        "Each green stroke is one particle, a hypothesis of the robot's pose; the arrow with a dot is "
-        "the truth. Each panel is zoomed to the particles, so note its scale bar: they should converge "
-        "and stay around the arrow. More panels are from the start of the run."
+        "Each green stroke is a particle, a hypothesis of the robot's pose, or several that coincide; the "
+        "arrow with a dot is the truth. Each panel is zoomed to the particles, so note its scale bar: they "
+        "should converge and stay around the arrow. More panels are from the start of the run."
     )
     draw = partial(particles, world, snapshots, truth)
     return [album.add(f"{prefix}-particles", "Particles", caption, draw)]

@@ -35,7 +35,7 @@ UNITS = {
     "deg1": Unit(1.0, "°", 3, "deg"),
     "s": Unit(1.0, "s", 1, "s"),
     "percent": Unit(100.0, "%", 1, "1"),
-    "count": Unit(1.0, "", 0, "1"),
+    "count": Unit(1.0, "", 1, "1"),
     "plain": Unit(1.0, "", 4, "1"),
     "yes": Unit(1.0, "", 0, "1"),
 }
@@ -54,6 +54,11 @@ class Number:
     def text(self) -> str:
         """As shown."""
         return shown(self.value, self.spec.unit)
+
+    @property
+    def stored_unit(self) -> str:
+        """The unit of `value`, empty where it has none."""
+        return UNITS[self.spec.unit].stored.removeprefix("1")
 
     @property
     def files(self) -> list[tuple[str, str]]:
@@ -83,12 +88,15 @@ def shown(value: Any, unit: str) -> str:
         return "yes" if value else "no"
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return DASH
-    factor, symbol, digits, _ = UNITS[unit]
+    factor, symbol, digits, _ = UNITS["m" if unit == "cm" and abs(value) >= 1.0 else unit]
     gap = "" if symbol in ("", "°") else "\u202f"
     size = factor * value
     if symbol == "cm" and abs(size) >= 10.0:
         digits = 1
-    return f"{size:.{digits}f}{gap}{symbol}".replace("-", "\u2212")
+    text = f"{size:.{digits}f}"
+    if not symbol and "." in text:  # a count, or the median of some
+        text = text.rstrip("0").rstrip(".")
+    return f"{text}{gap}{symbol}".replace("-", "\u2212")
 
 
 def lookup(metrics: Mapping[str, Any], path: str) -> Any:

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from turtlebag.reports.numbers import DASH
 from turtlebag.reports.stages import Group, Stage
+
+TAKE_A_PATH = (
+    *("--out", "--config", "--truth", "--relations", "--also", "--continue", "--edits", "--map"),
+    *("--waypoints", "--takeover", "--keepout", "--bag", "--replay"),
+)
+"""Options of the commands that leave a stage whose value is a file or folder."""
+FLAGS = ("--force", "--explain", "-q", "--quiet", "-v", "--verbose")
+"""Options without a value of those commands that take a path without an option too."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ def recipe(groups: Sequence[Group]) -> list[Step]:
 
 
 def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
-    words = [rename(word, names) for word in stage.command if word != "--force"]
+    words = [word for word in renamed(stage.command, names) if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
         for name, entry in stage.manifest.inputs.items()
@@ -55,7 +63,22 @@ def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
     )
 
 
-def rename(word: str, names: dict[str, str]) -> str:
+def renamed(command: Sequence[str], names: Mapping[str, str]) -> list[str]:
+    """A command line with the known output folders renamed where a path stands, and nowhere else: a folder
+    may well be called as a verb, a task or a number is."""
+    words, before = list(command[:2]), ""
+    for word in command[2:]:
+        option, equals, value = word.partition("=")
+        if equals and option in TAKE_A_PATH:
+            word = f"{option}={rename(value, names)}"
+        elif before in ("", *TAKE_A_PATH, *FLAGS):
+            word = rename(word, names)
+        words.append(word)
+        before = option if option.startswith("-") and not equals else ""
+    return words
+
+
+def rename(word: str, names: Mapping[str, str]) -> str:
     """A word of a command line with a known output folder in it renamed; the longest match wins."""
     for path in sorted(names, key=len, reverse=True):
         if word == path or word.startswith(path + "/"):

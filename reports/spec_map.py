@@ -137,7 +137,7 @@ MAP = (
         Spec(
             "self_check.position_sigma_m",
             "position uncertainty",
-            "m4",
+            "cm",
             "Standard deviation of the least certain key scan, by the covariance of the pose graph, after a "
             "rigid fit.",
         ),

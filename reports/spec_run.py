@@ -107,7 +107,7 @@ RUN = (
             "area.share",
             "floor seen, share",
             "percent",
-            "Share of the true free floor that is visible from anywhere the robot can reach.",
+            "Floor seen, as a share of all free floor that can be seen from anywhere the robot can reach.",
             trusted=True,
         ),
         Spec(

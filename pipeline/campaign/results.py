@@ -24,9 +24,10 @@ MANY = 100
 
 
 def write_results(
-    campaign: Campaign, rows: Sequence[Row], runs: Store, folder: Path, worst: Worst | None
+    campaign: Campaign, source: str, rows: Sequence[Row], runs: Store, folder: Path, worst: Worst | None
 ) -> None:
-    """The table into the store; the statistics, the figures and the page into the folder."""
+    """The table into the store; the statistics, the figures and the page, which names the file `source`, into
+    the folder."""
     few = [name for name in campaign.factor_names if len(levels_of(rows, name)) <= MANY]
     write_table(rows, _partition(campaign, few), runs)
     results = list(campaign.results)
@@ -61,6 +62,7 @@ def write_results(
         pairs,
         campaign.compare or "",
         campaign.against,
+        source,
         config_text(campaign),
         worst,
     )

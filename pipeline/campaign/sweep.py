@@ -69,7 +69,8 @@ def sweep(
         progress = Progress(campaign, where, todo)
         rows, timing = _run(campaign, todo, where, run, progress, claim.partial / SCRATCH, scheduler, workers)
         (claim.partial / "config.yaml").write_text(config_text(campaign))
-        write_results(campaign, rows, where.runs, claim.partial, progress.worst)
+        source = Path(campaign_name).name
+        write_results(campaign, source, rows, where.runs, claim.partial, progress.worst)
         _tidy(Store(str(claim.partial)))
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
         wall_s = watch.seconds()

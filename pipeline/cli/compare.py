@@ -8,6 +8,7 @@ from pathlib import Path
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.arguments import add_output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
+from turtlebag.pipeline.terminal.messages import number_of
 
 EXAMPLE = "turtlebag compare data/maps/a cartographer=poses.tum cartographer=map.yaml --out data/comparison"
 
@@ -59,7 +60,7 @@ def _compare_outputs(args: argparse.Namespace) -> None:
         print(f"{'':{width}}  {'A':>12}  {'B':>12}  {'B - A':>12}")
     for row in found.rows:
         print(f"{row.label:{width}}  {row.a:>12}  {row.b:>12}  {row.difference:>12}  {row.relative}".rstrip())
-    print(f"{len(found.same_bytes)} files identical, {len(found.changed)} different")
+    print(f"{number_of(len(found.same_bytes), 'file')} identical, {len(found.changed)} different")
 
 
 def _compare_rivals(args: argparse.Namespace) -> None:

@@ -14,7 +14,7 @@ from turtlebag.sim.simulator import CONTROL_HZ
 
 
 class AvoidDriver(Driver):
-    """Decides at every scan, and prints what it saw and decided."""
+    """Decides at every scan, and says what it saw when it decides something else."""
 
     def __init__(
         self,
@@ -67,6 +67,7 @@ class AvoidDriver(Driver):
             self._guard.interrupted()
 
     def _tell(self, observation: Observation, sight: Sight, decision: Decision) -> None:
-        """Say what was seen and decided."""
-        self._say(decision_line(observation.stamp_ns * 1e-9, sight.sectors, decision))
-        self.state = decision.action.replace(",", "").replace(" ", "_")
+        """Say what was seen when something else is decided than before."""
+        before, self.state = self.state, decision.action.replace(",", "").replace(" ", "_")
+        if self.state != before:
+            self._say(decision_line(observation.stamp_ns * 1e-9, sight.sectors, decision))

@@ -85,11 +85,11 @@ class Localiser:
             if self.amcl.beams is not None:
                 self._glimpses.append(Glimpse(self.amcl.beams, T_odom_base))
             self._publisher.amcl_pose(scan.stamp_ns, T_map_base, self.amcl.covariance)
-        if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
-            self._shown_ns = now
-            cloud = self.amcl.particles
-            step = max(1, len(cloud) // self.PARTICLES_SHOWN)
-            self._publisher.particles(scan.stamp_ns, cloud[np.arange(0, len(cloud), step)])
+            if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
+                self._shown_ns = now
+                cloud = self.amcl.particles
+                step = max(1, len(cloud) // self.PARTICLES_SHOWN)
+                self._publisher.particles(scan.stamp_ns, cloud[np.arange(0, len(cloud), step)])
 
     def T_map_base(self, T_odom_base: SE2) -> SE2 | None:
         """The estimate now; None while there is none."""

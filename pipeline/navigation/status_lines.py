@@ -11,6 +11,7 @@ from itertools import groupby
 
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.terminal.messages import Simulated, length, number_of
+from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.reports.metrics.navigation import THERE_M, RunMetrics, pose_error, truly_reached
@@ -41,7 +42,7 @@ class News:
             self._owner = owner.owner
             does = "takes over" if owner.owner == "teleop" else "hands back"
             self._tell(f"{stamp_ns * 1e-9:.1f} s: teleop {does}")
-        doing = owner.state.replace("_", " ")
+        doing = in_words(owner.state)
         if sequence is not None:
             self._touched |= truth.contact_visible or truth.contact_low
             self._goals(sequence, truth)

@@ -211,7 +211,7 @@ def _asked(stage: Stage, places: Mapping[str, str]) -> Sequence[Pose]:
         if stage.fact("task") != "patrol":
             return []
         file = stage.option("waypoints")
-        found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, dict(places))))
+        found = tutorial_patrol() if file is None else load_waypoints(Path(rename(file, places)))
     except (InputError, ValueError):
         return []
     return [waypoint.written for waypoint in found.waypoints]

@@ -14,7 +14,7 @@ from typing import Any
 
 from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.terminal.messages import log
-from turtlebag.reports.provenance import rename
+from turtlebag.reports.provenance import renamed
 from turtlebag.reports.stages import Group, Manifest, Stage, read_json, read_manifest
 
 Run = Callable[[list[str]], int]
@@ -59,15 +59,15 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
 
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:
     """The recorded command with its settings from the stage's own config.yaml, writing to `out`."""
-    words = stage.command[1:2]  # the verb: an output folder may have the same name
-    following = iter(stage.command[2:])
+    words = []
+    following = iter(renamed(stage.command, places)[1:])
     for word in following:
         option, equals, _ = word.partition("=")
         if option in ("--out", "--config", "--set"):
             if not equals:
                 next(following, None)
         elif word not in ("--force", "--quiet", "--verbose", "-q", "-v"):
-            words.append(rename(word, dict(places)))
+            words.append(word)
     return [*words, "--config", str(stage.folder / "config.yaml"), "--out", str(out)]
 
 

@@ -23,6 +23,7 @@ from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED
 from turtlebag.pipeline.studio.inputs import Pose, Stopover
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
+from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.planners.tasks.wiggle import Wiggle
@@ -51,7 +52,7 @@ class Task:
     @property
     def decision(self) -> str:
         """What was decided by the three sectors, for the task that goes by them."""
-        return self.driver.state.replace("_", " ") if isinstance(self.driver, AvoidDriver) else ""
+        return in_words(self.driver.state) if isinstance(self.driver, AvoidDriver) else ""
 
     @property
     def explorer(self) -> ExploreDriver | None:

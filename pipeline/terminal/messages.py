@@ -179,8 +179,10 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
 
 
 def length(metres: float) -> str:
-    """A distance for people."""
-    return f"{metres * 100:.1f} cm" if metres < 1.0 else f"{metres:.2f} m"
+    """A distance for people, rounded as in reports."""
+    if metres >= 1.0:
+        return f"{metres:.2f} m"
+    return f"{metres * 100:.{2 if metres < 0.1 else 1}f} cm"
 
 
 def number_of(count: int, what: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -69,6 +70,11 @@ def tutorial_rule(sectors: Sectors) -> Decision:
     if sectors.front <= SLOW_M:
         return Decision(f"slow, veer {side}", Twist(SLOW_V, sign * SLOW_W))
     return Decision("straight", Twist(CRUISE_V, 0.0))
+
+
+def in_words(state: str) -> str:
+    """A state of the run log as people read it: `stop, turn left`."""
+    return re.sub(r"^(stop|slow) ", r"\1, ", state.replace("_", " "))
 
 
 def decision_line(t_s: float, sectors: Sectors, decision: Decision) -> str:

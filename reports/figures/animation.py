@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -25,6 +26,9 @@ FRAMES, FRAME_MS, HOLD_MS = 60, 90, 2500
 SCANS = 1000
 """No more than about this many scans are drawn."""
 FAN_M = 30.0
+WALL_SHARE = 0.4
+"""A cell is a wall when more than this share of the scans that saw it met something there. What happened in
+it less than this often for each hit of a cell beside it does not count: noise is wider than walls."""
 SUPER = 2
 """Drawn this much larger, then averaged: smooth lines from plain ones."""
 
@@ -99,16 +103,16 @@ def mapping(
 ) -> Iterator[Image.Image]:
     """Frames of a map that grows scan by scan; SLAM's path blue, the odometry's purple."""
     canvas = Canvas.over(view_box(grid))
-    free, walls = canvas.blank(), canvas.blank()
+    tally = _Tally(canvas, max(grid.resolution, SUPER / canvas.scale))
     steps = np.linspace(0, len(recording) - 1, FRAMES).astype(int)
     stride = max(2, len(recording) // SCANS)
     done = 0
     for last in steps:
         for k in range(done, int(last) + 1, stride):
-            _sweep(canvas, free, walls, recording, k, beam_poses(recording.lidar, slam, k))
+            tally.add(recording, k, beam_poses(recording.lidar, slam, k))
         done = int(last) + 1
-        frame = free.copy()
-        frame.paste(WALL, mask=_mask(walls, WALL))
+        frame = canvas.blank()
+        frame.paste(tally.picture())
         draw = ImageDraw.Draw(frame)
         if odometry is not None:
             until = int(np.searchsorted(odometry.stamps_ns, slam.stamps_ns[last], side="right"))
@@ -133,26 +137,46 @@ def beam_poses(lidar: LidarSpec, path: Trajectory, k: int) -> SE2:
     )
 
 
-def _sweep(
-    canvas: Canvas, free: Image.Image, walls: Image.Image, recording: Recording, k: int, T_map_base: SE2
-) -> None:
-    """Add one scan: its fan to the free ground, its hits to the walls."""
-    lidar = recording.lidar
-    ranges = recording.ranges[k].astype(np.float64)
-    hit = lidar.returns(recording.ranges[k])
-    reach = np.where(hit, ranges, np.where(lidar.silent(recording.ranges[k]), lidar.range_max, 0.0))
-    reach = np.minimum(np.nan_to_num(reach, nan=0.0), FAN_M)
-    ends = canvas.pixels((T_map_base @ recording.T_base_lidar) @ (lidar.directions * reach[:, None]))
-    middle = canvas.pixels(T_map_base[:1].xy)[0]
-    ImageDraw.Draw(free).polygon([middle, *ends], fill=FREE)
-    draw = ImageDraw.Draw(walls)
-    for (x, y), is_hit in zip(ends, hit, strict=True):
-        if is_hit:
-            draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=WALL)
+class _Tally:
+    """How many scans hit each cell of the picture, and how many saw through it."""
 
+    def __init__(self, canvas: Canvas, cell_m: float) -> None:
+        self._picture = canvas.size
+        columns, rows = (max(1, round(extent / (canvas.scale * cell_m))) for extent in canvas.size)
+        self._cells = Canvas(canvas.x0, canvas.y1, columns * canvas.scale / canvas.size[0], (columns, rows))
+        self._hits, self._free = (np.zeros((rows, columns), dtype=np.int32) for _ in range(2))
 
-def _mask(image: Image.Image, colour: int) -> Image.Image:
-    return Image.fromarray(np.where(np.asarray(image) == colour, 255, 0).astype(np.uint8))
+    def add(self, recording: Recording, k: int, T_map_base: SE2) -> None:
+        """Count one scan. A beam is a wedge up to half a cell before its hit; a silent one says nothing."""
+        lidar, cells = recording.lidar, self._cells
+        hit = lidar.returns(recording.ranges[k])
+        ranges = np.where(hit, np.minimum(np.nan_to_num(recording.ranges[k].astype(np.float64)), FAN_M), 0.0)
+        T_map_lidar = T_map_base @ recording.T_base_lidar
+        seen = Image.new("1", cells.size)
+        reach = np.maximum(ranges - 0.5 / cells.scale, 0.0)[:, None]
+        half = 0.5 * lidar.angle_increment
+        edges = [
+            T_map_lidar @ (SE2.from_xyt(0.0, 0.0, turn) @ lidar.directions * reach) for turn in (-half, half)
+        ]
+        fan = np.concatenate([T_map_lidar.xy[:1], np.stack(edges, axis=1).reshape(-1, 2)])
+        ImageDraw.Draw(seen).polygon(cells.pixels(fan), fill=1)
+        ends = (T_map_lidar @ (lidar.directions * ranges[:, None]))[hit & (ranges < FAN_M)]
+        column, row = np.floor(np.array(cells.pixels(ends)).reshape(-1, 2).T).astype(np.int64)
+        inside = (column >= 0) & (column < cells.size[0]) & (row >= 0) & (row < cells.size[1])
+        met = np.zeros_like(self._hits, dtype=bool)
+        met[row[inside], column[inside]] = True
+        self._hits += met
+        self._free += np.asarray(seen) & ~met
+
+    def picture(self) -> Image.Image:
+        """The map so far, as large as the picture."""
+        hits, free = self._hits, self._free
+        most = WALL_SHARE * scipy.ndimage.maximum_filter(hits, size=3)
+        shades = np.where(free > most, FREE, UNSEEN)
+        shades[(hits > WALL_SHARE * (hits + free)) & (hits >= most)] = WALL
+        return Image.fromarray(shades.astype(np.uint8), mode="P").resize(
+            self._picture, Image.Resampling.NEAREST
+        )
 
 
 def run(

@@ -5,15 +5,16 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.transforms import offset_copy
 
 from turtlebag.reports.campaign import interval, is_share, levels_of
-from turtlebag.reports.figures.style import MUTED, SERIES, new_figure
+from turtlebag.reports.figures.style import SERIES, new_figure
 from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import UNITS
 
@@ -103,7 +104,10 @@ def _draw_lines(axes: Axes, rows: Sequence[Row], wish: Wish, factor: float, seed
             if not share:
                 values = [factor * row[wish.y] for row in here if isinstance(row[wish.y], (int, float))]
                 at = np.full(len(values), place)
-                axes.plot(at, values, ".", color=MUTED, markersize=3, alpha=0.45, zorder=2)
+                # Beside the interval, whose bar and mark would hide them.
+                aside = offset_copy(axes.transData, cast(Figure, axes.figure), x=-6.0, units="points")
+                colour = SERIES[number % len(SERIES)]
+                axes.plot(at, values, ".", color=colour, markersize=4, alpha=0.5, transform=aside, zorder=4)
         _draw_line(axes, found, factor, number, label, "-" if numeric else "none")
     if not numeric:
         crowded = len(levels) > 6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -185,8 +185,14 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
         return _replaced(measured, {}, [], grid)
     surface = _surface(reference, known.true_map, ours.system.grid)
     placed = place(grid, surface, reference.resolution, _guesses(measured, ours, known))
+    # Between grids of one lattice the closest points are no match to the cell: no move may be the better one.
+    scored = [
+        (at, map_metrics(at.moved(grid), reference))
+        for at in (replace(placed, T_ref_map=SE2.identity()), placed)
+    ]
+    placed, found = max(scored, key=lambda one: one[1]["iou_one_cell"])
     moved = placed.moved(grid)
-    numbers = {"map": map_metrics(moved, reference), "map_moved": placed.T_ref_map.xyt.tolist()}
+    numbers = {"map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
     return _replaced(measured, numbers, _map_notes(placed, grid) if measured is not ours else [], moved)
 
 

@@ -39,6 +39,9 @@ def test_a_failed_task_keeps_its_outputs_and_is_done_again_when_asked_again(tmp_
             timeout=20,
         )
         assert done.returncode == 2, done.stderr
+        command = "./failing navigate --force --world turtlebot3_world --robot burger --task avoid --seed 1"
+        assert done.stdout.split("\n")[0].rstrip() == f"{command} --out data/runs/mine"
+        assert "||" not in done.stdout
         assert (tmp_path / "calls").read_text() == "run\n" * runs
         # Without a manifest --force would not replace it.
         assert (tmp_path / "mine/manifest.json").exists()

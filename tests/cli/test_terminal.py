@@ -111,8 +111,8 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
     ]
     assert list(map_lines({**metrics, **errors}, tmp_path, 91.0)) == [
         first,
-        "trajectory error (ATE): 0.2 cm RMSE, 0.7 cm at most",
-        "wall error: 0.8 cm on average, 100.0% of the cells within one cell",
+        "trajectory error (ATE): 0.22 cm RMSE, 0.70 cm at most",
+        "wall error: 0.76 cm on average, 100.0% of the cells within one cell",
         files,
     ]
 

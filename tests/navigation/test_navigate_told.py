@@ -3,17 +3,22 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Twist
+from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.terminal.messages import length
+from turtlebag.planners.tasks.avoid import AvoidConfig, Sectors, in_words
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint, parse_waypoint
+from turtlebag.reports.numbers import shown
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import Truth
 from turtlebag.sim.worlds import load_world
@@ -80,7 +85,7 @@ def test_a_line_comes_when_a_goal_is_set_and_when_it_ends():
     assert after == [
         ["opening"],
         ["goal 1 of 3: heading to (1, 0)"],
-        ["goal 1 of 3: reached after 6.0 s, 2.0 cm off"],
+        ["goal 1 of 3: reached after 6.0 s, 2.00 cm off"],
         [],
         [
             "goal 2 of 3: rejected: unknown key ywa (known: x, y, yaw, quaternion, wait)",
@@ -120,4 +125,25 @@ def test_the_verdict_is_by_the_truth():
     assert bad.startswith(
         "failed: 1 of 2 goals reached (the robot reported 2), 3 collisions (2 visible to the lidar, 1"
     )
-    assert (length(0.0123), length(3.9968)) == ("1.2 cm", "4.00 m")
+    # As a report rounds them.
+    for metres in (0.0045, 0.0123, 0.1, 0.456, 0.999, 1.0, 3.9968, 42.676):
+        assert length(metres) == shown(metres, "cm").replace("\u202f", " ")
+
+
+def test_avoiding_says_what_it_decides_when_it_decides_something_else():
+    fronts = [2.0, 2.0, 0.9, 0.8, 0.4, 0.3, 2.0]
+    sight = SimpleNamespace(sectors=None)
+    sensing = SimpleNamespace(observe=lambda seen: None, sight=sight, blind=False)
+    lines = []
+    driver = AvoidDriver(
+        AvoidConfig(mode="tutorial"), load_robot("burger").model, sensing, 60.0, lines.append
+    )
+    states = []
+    for k, front in enumerate(fronts):
+        sight.sectors = Sectors(1.0, front, 0.5)
+        scan = Scan(k * S, np.ones(4, dtype=np.float32), LidarSpec(4, 0.0, np.pi / 2, 0.12, 3.5))
+        odometry = Odometry(k * S, SE2.identity(), Twist())
+        driver.step(Observation(k * S, odometry, Joints(k * S, (0.0, 0.0), (0.0, 0.0)), scan))
+        states.append(in_words(driver.state))
+    assert states == ["straight"] * 2 + ["slow, veer left"] * 2 + ["stop, turn left"] * 2 + ["straight"]
+    assert [line.split("  ")[-1] for line in lines] == [states[k] for k in (0, 2, 4, 6)]

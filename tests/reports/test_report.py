@@ -12,13 +12,15 @@ from report_fakes import fake_map, fake_record, fake_run
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_tree
-from turtlebag.pipeline.cli.main import main
+from turtlebag.pipeline.cli.arguments import map_file
+from turtlebag.pipeline.cli.main import build_parser, main
 from turtlebag.pipeline.stages.report import make_report
+from turtlebag.reports.compare import command_of
 from turtlebag.reports.content import collision_count, verdict
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.grouping import group_stages
 from turtlebag.reports.numbers import numbers_of, shown
-from turtlebag.reports.provenance import rename
+from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
 from turtlebag.reports.specs import SECTIONS
 from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, load_stage
 
@@ -102,6 +104,13 @@ def test_numbers_of_the_stages_are_in_metrics_json(page):
     assert metrics["patrol"]["goals_reached"] == 2
     assert metrics["record"]["scans"] == 150
     assert 0.05 < metrics["record"]["odometry_ate_m"]["rmse"] < 0.3
+
+
+def test_a_value_stands_with_the_unit_it_is_stored_in_or_none(page):
+    text = page.read_text()
+    assert re.search(r"<code>0\.0\d+</code> m at <code>ate_m\.rmse", text)
+    assert "<code>150</code> at <code>scans" in text
+    assert "<code>False</code> at <code>true_success" in text
 
 
 def test_the_recipe_names_outputs_by_stage_and_holds_no_path_of_this_machine(page, stages):
@@ -197,6 +206,9 @@ def test_a_changed_output_is_found_by_its_hash(tmp_path):
 def test_values_are_shown_in_human_units():
     assert shown(0.00875, "cm") == "0.88\u202fcm"
     assert shown(0.25, "cm") == "25.0\u202fcm"
+    assert shown(42.676, "cm") == "42.68\u202fm"
+    assert [shown(value, "count") for value in (0, 150, 2.5)] == ["0", "150", "2.5"]
+    assert [shown(value, "plain") for value in (0.0, 100.0, 0.123456)] == ["0", "100", "0.1235"]
     assert shown(-0.5, "m") == "\u22120.50\u202fm"
     assert shown(3.141592653589793, "deg") == "180.00°"
     assert shown(float("inf"), "m") == shown(None, "m") == "\u2013"
@@ -207,6 +219,42 @@ def test_paths_in_commands_are_renamed_by_the_longest_match():
     assert rename("data/map-2/map.yaml", names) == "w/map-2/map.yaml"
     assert rename("data/map", names) == "w/map"
     assert rename("data/mapping", names) == "data/mapping"
+
+
+@pytest.mark.parametrize("name", ["map", "patrol", "burger", "tour", "RRTConnect", "1"])
+def test_an_output_folder_may_be_called_as_any_other_word_of_the_commands_is(name):
+    commands = {
+        "record": "record --world map --robot burger --teleop tour --seed 1 --out rec",
+        "map": f"map --explain rec --truth=rec/truth --out={name} --set front_end=lines --force",
+        "patrol": f"navigate --world x --task patrol --robot burger --seed 1 --map {name}/map.yaml --out run",
+        "plan": f"plan --map {name} --planner RRTConnect --seed 1 --start 1,2,3 --out plan",
+    }
+    stages = []
+    for label, words in commands.items():
+        command = ["turtlebag", *words.split()]
+        kind = command[1]
+        stages.append(Stage(Path("/far") / label, kind, label, Manifest(stage=kind, command=command)))
+    steps = recipe([Group("w", tuple(stages))])
+    assert [step.command.removeprefix("turtlebag ") for step in steps] == [
+        "record --world map --robot burger --teleop tour --seed 1 --out w/record",
+        "map --explain w/record --truth=w/record/truth --out=w/map --set front_end=lines",
+        "navigate --world x --task patrol --robot burger --seed 1 --map w/map/map.yaml --out w/patrol",
+        "plan --map w/map --planner RRTConnect --seed 1 --start 1,2,3 --out w/plan",
+    ]
+    assert command_of(stages[1], "A") == (
+        "turtlebag map --explain rec --truth=rec/truth --out=A --set front_end=lines"
+    )
+
+
+def test_every_option_that_takes_a_path_is_known_to_the_recipe():
+    for verb in ("record", "teleop", "studio", "map", "localise", "navigate", "plan"):
+        verbs = next(a for a in build_parser(verb)._actions if a.dest == "verb")
+        actions = verbs.choices[verb]._actions
+        paths = {a.option_strings[-1] for a in actions if a.option_strings and a.type in (Path, map_file)}
+        assert paths <= set(TAKE_A_PATH), verb
+        if any(not a.option_strings for a in actions):
+            flags = {word for a in actions if a.nargs == 0 for word in a.option_strings}
+            assert flags - {"-h", "--help"} <= set(FLAGS), verb
 
 
 def test_collisions_count_both_kinds_and_plain_numbers():

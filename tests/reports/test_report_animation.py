@@ -7,12 +7,18 @@ import pytest
 from PIL import Image, ImageDraw
 from report_fakes import mapped_room
 
+from turtlebag.datasets.grid import FREE as FREE_CELL
+from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.reports.figures.animation import (
     FRAMES,
+    FREE,
     STRIP_PX,
     SUPER,
+    UNSEEN,
+    WALL,
     Canvas,
     beam_poses,
     gif,
@@ -20,7 +26,7 @@ from turtlebag.reports.figures.animation import (
     mapping,
     run,
 )
-from turtlebag.reports.figures.maps import length_text, scale_length
+from turtlebag.reports.figures.maps import length_text, scale_length, view_box
 
 GREEN, BAD_RGB, PALE = (0, 158, 115), (213, 94, 0), (156, 203, 238)
 LIDAR = LidarSpec(90, 0.0, 2 * np.pi / 90, 0.12, 3.5, time_increment=0.2 / 90)
@@ -69,6 +75,33 @@ def test_beams_of_a_turning_lidar_are_put_where_the_robot_was(drive):
     np.testing.assert_allclose(poses.x[45], 0.5 * (path.poses.x[3] + path.poses.x[4]))
     still = beam_poses(LIDAR, path, 39)
     np.testing.assert_allclose(still.x, path.poses.x[39])
+
+
+@pytest.mark.parametrize("fov", [360, 240, 120])
+def test_a_map_that_grows_shows_thin_walls_and_nothing_behind_them(fov):
+    """A square room of 4 m, ranges with noise of 2 cm, and one beam in ten silent, each time another."""
+    n, angles = 60, np.deg2rad(np.arange(fov) - fov / 2)
+    lidar = LidarSpec(fov, angles[0], np.deg2rad(1.0), 0.12, 3.5)
+    stamps = np.arange(n, dtype=np.int64) * 200_000_000
+    path = Trajectory(stamps, SE2.from_xyt(np.zeros(n), np.zeros(n), np.linspace(0.0, 7.0, n)))
+    bearing = angles + path.poses.yaw[:, None]
+    true = 2.0 / np.maximum(np.abs(np.cos(bearing)), np.abs(np.sin(bearing)))
+    rng = stream(1, "animation")
+    ranges = (true + 0.02 * rng.standard_normal(true.shape)).astype(np.float32)
+    ranges[rng.random(true.shape) < 0.1] = np.inf
+    cells = np.full((84, 84), OCCUPIED, dtype=np.int8)
+    cells[2:-2, 2:-2] = FREE_CELL
+    grid = OccupancyGrid(cells, 0.05, SE2.from_xyt(-2.1, -2.1, 0.0))
+    *_, last = mapping(Recording("fake", stamps, ranges, lidar, SE2.identity()), path, None, grid)
+    canvas = Canvas.over(view_box(grid))
+    shown = np.asarray(last)[: canvas.size[1]]
+    x = canvas.x0 + (np.arange(canvas.size[0]) + 0.5) / canvas.scale
+    y = canvas.y1 - (np.arange(canvas.size[1]) + 0.5) / canvas.scale
+    out = np.maximum(np.abs(x)[None, :], np.abs(y)[:, None])
+    assert np.all(shown[out > 2.1] == UNSEEN)
+    assert np.mean(shown[(out > 0.3) & (out < 1.9)] == FREE) > 0.99
+    walls = np.mean(shown == WALL) * shown.size / canvas.scale**2
+    assert 0.9 < walls / (16.0 * 0.05) < 1.4  # one cell thick, all around
 
 
 def test_a_clock_below_the_picture_tells_the_simulated_time(drive):

@@ -63,7 +63,17 @@ def test_the_command_prints_the_differences(tree, capsys):
     out = capsys.readouterr().out
     assert "front.sigma: 0.005 -> 0.02" in out
     assert "trajectory error (ATE), RMSE" in out
+    assert out.endswith("\n3 files identical, 3 different\n")
     assert out.splitlines()[1].split() == ["A", "B", "B", "-", "A"]
+
+
+def test_one_file_is_no_files(tree, tmp_path, capsys):
+    hall = fake_record(tmp_path / "hall", world="hall")
+    manifest = json.loads((hall / "manifest.json").read_text())
+    del manifest["outputs"]["truth/map.yaml"]
+    (hall / "manifest.json").write_text(json.dumps(manifest))
+    assert main(["compare", str(tree / "record"), str(hall)]) == 0
+    assert capsys.readouterr().out.endswith("\n1 file identical, 4 different\n")
 
 
 def test_outputs_of_different_stages_are_not_compared(tree, capsys):

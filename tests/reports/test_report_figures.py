@@ -11,6 +11,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Trajectory, Twist
 from turtlebag.reports.drawing import decisions_of
 from turtlebag.reports.figures import animation, runs
+from turtlebag.reports.figures.campaign import Wish, result_over_factor
 from turtlebag.reports.figures.maps import length_text, scale_length
 from turtlebag.reports.figures.particles import particles, zoom_box
 from turtlebag.reports.figures.series import error_axis
@@ -107,6 +108,21 @@ def log_of(words):
             state=word,
         )
     return log.build()
+
+
+def test_the_cases_of_a_campaign_lie_beside_the_interval_that_would_hide_them():
+    rows = [{"hz": hz, "error": 0.01 * hz + 0.001 * k} for hz in (5, 10) for k in range(3)]
+    figure = result_over_factor(rows, Wish("hz", "error", "error", "cm"), 1)
+    figure.draw_without_rendering()
+    lines = figure.axes[0].get_lines()
+    (mark,) = [line for line in lines if line.get_marker() == "o"]
+    clouds = [line for line in lines if line.get_marker() == "."]
+    assert len(clouds) == 2
+    place = mark.get_transform().transform(mark.get_xydata())[:, 0]
+    points = figure.dpi / 72.0
+    for at, line in zip(place, clouds, strict=True):
+        beside = at - line.get_transform().transform(line.get_xydata())[:, 0]
+        assert np.all(beside > points * (line.get_markersize() / 4 + 3.0)), "under the bar and its caps"
 
 
 def test_the_picture_of_an_avoidance_marks_its_start_and_every_decision():

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from report_fakes import ellipse, fake_localise, fake_map, fake_record, mapped_room, noisy
+from report_fakes import ellipse, fake_localise, fake_map, fake_record, mapped_room, noisy, true_room
 from scipy import ndimage
 
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
@@ -23,6 +23,7 @@ from turtlebag.pipeline.stages.compare import compare_rivals
 from turtlebag.pipeline.stages.verify import verify
 from turtlebag.reports.beside import beside
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.placing import place, walls
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.systems import Known, measure
@@ -168,6 +169,18 @@ def test_maps_that_lie_well_are_not_turned_to_lie_a_little_better():
     placed = place(square, walls(square), 0.05, [SE2.identity()])
     assert placed.share == 1.0
     assert placed.T_ref_map.xyt == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_our_map_scores_no_worse_beside_others_than_by_itself(tree):
+    grid, true_map = mapped_room(), true_room()
+    rng = np.random.default_rng(3)
+    cells = grid.cells.copy()
+    wall = np.argwhere(cells == OCCUPIED)
+    moved = wall[rng.random(len(wall)) < 0.2] + [1, 0]
+    cells[moved[:, 0], moved[:, 1]] = OCCUPIED
+    grid = replace(grid, cells=cells)
+    (ours,) = measure(System("TurtleBag", None, grid), [], Known(None, true_map))
+    assert ours.numbers["map"] == map_metrics(grid, true_map)
 
 
 def test_the_command_prints_a_table_and_leaves_files_for_evo(tree, tmp_path, capsys):

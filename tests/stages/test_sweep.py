@@ -221,8 +221,8 @@ def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
 def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, scheduler):
     from turtlebag.pipeline.campaign.sweep import sweep
 
-    (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
+    (tmp_path / "mine.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
+    assert sweep(str(tmp_path / "mine.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
     names, rows = query(
         Store(str(tmp_path / "out")),
         "SELECT size, median(error_m) AS m, "
@@ -233,7 +233,10 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     page = (tmp_path / "out/index.html").read_text()
     assert "8 of them failed" in page
     assert "RuntimeError: a defect" in page
-    assert "24 cases (size 3, kind 2, seed 4)" in page
+    assert "24 cases: 3 levels of size \u00d7 2 levels of kind \u00d7 4 seeds" in page
+    assert "turtlebag sweep mine.yaml --out OUT" in page
+    assert "What differs from size = 1<" in page
+    assert "Paired with size = 1<" in page
     assert (
         "<strong>error</strong>: 2 10.0\u202fcm (10.0\u202fcm to 10.0\u202fcm); no clear difference for 99"
         in page
