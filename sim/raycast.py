@@ -214,6 +214,15 @@ def distance_to_point(x: float, y: float, segments: Array, circles: Array) -> fl
 
 
 @njit(cache=True)
+def keeps_clear(line: Array, need: float, segments: Array, circles: Array) -> bool:
+    """Whether every point of a line (n, 2) is farther than `need` [m] from the nearest outline."""
+    for k in range(line.shape[0]):
+        if not distance_to_point(line[k, 0], line[k, 1], segments, circles) > need:
+            return False
+    return True
+
+
+@njit(cache=True)
 def roomiest(x: Array, y: Array, half: float, need: float, segments: Array, circles: Array) -> tuple:
     """In each cell about (x[c], y[r]) the middle or, where that has barely less room than needed, the best.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.sim.raycast import distance_to_point, roomiest
+from turtlebag.sim.raycast import distance_to_point, keeps_clear, roomiest
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.world import World
 
@@ -120,7 +120,7 @@ class RoutePlanner:
         n = max(2, int(np.hypot(*(b - a)) / 0.05) + 1)
         line = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
         need = self._need - SIDE_M + side
-        return all(self.room(x, y) > need for x, y in line)
+        return bool(keeps_clear(line, need, self._outlines.segments, self._outlines.circles))
 
 
 def cover(planner: RoutePlanner, stages: list[NDArray[np.bool_]]) -> Array:

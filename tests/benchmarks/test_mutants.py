@@ -92,7 +92,7 @@ def test_the_tests_that_import_the_module_are_asked_first_and_then_the_quick_one
 
 @pytest.mark.slow
 def test_what_fails_what_hangs_and_what_passes_are_told_apart(tree, monkeypatch):
-    monkeypatch.setattr("benchmarks.mutants.GRACE_S", 5.0)
+    monkeypatch.setattr("benchmarks.mutants.GRACE_S", 1.0)
     source = (tree.path / "planners/a.py").read_text()
     lines = mutants_by_line(source, "planners/a.py")
     by_edit = {mutant.key.partition(" => ")[2]: mutant for line in lines for mutant in line}

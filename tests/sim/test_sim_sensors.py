@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ def lidar(solids, seed=0, **errors):
     return Lidar(solids, BURGER, config, np.random.default_rng(seed))
 
 
+@cache
 def ring(radius):
     """Walls all round the origin, nearly at the same distance everywhere."""
     angles = np.linspace(0.0, 2.0 * np.pi, 721)

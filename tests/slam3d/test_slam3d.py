@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.slam3d_drives import ROUND, Drive3d, changed, make_drive, room, without_wheels
+from benchmarks.slam3d_drives import ROUND, Drive3d, changed, make_drive, mount, room, without_wheels
 from turtlebag.datasets import se3
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
@@ -37,7 +37,8 @@ def hung_elsewhere(drive, T_base_lidar):
 
 @pytest.fixture(scope="module")
 def drive():
-    return make_drive(room(), ROUND, v=0.9, w=1.2)
+    """Seen by half the columns that such a lidar has, which show the room as well."""
+    return make_drive(room(), ROUND, v=0.9, w=1.2, lidar=mount(180))
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +195,8 @@ def test_a_log_without_points_is_one_clear_line(drive):
         run_slam_3d(empty.recording, FEW)
 
 
-def test_kiss_icp_may_place_the_clouds(short):
+def test_kiss_icp_may_place_the_clouds():
+    short = make_drive(room(), ROUND[:4], v=0.9, w=1.2)
     result = run_slam_3d(short.recording, FEW.model_copy(update={"front_end": "kiss_icp"}))
     odometry = replace(short.truth, poses=short.recording.T_odom_base)
     assert 0.01 < error(short, result)["rmse"] < ate(odometry, short.truth, align=False)["rmse"]
