@@ -128,8 +128,8 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     pairs, residual_m = shown_edges(graph, record)
     what = "loops" if record is not None else "edges between distant keys"
     caption = (
-        "Dots are key scans; the grey line joins each to the next. Coloured lines join visits to one place: "
-        "blue where they agree with the map, orange where they conflict with it. "
+        "The grey line joins the key scans in order, coloured lines visits to the same place: blue where "
+        "they agree with the map, orange where they conflict with it. "
         f"{len(graph.T_map_keys)} key scans, {len(graph.i)} edges; the {len(pairs)} {what} are drawn"
     )
     if len(pairs):
