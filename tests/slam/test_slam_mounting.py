@@ -11,6 +11,7 @@ from benchmarks.slam_logs import arena
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
+from turtlebag.pipeline.slam import mounting
 from turtlebag.pipeline.slam.mounting import facing, turned_by_deg
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
@@ -43,6 +44,17 @@ def test_laser_turned_by_a_right_angle_makes_the_map_that_it_makes_unturned(log)
 @pytest.mark.parametrize("kind", ["slipped", "counted back", "jump", "stuck", "mirrored odometry", "bias"])
 def test_odometry_that_lies_turns_no_laser(log, kind):
     assert turned_by_deg(KINDS[kind](log, stream(1, kind)).recording) == 0.0
+
+
+@pytest.mark.parametrize("wrong", [1, 2, 3])
+@pytest.mark.parametrize("degrees", [0.0, 35.0])
+def test_few_stretches_that_went_wrong_turn_no_laser(log, monkeypatch, wrong, degrees):
+    """Of twenty answers one, two or three are sixty degrees off, as when a door opens beside the robot."""
+    off_deg = np.where(np.arange(20) < wrong, 60.0, 0.0)
+    ways = iter(np.column_stack([np.exp(-1j * np.deg2rad(degrees + off_deg)), np.ones(20)]))
+    monkeypatch.setattr(mounting, "_stretches", lambda _: range(20))
+    monkeypatch.setattr(mounting, "_ways", lambda *_: next(ways))
+    assert turned_by_deg(log.recording) == degrees
 
 
 def test_without_odometry_or_way_nothing_tells(log):
