@@ -54,8 +54,9 @@ class Album:
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
             figure = draw()
-            # Laid out once; each saving would do it again.
-            figure.draw_without_rendering()
+            # Laid out once, without drawing; each saving would do it again.
+            if (layout := figure.get_layout_engine()) is not None:
+                layout.execute(figure)
             figure.set_layout_engine(None)  # "none" would stay an engine, and each saving draw twice
             save_png(figure, folder / f"{name}.png")
             svg = svg_text(figure, name)
