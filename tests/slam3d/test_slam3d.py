@@ -41,10 +41,14 @@ def drive():
     return make_drive(room(), ROUND, v=0.9, w=1.2, lidar=mount(180))
 
 
-@pytest.fixture(scope="module")
-def short(drive):
+def shortened(drive):
     """Its first fourteen seconds."""
     return changed(drive, lambda k, cloud: cloud if k < 70 else None)
+
+
+@pytest.fixture(scope="module")
+def short(drive):
+    return shortened(drive)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +200,8 @@ def test_a_log_without_points_is_one_clear_line(drive):
 
 
 def test_kiss_icp_may_place_the_clouds():
-    short = make_drive(room(), ROUND[:4], v=0.9, w=1.2)
+    """With half the columns it is off by more than the wheels."""
+    short = shortened(make_drive(room(), ROUND, v=0.9, w=1.2))
     result = run_slam_3d(short.recording, FEW.model_copy(update={"front_end": "kiss_icp"}))
     odometry = replace(short.truth, poses=short.recording.T_odom_base)
     assert 0.01 < error(short, result)["rmse"] < ate(odometry, short.truth, align=False)["rmse"]
