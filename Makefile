@@ -40,6 +40,7 @@ REPORT_ON = $(if $(BAG),,$(RECORD_DIR)) $(if $(NEEDS_MAP),$(if $(MAP),,$(MAP_DIR
 .PRECIOUS: $(RECORD_DIR)/manifest.json $(MAP_DIR)/manifest.json $(RUN_DIR)/manifest.json
 OR_AGAIN = || { code=$$?; [ ! -f $@ ] || touch -t 197001020000 $@; exit $$code; }
 RECORD = $(TURTLEBAG) record --force --world $(WORLD) --robot $(ROBOT) --teleop $(TELEOP) --seed $(SEED) --out $(@D)
+MAPPING = $(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth)
 NAVIGATE = $(TURTLEBAG) navigate --force --world $(WORLD) --robot $(ROBOT) --task $(TASK) --seed $(SEED) --out $(@D) \
   $(if $(NEEDS_MAP),--map $(MAP_INPUT) --initial-pose start) $(if $(GOAL),--goal=$(GOAL))
 
@@ -80,7 +81,7 @@ $(RECORD_DIR)/manifest.json: $(call sources,sim datasets reports/metrics) pipeli
 	@$(info $(RECORD))$(RECORD) $(OR_AGAIN)
 
 $(MAP_DIR)/manifest.json: $(or $(BAG),$(RECORD_DIR)/manifest.json) $(call sources,pipeline/slam pipeline/slam3d datasets reports/metrics) $(wildcard pipeline/stages/map*.py) pipeline/stages/settings.py | $(READY)
-	$(TURTLEBAG) map $(BAG_INPUT) --force --out $(@D) $(if $(BAG),,--truth $(RECORD_DIR)/truth) $(OR_AGAIN)
+	@$(info $(strip $(MAPPING)))$(MAPPING) $(OR_AGAIN)
 
 data/maps/$(TUTORIAL_$(WORLD)).yaml: $(MAP_DIR)/manifest.json
 	cp $(MAP_DIR)/map.pgm $(@:.yaml=.pgm)
