@@ -58,7 +58,7 @@ class Person:
 
     def drive(self, places, v=18):
         """Along these places by W, A, S, D: `v` steps ahead, or turning when they lie aside."""
-        steps, turns, end = 0, 0, time.monotonic() + 180.0
+        steps, turns, end = 0, 0, time.monotonic() + 600.0
         for x, y in places:
             while True:
                 assert time.monotonic() < end, f"never came to {x}, {y}"
