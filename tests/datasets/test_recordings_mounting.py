@@ -1,5 +1,6 @@
 """Where the lidar sits and which way up: told by the bag, by an option, or by nobody."""
 
+import logging
 import math
 import re
 
@@ -50,7 +51,7 @@ def test_a_turning_lidar_upside_down_keeps_the_time_of_every_reading(tmp_path):
 
 
 @pytest.mark.parametrize("log", [False, True], ids=["bag", "CARMEN log"])
-def test_an_option_turns_the_lidar_over(tmp_path, caplog, log):
+def test_an_option_turns_the_lidar_over(tmp_path, caplog, monkeypatch, log):
     path = tmp_path / "a.clf"
     path.write_text(flaser(np.linspace(1.0, 2.0, 180)))
     if not log:
@@ -65,6 +66,8 @@ def test_an_option_turns_the_lidar_over(tmp_path, caplog, log):
     assert turned.notes == (*upright.notes, "the laser hangs upside down; its scans were turned over")
     assert laser("0.1,0.2,0.3")[1] is False
     assert laser(None) == (None, False)
+    caplog.set_level(logging.INFO, logger="turtlebag")
+    monkeypatch.setattr(logging.getLogger("turtlebag"), "propagate", True)
     assert not caplog.messages
     laser("0.1,0.2,180,upside-down")
     assert caplog.messages == ["note: --laser 0.1,0.2,180: yaw 180 rad: is it in degrees?"]

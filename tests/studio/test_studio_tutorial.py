@@ -119,7 +119,7 @@ def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_p
         assert shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D."
         click(browser, "#bag button")
         click(browser, "#mapping")
-        person.speed(4)
+        person.speed(1)
         person.drive(ROUND[:1])
         before = browser.evaluate(KNOWN)
         person.drive(ROUND[1:])
