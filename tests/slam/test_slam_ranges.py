@@ -37,6 +37,16 @@ def test_an_error_of_all_ranges_is_learnt(errors):
     assert left < 0.35 * np.sqrt((errors.error(ranges) ** 2).mean())
 
 
+def test_turns_that_measure_longer_than_others_are_no_error_of_all():
+    log, ranges, left = log_of(rooms), np.linspace(0.3, 3.5, 20), []
+    for seed in range(3):
+        longer = 1.0 + 0.004 * np.random.default_rng(seed).standard_normal((len(log.recording), 1))
+        turns = (log.recording.ranges * longer).astype(np.float32)
+        found = learnt(replace(log, recording=replace(log.recording, ranges=turns)), ERRORS)
+        left.append(found.error(ranges) - ERRORS.error(ranges))
+    assert np.sqrt(np.mean(np.square(left))) < 0.004
+
+
 def test_a_lidar_that_measures_right_is_left_alone():
     assert learnt(log_of(rooms), RangeCalibration()) == RangeCalibration()
 
