@@ -9,6 +9,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -77,16 +78,12 @@ def _bare(path: Path) -> str:
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            node.body = [line for line in body if not _is_text(line)]  # type: ignore[attr-defined]
+            node.body = [  # type: ignore[attr-defined]
+                line
+                for line in body
+                if not (isinstance(line, ast.Expr) and isinstance(getattr(line.value, "value", None), str))
+            ]
     return ast.dump(tree)
-
-
-def _is_text(line: ast.AST) -> bool:
-    return (
-        isinstance(line, ast.Expr)
-        and isinstance(line.value, ast.Constant)
-        and isinstance(line.value.value, str)
-    )
 
 
 class Rows:
@@ -97,18 +94,19 @@ class Rows:
 
     def __init__(self, file: Path, code: str = "", *, keep: bool = False) -> None:
         self._file, self._code = file, code
-        self._found: dict[str, Row] = {}
         file.parent.mkdir(parents=True, exist_ok=True)
         text = file.read_text() if file.exists() else ""
         self._cut = not text.endswith("\n") and text != ""
+        rows: list[Row] = []
         for line in text.splitlines():
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:
-                continue
-            mine, had = row.get("code", "") == code, self._found.get(row["case"])
-            if mine or (keep and (had is None or had["code"] != code)):
-                self._found[row["case"]] = row
+            with suppress(json.JSONDecodeError):
+                rows.append(json.loads(line))
+
+        def mine(row: Row) -> bool:
+            return bool(row.get("code", "") == code)
+
+        # Of two rows of a case one of this code counts, whichever was first.
+        self._found = {row["case"]: row for row in sorted(rows, key=mine) if keep or mine(row)}
 
     def get(self, case: str) -> Row | None:
         """The row of a case, if it was measured."""
