@@ -202,13 +202,13 @@ def measure(
     """Ranges (n_scans, n_beams) as a driver would hand them on."""
     spec = sensor.spec
     when = times[:, None] + spec.time_increment * np.arange(spec.n_beams)
-    T_base_lidar = SE2(np.array(sensor.T_base_lidar))
-    T_world_lidar = at_times(poses, when.ravel()) @ T_base_lidar
-    angles = T_world_lidar.yaw + np.tile(spec.angles, len(times))
-    true = _rays(plan, T_world_lidar.xy, angles, when.shape, spec.range_max + 3.0)
+    T_world_lidar = at_times(poses, when) @ SE2(np.array(sensor.T_base_lidar))
+    angles = T_world_lidar.yaw + spec.angles
+    ways, outlines = np.stack([np.cos(angles), np.sin(angles)], axis=-1), plan.outlines()
+    scans = zip(np.ascontiguousarray(T_world_lidar.xy), ways, np.unwrap(angles), strict=True)
+    out = np.array([cast(*rays, outlines, spec.range_max + 3.0)[0] for rays in scans])
     if person:
-        true = np.minimum(true, _person(T_world_lidar, angles, when.ravel()))
-    out = true.reshape(when.shape)
+        out = np.minimum(out, _person(T_world_lidar, ways, when))
     neighbour = np.roll(out, -1, axis=1)
     blend = rng.random(out.shape)
     with np.errstate(invalid="ignore"):
@@ -222,17 +222,9 @@ def measure(
     return np.where(out < spec.range_min, -np.inf, out).astype(np.float32)
 
 
-def _rays(plan: FloorPlan, xy: Array, angles: Array, shape: tuple[int, int], limit: float) -> Array:
-    """Ranges along the beams of each scan (n_scans * n_beams,), +inf beyond `limit`."""
-    outlines, origins, bearings = plan.outlines(), xy.reshape(*shape, 2), np.unwrap(angles.reshape(shape))
-    ways = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*shape, 2)
-    scans = zip(origins, ways, bearings, strict=True)
-    return np.concatenate([cast(*rays, outlines, limit)[0] for rays in scans])
-
-
-def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
+def _person(T_world_lidar: SE2, ways: Array, when: Array) -> Array:
     """Ranges to two legs that walk with the robot for 10 of every 20 s, weaving in front of it."""
-    out = np.full(len(when), np.inf)
+    out = np.full(when.shape, np.inf)
     here = (when % 20.0) < 10.0
     bearing, reach = 0.9 * np.sin(0.9 * when), 1.4 + 0.5 * np.sin(0.37 * when)
     for side in (-1.0, 1.0):
@@ -241,8 +233,8 @@ def _person(T_world_lidar: SE2, angles: Array, when: Array) -> Array:
             [reach * np.cos(bearing) + stride, reach * np.sin(bearing) + 0.12 * side], axis=-1
         )
         offset = legs - T_world_lidar.xy
-        along = offset[:, 0] * np.cos(angles) + offset[:, 1] * np.sin(angles)
-        inside = along**2 - (offset**2).sum(axis=1) + 0.08**2
+        along = offset[..., 0] * ways[..., 0] + offset[..., 1] * ways[..., 1]
+        inside = along**2 - (offset**2).sum(axis=-1) + 0.08**2
         hit = here & (inside > 0.0) & (along > 0.0)
         out[hit] = np.minimum(out[hit], along[hit] - np.sqrt(inside[hit]))
     return out

@@ -38,8 +38,8 @@ class FloorPlan:
 
     def outlines(self) -> tuple[Array, Array]:
         """Segments (n, 4) and circles (m, 3), as rays are cast through."""
-        walls = np.array([*_edges(self.solid, False), *_edges(self.solid.T, True)]).reshape(-1, 4)
-        return np.vstack([walls, *self._loose]), np.array(self._circles, dtype=float).reshape(-1, 3)
+        walls = [_edges(self.solid), _edges(self.solid.T)[:, [1, 0, 3, 2]]]
+        return np.vstack([*walls, *self._loose]), np.array(self._circles, dtype=float).reshape(-1, 3)
 
     def clearance(self, xy: Array) -> Array:
         """Distance from points (n, 2) to the nearest outline, (n,) [m]."""
@@ -51,15 +51,10 @@ def _cells(a: float, b: float) -> slice:
     return slice(round(a / CELL), round(b / CELL))
 
 
-def _edges(solid: NDArray[np.bool_], swapped: bool) -> list[tuple[float, float, float, float]]:
-    """Boundaries between rows of cells as long segments."""
-    out = []
-    change = solid[1:] != solid[:-1]
-    for row in np.flatnonzero(change.any(axis=1)):
-        padded = np.concatenate([[False], change[row], [False]])
-        # A run ends where solid changes sides, too: that is a corner.
-        flips = np.flatnonzero(padded[1:] != padded[:-1])
-        y = (row + 1) * CELL
-        for a, b in zip(flips[::2] * CELL, flips[1::2] * CELL, strict=True):
-            out.append((y, a, y, b) if swapped else (a, y, b, y))
-    return out
+def _edges(solid: NDArray[np.bool_]) -> Array:
+    """Boundaries between rows of cells as long segments, (n, 4)."""
+    change = np.pad(solid[1:] != solid[:-1], ((0, 0), (1, 1)))
+    # Of each row, columns where a run begins and ends in turn.
+    row, flip = np.nonzero(change[:, 1:] != change[:, :-1])
+    y = (row[::2] + 1) * CELL
+    return np.stack([flip[::2] * CELL, y, flip[1::2] * CELL, y], axis=1)
