@@ -119,19 +119,21 @@ def without_wheels(drive: Drive3d) -> Drive3d:
     return Drive3d(replace(drive.recording, T_odom_base=None, odometry=None), drive.truth)
 
 
+def walls(x: float, y: float, height: float) -> list[Solid]:
+    """Four walls, 0.2 m thick, round a floor of x by y metres from the origin on."""
+    return [
+        *(box("", (0.5 * x, side), (x + 0.4, 0.2), 0.0, (0.0, height)) for side in (-0.1, y + 0.1)),
+        *(box("", (side, 0.5 * y), (0.2, y + 0.4), 0.0, (0.0, height)) for side in (-0.1, x + 0.1)),
+    ]
+
+
 def room() -> list[Solid]:
     """Eight by six metres with pillars, a table, a lintel and a box that is higher than the band."""
-    walls = [
-        box("south", (4.0, -0.1), (8.4, 0.2), 0.0, (0.0, 2.0)),
-        box("north", (4.0, 6.1), (8.4, 0.2), 0.0, (0.0, 2.0)),
-        box("west", (-0.1, 3.0), (0.2, 6.4), 0.0, (0.0, 2.0)),
-        box("east", (8.1, 3.0), (0.2, 6.4), 0.0, (0.0, 2.0)),
-    ]
     table = [
         cylinder(f"leg {k}", (3.6 + 0.8 * (k % 2), 2.6 + 0.8 * (k // 2)), 0.06, (0.0, 0.7)) for k in range(4)
     ]
     return [
-        *walls,
+        *walls(8.0, 6.0, 2.0),
         *table,
         box("top", (4.0, 3.0), (1.0, 1.0), 0.0, (0.7, 0.75)),
         cylinder("pillar", (6.5, 2.0), 0.3, (0.0, 1.5)),
@@ -147,15 +149,8 @@ ROUND = [(1.5, 1.2), (5.5, 1.2), (7.3, 1.2), (7.3, 4.8), (1.5, 4.2), (1.5, 1.2),
 def corridors(length: float = 14.0, width: float = 2.0) -> tuple[list[Solid], list[tuple[float, float]]]:
     """A square ring of bare corridors, and once around it and a little on: the place repeats four times,
     and along each leg only its ends tell where one is."""
-    inner, high = length - 2.0 * width, (0.0, 2.4)
-    middle = 0.5 * length
-    outside = [
-        box("south", (middle, -0.1), (length + 0.4, 0.2), 0.0, high),
-        box("north", (middle, length + 0.1), (length + 0.4, 0.2), 0.0, high),
-        box("west", (-0.1, middle), (0.2, length), 0.0, high),
-        box("east", (length + 0.1, middle), (0.2, length), 0.0, high),
-    ]
-    core = box("core", (middle, middle), (inner, inner), 0.0, high)
+    inner, middle = length - 2.0 * width, 0.5 * length
+    core = box("core", (middle, middle), (inner, inner), 0.0, (0.0, 2.4))
     near, far = 0.5 * width, length - 0.5 * width
     path = [(near, near), (far, near), (far, far), (near, far), (near, near), (middle, near)]
-    return [*outside, core], path
+    return [*walls(length, length, 2.4), core], path
