@@ -16,14 +16,15 @@ ones, as scenarios "patrol, clean" and so on. Rows are written as they come: sta
 from __future__ import annotations
 
 import dataclasses
-import functools
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from benchmarks import navigate_cases as cases
 from benchmarks import navigate_faults as faults
-from benchmarks.drives import Maps
+from benchmarks.drives import PLACES, Maps
 from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_rows import failures, refused_row, row_of, summary
 from benchmarks.rows import Row, Rows, options, write
@@ -51,36 +52,36 @@ def with_sensors(scenario: Scenario, sensors: Sensors) -> Scenario:
 def scenarios(maps: Maps, quick: bool) -> list[Scenario]:
     """All scenarios, with the default sensors."""
 
-    def of(name: str, count: int, short: int, make: functools.partial) -> Scenario:
-        return Scenario(name, count, short, functools.partial(make, name))
+    def of(name: str, count: int, short: int, make: Callable[..., Case], *about: Any) -> Scenario:
+        return Scenario(name, count, short, partial(make, *about, name))
 
-    duration = QUICK_AVOID_S if quick else AVOID_S
+    avoid_s, explore_s = (QUICK_AVOID_S, QUICK_AVOID_S) if quick else (AVOID_S, EXPLORE_S)
     found = [
-        of("patrol", 100, 3, functools.partial(cases.patrol, maps)),
-        of("house waffle_pi", 200, 3, functools.partial(cases.house_goal, maps, "waffle_pi")),
-        of("house burger", 200, 3, functools.partial(cases.house_goal, maps, "burger")),
-        of("new worlds", 100, 3, functools.partial(cases.new_world_goal, maps)),
-        of("boxes and movers", 200, 3, functools.partial(cases.obstacles, maps, True)),
-        of("boxes and blind movers", 200, 3, functools.partial(cases.obstacles, maps, False)),
-        of("avoid guarded", 50, 2, functools.partial(cases.avoid, "guarded", duration)),
-        of("avoid tutorial", 50, 2, functools.partial(cases.avoid, "tutorial", duration)),
-        of("explore", 24, 1, functools.partial(cases.explore, QUICK_AVOID_S if quick else EXPLORE_S)),
+        of("patrol", 100, 3, cases.patrol, maps),
+        of("house waffle_pi", 200, 3, cases.random_goal, maps, cases.HOUSE, "waffle_pi"),
+        of("house burger", 200, 3, cases.random_goal, maps, cases.HOUSE, "burger"),
+        of("new worlds", 100, 3, cases.new_world_goal, maps),
+        of("boxes and movers", 200, 3, cases.obstacles, maps, True),
+        of("boxes and blind movers", 200, 3, cases.obstacles, maps, False),
+        of("avoid guarded", 50, 2, cases.avoid, "guarded", avoid_s),
+        of("avoid tutorial", 50, 2, cases.avoid, "tutorial", avoid_s),
+        of("explore", 24, 1, cases.explore, explore_s),
     ]
-    for place in ("arena", "house"):
+    for place in PLACES:
         found += [
-            of(f"pose off, {place}", 50, 2, functools.partial(faults.offset, maps, place)),
-            of(f"kidnap, {place}", 100, 2, functools.partial(faults.kidnap, maps, place)),
-            of(f"wheel slip, {place}", 50, 2, functools.partial(faults.slip, maps, place)),
-            of(f"lidar dropout, {place}", 50, 2, functools.partial(faults.dropout, maps, place)),
+            of(f"pose off, {place}", 50, 2, faults.offset, maps, place),
+            of(f"kidnap, {place}", 100, 2, faults.kidnap, maps, place),
+            of(f"wheel slip, {place}", 50, 2, faults.slip, maps, place),
+            of(f"lidar dropout, {place}", 50, 2, faults.dropout, maps, place),
         ]
         found += [
-            of(f"{controller}, {place}", 32, 1, functools.partial(cases.controlled, maps, place, controller))
+            of(f"{controller}, {place}", 32, 1, cases.controlled, maps, place, controller)
             for controller in cases.CONTROLLERS
         ]
-    found.append(of("closed ring, arena", 50, 2, functools.partial(faults.closed_ring, maps)))
-    found.append(of("closed door, house", 50, 2, functools.partial(faults.closed_door, maps)))
+    found.append(of("closed ring, arena", 50, 2, faults.closed_ring, maps))
+    found.append(of("closed door, house", 50, 2, faults.closed_door, maps))
     if worlds := cases.barn_worlds():
-        found.append(of("BARN", 3 * len(worlds), len(worlds), functools.partial(cases.barn, worlds)))
+        found.append(of("BARN", 3 * len(worlds), len(worlds), cases.barn, worlds))
     return found
 
 
@@ -91,7 +92,7 @@ def run(case: Case) -> Row:
         mission = prepare(case.request, case.robot, case.config, case.world.keepout)
     except InputError as error:
         return refused_row(case, str(error))
-    with Simulator(case.world, case.robot, case.config.sim, case.seed) as simulator:
+    with Simulator(case.world, case.robot, case.config.sim, case.request.seed) as simulator:
         episode = drive(simulator, mission)
     return row_of(case, episode, time.process_time() - started)
 

@@ -26,6 +26,7 @@ from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.world import World
 from turtlebag.sim.worlds import load_world
 
+ARENA, HOUSE = (world for world, _ in PLACES.values())
 ROOM_M = 0.05
 """Goals are reachable for the circumscribed radius and this."""
 GOALS_PER_WORLD = 5
@@ -52,7 +53,6 @@ class Case:
     """
 
     name: str
-    seed: int
     world: World
     robot: RobotSpec
     request: Request
@@ -115,14 +115,14 @@ def goal_case(
 ) -> Case:
     """From a start that the robot is told to a goal on a map, with five minutes for it."""
     request = Request("goal", seed, path, initial_pose="start", start=start, goal=goal, timeout_s=300.0)
-    return Case(name, seed, world, robot, request, **more)
+    return Case(name, world, robot, request, **more)
 
 
 def patrol(maps: Maps, name: str, seed: int) -> Case:
     """The tutorial's patrol on a map made by SLAM."""
-    world, robot = load_world("turtlebot3_world"), load_robot("burger")
-    path = maps.slam("turtlebot3_world", "burger")
-    return Case(name, seed, world, robot, Request("patrol", seed, path, initial_pose="start"))
+    world, robot = load_world(ARENA), load_robot("burger")
+    path = maps.slam(ARENA, "burger")
+    return Case(name, world, robot, Request("patrol", seed, path, initial_pose="start"))
 
 
 def house_robot(seed: int) -> str:
@@ -130,19 +130,15 @@ def house_robot(seed: int) -> str:
     return ("waffle_pi", "burger")[seed % 2]
 
 
-def house_goal(maps: Maps, robot: str, name: str, seed: int) -> Case:
-    """A random reachable start and goal in the house."""
-    return _random_goal(maps, "turtlebot3_house", robot, name, seed)
-
-
 def new_world_goal(maps: Maps, name: str, seed: int) -> Case:
     """A random reachable start and goal in an office or a maze that is used for a few goals only."""
     number = seed // GOALS_PER_WORLD
     world = f"{('office', 'maze')[number % 2]}:{NEW_WORLDS_FROM + number}"
-    return _random_goal(maps, world, ("burger", "waffle_pi")[number // 2 % 2], name, seed)
+    return random_goal(maps, world, ("burger", "waffle_pi")[number // 2 % 2], name, seed)
 
 
-def _random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Case:
+def random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Case:
+    """A random reachable start and goal on the map of a world."""
     loaded, spec, grid, cells = named_floor(world, robot)
     rng, path = stream(seed, name), maps.slam(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
@@ -151,21 +147,21 @@ def _random_goal(maps: Maps, world: str, robot: str, name: str, seed: int) -> Ca
 
 def avoid(mode: str, duration: float, name: str, seed: int) -> Case:
     """Avoidance in the house from a random start."""
-    world, robot, grid, cells = named_floor("turtlebot3_house", "waffle_pi")
+    world, robot, grid, cells = named_floor(HOUSE, "waffle_pi")
     config = NavigateConfig(avoid=AvoidConfig(mode="tutorial" if mode == "tutorial" else "guarded"))
     start = pose_on(grid, cells, stream(seed, "avoid"))
     request = Request(task="avoid", seed=seed, start=start, duration_s=duration)
-    return Case(name, seed, world, robot, request, config)
+    return Case(name, world, robot, request, config)
 
 
 def explore(duration: float, name: str, seed: int) -> Case:
     """A world that nothing is known of, mapped without a script, in `duration` [s] at most."""
     number = NEW_WORLDS_FROM + 500 + seed
-    worlds = ("turtlebot3_world", f"office:{number}", f"maze:{number}", "turtlebot3_house")
+    worlds = (ARENA, f"office:{number}", f"maze:{number}", HOUSE)
     world, robot, grid, cells = named_floor(worlds[seed % 4], ("burger", "waffle_pi")[seed // 4 % 2])
     start = pose_on(grid, cells, stream(seed, name))
     request = Request(task="explore", seed=seed, start=start, duration_s=duration)
-    return Case(name, seed, world, robot, request, seen=0.95)
+    return Case(name, world, robot, request, seen=0.95)
 
 
 def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
@@ -174,14 +170,14 @@ def obstacles(maps: Maps, yields: bool, name: str, seed: int) -> Case:
     Movers that do not yield walk on whoever stands in their way.
     """
     robot = load_robot(house_robot(seed))
-    world = load_world(f"turtlebot3_house+clutter:{seed},boxes=5,movers=3")
+    world = load_world(f"{HOUSE}+clutter:{seed},boxes=5,movers=3")
     movers = tuple(dataclasses.replace(mover, yields=yields) for mover in world.movers)
     world, rng = dataclasses.replace(world, movers=movers), stream(seed, name)
     grid, cells = floor(world, robot)
     start, goal = pose_on(grid, cells, rng), pose_on(grid, cells, rng)
     while min(np.linalg.norm(mover.path[0] - start.xy) for mover in movers) < APART_M:
         start = pose_on(grid, cells, rng)
-    return goal_case(name, seed, world, robot, maps.slam("turtlebot3_house", robot.name), start, goal)
+    return goal_case(name, seed, world, robot, maps.slam(HOUSE, robot.name), start, goal)
 
 
 def controlled(maps: Maps, place: str, controller: str, name: str, seed: int) -> Case:
@@ -215,7 +211,7 @@ def barn(worlds: list[Path], name: str, seed: int) -> Case:
     request = Request(task="goal", seed=seed, start=start, goal=goal, timeout_s=100.0)
     world = dataclasses.replace(load_world(str(path)), name=path.stem)
     score = _barn_score(best)
-    return Case(name, seed, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
+    return Case(name, world, load_robot("jackal"), request, config, score, within=(1.0, math.pi))
 
 
 def _barn_score(best: float) -> Callable[[dict], float]:

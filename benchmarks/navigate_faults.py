@@ -12,14 +12,15 @@ import numpy as np
 
 from benchmarks.drives import Maps
 from benchmarks.navigate_cases import (
+    HOUSE,
     Case,
     floor,
     goal_case,
-    house_goal,
     house_robot,
     named_floor,
     patrol,
     pose_on,
+    random_goal,
 )
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
@@ -44,10 +45,10 @@ def drive_to(maps: Maps, place: str, name: str, seed: int) -> Case:
     if place == "arena":
         return patrol(maps, name, seed)
     for attempt in range(1000):
-        case = house_goal(maps, house_robot(seed), name, seed + 100_000 * attempt)
+        case = random_goal(maps, HOUSE, house_robot(seed), name, seed + 100_000 * attempt)
         assert case.request.goal is not None
         if np.linalg.norm(case.start.xy - case.request.goal.xy) > FAR_M:
-            return dataclasses.replace(case.asked(seed=seed), seed=seed)
+            return case.asked(seed=seed)
     raise ValueError("no two places so far apart")
 
 
@@ -110,7 +111,7 @@ def closed_ring(maps: Maps, name: str, seed: int) -> Case:
 def closed_door(maps: Maps, name: str, seed: int) -> Case:
     """The only door to the goal's part of the house, open on the map, is shut: to say so is right."""
     rng = stream(seed, "door")
-    world, spec, grid, cells = named_floor("turtlebot3_house", house_robot(seed))
+    world, spec, grid, cells = named_floor(HOUSE, house_robot(seed))
     x, y, along_y = DOORS[seed // 2 % len(DOORS)]
     size = (THICK_M, DOOR_M) if along_y else (DOOR_M, THICK_M)
     shut = with_solid(world, box("shut_door", (x, y), size, 0.0, (0.0, 2.0)))
@@ -119,7 +120,7 @@ def closed_door(maps: Maps, name: str, seed: int) -> Case:
     # Not in the doorway itself.
     room = inside[np.hypot(*(grid.center_of(inside) - (x, y)).T) > 1.0]
     start, goal = pose_on(grid, outside, rng), pose_on(grid, room, rng)
-    path = maps.slam("turtlebot3_house", spec.name)
+    path = maps.slam(HOUSE, spec.name)
     return goal_case(name, seed, shut, spec, path, start, goal, wanted="unreachable")
 
 

@@ -59,9 +59,10 @@ def row_of(case: Case, episode: Episode, cpu_s: float) -> Row:
 
 def about(case: Case) -> Row:
     """Which episode it is, and how to see it again."""
-    replay = f'python -m benchmarks.navigate --replay "{case.name}" {case.seed}'
-    which = {"scenario": case.name, "seed": case.seed, "world": case.world.name, "robot": case.robot.name}
-    return which | {"replay": replay}
+    name, seed = case.name, case.request.seed
+    replay = f'python -m benchmarks.navigate --replay "{name}" {seed}'
+    world, robot = case.world.name, case.robot.name
+    return {"scenario": name, "seed": seed, "world": world, "robot": robot, "replay": replay}
 
 
 def refused_row(case: Case, why: str) -> Row:
@@ -126,13 +127,9 @@ def summary(name: str, rows: Sequence[Row]) -> Row:
 
 def spans(numbers: Sequence[int]) -> str:
     """Whole numbers as runs: `0..9, 20..29`."""
-    found: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if found and number == found[-1][1] + 1:
-            found[-1][1] = number
-        else:
-            found.append([number, number])
-    return ", ".join(f"{a}..{b}" for a, b in found)
+    ordered = np.unique(numbers)
+    runs = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
+    return ", ".join(f"{run[0]}..{run[-1]}" for run in runs)
 
 
 def failures(rows: Sequence[Row]) -> list[str]:

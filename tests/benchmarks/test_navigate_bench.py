@@ -154,7 +154,7 @@ def test_a_campaign_goes_on_where_it_was(tmp_path):
     case = cases.patrol(OneMap(), "patrol", 7)
     rows = Rows(tmp_path / "navigate.jsonl")
     rows.add("patrol 7", row_of(case, episode(0.01, 0.0), 1.0) | {"success": 1})
-    late = dataclasses.replace(case, seed=8)
+    late = case.asked(seed=8)
     rows.add("patrol 8", refused_row(late, "no way"))
     again = Rows(tmp_path / "navigate.jsonl")
     assert again.get("patrol 7") is not None
