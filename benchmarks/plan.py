@@ -17,7 +17,6 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
 
@@ -25,7 +24,7 @@ import numpy as np
 
 from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
-from benchmarks.plan_database import write_database, write_log
+from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_shortest import Lattice
 from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
@@ -136,7 +135,7 @@ def measure(at: Place, space: str, planners: Sequence[str]) -> Iterator[Row]:
     """Every planner on every query of a place."""
     for query, (a, b, shortest) in enumerate(at.queries):
         for planner in planners:
-            found, ms = ask(at, a, b, config_of(planner, space), 7 + query)
+            found, ms = ask(at, a, b, config_of(planner, space), SEED + query)
             least = math.nan if found is None else clearance(at, found, space)
             length = math.nan if found is None else found.length
             yield {
@@ -208,7 +207,7 @@ def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
         experiment = f"{name}-{robot}".replace(":", "_")
         paths.append(folder / f"{experiment}-{space}.log")
         setup = f"map {name}, robot {robot}, space {space}, {max(map(len, runs.values()))} queries"
-        write_log(paths[-1], experiment, {"space": space}, setup, runs, version=version("ompl"), seed=7)
+        write_log(paths[-1], experiment, space, setup, runs)
     return paths
 
 

@@ -6,8 +6,11 @@ import contextlib
 import io
 import math
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 
+SEED = 7
+"""Of the first query of each map; the next have the next."""
 STATUS = (
     "Unknown status", "Invalid start", "Invalid goal", "Unrecognized goal type", "Timeout",
     "Approximate solution", "Exact solution",
@@ -30,23 +33,19 @@ PROPERTIES = {
 def write_log(
     path: Path,
     experiment: str,
-    parameters: Mapping[str, str],
+    space: str,
     setup: str,
     runs: Mapping[str, Sequence[Mapping[str, float]]],
-    *,
-    version: str,
-    seed: int,
 ) -> None:
     """One experiment: `runs` of each planner are rows of solved, correct, time_ms ... clearance_m.
 
     Without host and date, so that only the times differ when it is repeated.
     """
     count = max(len(rows) for rows in runs.values())
-    lines = [f"OMPL version {version}", f"Experiment {experiment}"]
-    lines += [f"{len(parameters)} experiment properties"]
-    lines += [f"{name} TEXT = {value}" for name, value in parameters.items()]
+    lines = [f"OMPL version {version('ompl')}", f"Experiment {experiment}"]
+    lines += ["1 experiment properties", f"space TEXT = {space}"]
     lines += ["Running on -", "Starting at -", "<<<|", setup, "|>>>"]
-    lines += [f"{seed} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner"]
+    lines += [f"{SEED} is the random seed", "0 seconds per run", "0 MB per run", f"{count} runs per planner"]
     lines += ["0 seconds spent to collect the data", "1 enum type", "|".join(("status", *STATUS))]
     lines += [f"{len(runs)} planners"]
     for planner, rows in runs.items():

@@ -118,8 +118,7 @@ def _damages(drive: Drive3d) -> dict[str, Drive3d]:
 
     def foul(k: int, cloud: Cloud) -> Cloud:
         far = 1e20 * rng.normal(size=cloud.points.shape)
-        times = cloud.times
-        return Cloud(np.vstack([cloud.points, far]), None if times is None else np.tile(times, 2))
+        return Cloud(np.vstack([cloud.points, far]), np.tile(cloud.times, 2))
 
     return {
         "none": drive,
@@ -130,10 +129,7 @@ def _damages(drive: Drive3d) -> dict[str, Drive3d]:
         "time goes back by four seconds": replace(
             drive, recording=replace(drive.recording, stamps_ns=backwards, odometry=None)
         ),
-        "one point in twenty": changed(
-            drive,
-            lambda k, cloud: Cloud(cloud.points[::20], None if cloud.times is None else cloud.times[::20]),
-        ),
+        "one point in twenty": changed(drive, lambda k, cloud: Cloud(cloud.points[::20], cloud.times[::20])),
     }
 
 

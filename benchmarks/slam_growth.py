@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ import yaml
 from benchmarks.known import Known
 from benchmarks.rows import Case, Row
 from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
-from benchmarks.slam_logs import crossing, door
+from benchmarks.slam_logs import SIDES, crossing, door
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_public import public_log
 from turtlebag.datasets.grid import UNKNOWN
@@ -162,11 +163,9 @@ def floor(blocks: int) -> Known:
     size, lines = BLOCK_M * blocks, [6.0 + BLOCK_M * k for k in range(blocks + 1)]
     plan = FloorPlan(size + 12.0, size + 12.0)
     crossing(plan, lines, lines, w)
-    for c in lines:
-        for along in np.arange(9.0, 4.0 + size, 3.5):
-            for axis, side in ((0.0, -1.0), (0.0, 1.0), (1.0, -1.0), (1.0, 1.0)):
-                if min(abs(along - other) for other in lines) > 2.0 and rng.random() < 0.5:
-                    door(plan, float(along), c + side * w, axis, side, False)
+    for c, along, axis, side in product(lines, np.arange(9.0, 4.0 + size, 3.5), (0.0, 1.0), SIDES):
+        if min(abs(along - other) for other in lines) > 2.0 and rng.random() < 0.5:
+            door(plan, float(along), c + side * w, axis, side, False)
     ends = (lines[0], lines[-1])
     along_x = [(ends[(k + i) % 2], y) for k, y in enumerate(lines) for i in (0, 1)]
     along_y = [(x, ends[(k + i) % 2]) for k, x in enumerate(lines) for i in (0, 1)]

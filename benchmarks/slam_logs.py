@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +18,7 @@ WHEELS = {
     2: Wheels(-0.02, -0.03, -0.003),
     3: Wheels(0.03, 0.01, 0.004, 0.008, 0.006),
 }
+SIDES = (-1.0, 1.0)
 
 
 def wheels_of(seed: int) -> Wheels:
@@ -57,17 +59,13 @@ def killian(seed: int) -> Known:
     x0, x1, x2, y0, y1 = 8.0, 60.0, 112.0, 8.0, 52.0
     w = 1.2
     crossing(plan, (x0, x1, x2), (y0, y1), w)
-    for y in (y0, y1):
-        for x in np.arange(x0 + 4.0, x2 - 3.0, 4.0):
-            for side in (-1.0, 1.0):
-                door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
-    for x in (x0, x1, x2):
-        for y in np.arange(y0 + 6.0, y1 - 5.0, 4.0):
-            for side in (-1.0, 1.0):
-                door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
+    for y, x, side in product((y0, y1), np.arange(x0 + 4.0, x2 - 3.0, 4.0), SIDES):
+        door(plan, x, y + side * w, 0.0, side, rng.random() < 0.15)
+    for x, y, side in product((x0, x1, x2), np.arange(y0 + 6.0, y1 - 5.0, 4.0), SIDES):
+        door(plan, y, x + side * w, 1.0, side, rng.random() < 0.1)
     for _ in range(25):
         x = rng.choice([x0, x1]) + rng.uniform(4.0, 46.0)
-        y, side = rng.choice([y0, y1]), rng.choice([-1.0, 1.0])
+        y, side = rng.choice([y0, y1]), rng.choice(SIDES)
         low, high = sorted((side * (w - 0.3), side * w))
         plan.box(x, y + low, x + rng.uniform(0.4, 1.5), y + high)
     big = [(x0, y0), (x2, y0), (x2, y1), (x0, y1)]
@@ -86,14 +84,9 @@ def aces(seed: int) -> Known:
     plan = FloorPlan(62.0, 62.0)
     lines, w = (6.0, 31.0, 56.0), 1.1
     crossing(plan, lines, lines, w)
-    for c in lines:
-        for along in np.arange(9.0, 54.0, 3.5):
-            if abs(along - 31.0) < 3.0:
-                continue
-            for side in (-1.0, 1.0):
-                for axis in (0.0, 1.0):
-                    if rng.random() < 0.5:
-                        door(plan, along, c + side * w, axis, side, False)
+    for c, along, side, axis in product(lines, np.arange(9.0, 54.0, 3.5), SIDES, (0.0, 1.0)):
+        if abs(along - 31.0) >= 3.0 and rng.random() < 0.5:
+            door(plan, along, c + side * w, axis, side, False)
     a, b, c = lines
     lap = [(a, a), (c, a), (c, c), (a, c)]
     route = np.array(
@@ -226,9 +219,8 @@ def arena(seed: int, style: str) -> Known:
     plan.carve(1.0, 1.0, 6.0, 6.0)
     for x, y in ((1.2, 1.2), (5.8, 1.2), (1.2, 5.8), (5.8, 5.8)):
         plan.turned_box(x, y, 1.0, 1.0, 0.785)
-    for x in (2.4, 3.5, 4.6):
-        for y in (2.4, 3.5, 4.6):
-            plan.pillar(x, y, 0.15)
+    for x, y in product((2.4, 3.5, 4.6), repeat=2):
+        plan.pillar(x, y, 0.15)
     a, b, c, d = 1.85, 2.95, 4.05, 5.15
     lap = [(b, a), (b, b), (c, b), (c, a), (d, a), (d, d), (c, d), (c, c), (b, c), (b, d), (a, d), (a, c)]
     route = [(a, a), *lap, (a, a)] * 2

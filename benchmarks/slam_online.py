@@ -15,7 +15,7 @@ from benchmarks.slam_cases import mapped
 from benchmarks.slam_growth import GROWN, there_and_back
 from benchmarks.slam_public import RADISH, by_name, public_log, read
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.types import Observation, Recording, Trajectory, seconds
+from turtlebag.datasets.types import Recording, Trajectory, seconds
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.slam.growing_log import heard
 from turtlebag.pipeline.slam.mapper import Mapper
@@ -98,7 +98,8 @@ def hours_row() -> Row:
             mapped_so_far.observe(observation)
             if observation.scan is not None:
                 spent.append(time.process_time() - start)
-                off.append(_off(mapped_so_far, observation, simulator.truth.T_world_base))
+                T_map_base = mapped_so_far.T_map_odom @ observation.odometry.T_odom_base
+                off.append(np.hypot(*(simulator.truth.T_world_base.inverse() @ T_map_base).xy))
             if now >= (len(held) + 1) * 900.0 * HOURS:
                 held.append(held_mb())
             command = driver.send(simulator.truth)
@@ -107,11 +108,6 @@ def hours_row() -> Row:
     assert mapped_so_far.mapper is not None
     driving_m = float(np.sqrt(np.mean(np.square(off))))
     return {"driving_m": driving_m} | costs(mapped_so_far.mapper, spent, held)
-
-
-def _off(online_map: OnlineMap, observation: Observation, T_world_base: SE2) -> float:
-    T_map_base = online_map.T_map_odom @ observation.odometry.T_odom_base
-    return float(np.hypot(*(T_world_base.inverse() @ T_map_base).xy))
 
 
 def online_cases(data: Path | None) -> list[Case]:

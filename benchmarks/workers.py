@@ -50,5 +50,5 @@ def in_processes(cases: Sequence[Case], count: int, limit_s: float) -> Iterator[
                 idle.append(process)
                 yield case, row
     finally:  # also when nobody wants the rest any more
-        for process in multiprocessing.active_children():
-            process.kill()
+        for child in multiprocessing.active_children():
+            child.kill()

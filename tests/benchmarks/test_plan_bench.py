@@ -2,6 +2,7 @@
 
 import math
 import sqlite3
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -109,7 +110,7 @@ def small_database(folder):
     runs = {"RRT": [run(1, 10.0), run(0, 20.0)], "PRM": [run(1, 5.0), run(1, 7.0)]}
     for space in ("disc", "se2"):
         setup = "map arena, robot burger"
-        write_log(folder / f"{space}.log", "arena", {"space": space}, setup, runs, version="2.0.1", seed=7)
+        write_log(folder / f"{space}.log", "arena", space, setup, runs)
     write_database(folder / "plan.db", [folder / "disc.log", folder / "se2.log"])
     return folder / "plan.db"
 
@@ -118,7 +119,7 @@ def test_the_database_holds_what_was_measured(tmp_path):
     with sqlite3.connect(small_database(tmp_path)) as db:
         experiments = db.execute("SELECT name, space, runcount, version, setup FROM experiments").fetchall()
         assert experiments == [
-            ("arena", s, 2, "OMPL 2.0.1", "map arena, robot burger\n") for s in ("disc", "se2")
+            ("arena", s, 2, f"OMPL {version('ompl')}", "map arena, robot burger\n") for s in ("disc", "se2")
         ]
         rows = db.execute(
             "SELECT c.name, solved, status, time, solution_length, length_over_shortest FROM runs "
