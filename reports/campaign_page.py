@@ -6,7 +6,6 @@ import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from turtlebag.reports.campaign import LevelSummary, PairedSummary, levels_of
@@ -30,8 +29,8 @@ def draw_campaign(wishes: Sequence[Wish], rows: Sequence[Row], seed: int, album:
         each = f", for each {' and '.join(shares)}" if shares else ""
         caption = f"{wish.label} over {words(wish.x)}{each}."
         name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
-        drawing = partial(result_over_factor, rows, wish, seed)
-        album.add(name, wish.title or wish.label, caption[0].upper() + caption[1:], drawing)
+        caption, drawn = caption[0].upper() + caption[1:], (rows, wish, seed)
+        album.add(name, wish.title or wish.label, caption, result_over_factor, *drawn)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -148,19 +147,17 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
             f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Coloured "
             "walls away from the grey exist in only one of the two."
         )
-        album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
+        album.add("maps", "Maps", caption, comparison.maps, a.map, b.map)
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
         grids = (a.map, a.true_map, given_map(a, Group("", (a,))))
         ground = next((grid for grid in grids if grid is not None), None)
-        figure = partial(comparison.paths, ground, path_a, path_b)
-        caption = PATHS.get(a.kind, "True paths")
-        caption += ": A wide, B thin on top of it."
-        album.add("paths", "Paths", caption, figure)
+        caption = f"{PATHS.get(a.kind, 'True paths')}: A wide, B thin on top of it."
+        album.add("paths", "Paths", caption, comparison.paths, ground, path_a, path_b)
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
         caption = "Distance of the estimate from the truth, each run in its own time; lower is better."
-        album.add("errors", "Position error", caption, partial(comparison.errors, errors_a, errors_b))
+        album.add("errors", "Position error", caption, comparison.errors, errors_a, errors_b)
     elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
         _draw_apart(path_a, path_b, album)
 
@@ -174,8 +171,7 @@ def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
     time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
     caption = "Distance between the estimates of A and B at the same instant."
-    figure = partial(comparison.apart, time_s, pairs.position_errors())
-    album.add("apart", "Difference", caption, figure)
+    album.add("apart", "Difference", caption, comparison.apart, time_s, pairs.position_errors())
 
 
 def driven(stage: Stage) -> Trajectory | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from turtlebag.reports.beside import Beside
@@ -160,8 +160,10 @@ def pointer_of(group: Group) -> PointerMap | None:
 
 def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:
     """The pictures of one stage, named by world and stage."""
-    prefix = f"{slug(group.name)}-{slug(stage.label)}"
-    return DRAW[stage.kind](stage, group, album, prefix)
+    before = len(album.pictures)
+    prefix = f"{slug(group.name)}-{slug(stage.label)}-"
+    DRAW[stage.kind](stage, group, replace(album, prefix=prefix))
+    return album.pictures[before:]
 
 
 def stage_metrics(stage: Stage) -> dict[str, Any]:
