@@ -13,8 +13,8 @@ from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.metrics.systems import Known, Measured
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.spec import Spec
-from turtlebag.reports.spec_systems import EVO, MORE_IS_BETTER, NOT_JUDGED, SYSTEMS
+from turtlebag.reports.spec import MORE_IS_BETTER, Spec
+from turtlebag.reports.spec_systems import EVO, NOT_JUDGED, SYSTEMS
 
 
 @dataclass(frozen=True)

@@ -19,24 +19,16 @@ from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.draw_localise import given_map, read_path
 from turtlebag.reports.figures import comparison
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.figures.series import time_axis
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown
 from turtlebag.reports.provenance import renamed
+from turtlebag.reports.spec import LESS_IS_BETTER, MORE_IS_BETTER
 from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import Group, Stage
 
-MORE_IS_BETTER = (
-    "iou",
-    "iou_one_cell",
-    "coverage",
-    "within_one_cell",
-    "true_success",
-    "goals_truly_reached",
-    "min_clearance_m",
-)
 PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}
-LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
 
 
 @dataclass(frozen=True)
@@ -169,7 +161,7 @@ def same_input(a: Stage, b: Stage) -> bool:
 
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
-    time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
+    time_s = time_axis(pairs.stamps_ns, int(pairs.stamps_ns.min()))
     caption = "Distance between the estimates of A and B at the same instant."
     album.add("apart", "Difference", caption, comparison.apart, time_s, pairs.position_errors())
 
@@ -191,8 +183,7 @@ def _errors(stage: Stage) -> tuple[np.ndarray, np.ndarray] | None:
     if not stage.metrics.get("localisation_error_m"):
         return None
     pairs = associate(stage.trajectory, stage.truth)
-    time_s = (pairs.stamps_ns - pairs.stamps_ns[0]).astype(np.float64) * 1e-9
-    return time_s, pairs.position_errors()
+    return time_axis(pairs.stamps_ns, int(pairs.stamps_ns[0])), pairs.position_errors()
 
 
 def map_overlap(a: OccupancyGrid, b: OccupancyGrid) -> tuple[int, int, int]:

@@ -16,6 +16,7 @@ from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
     DASH,
     Number,
+    counted,
     files_of,
     lookup,
     numbers_of,
@@ -65,8 +66,8 @@ class Part:
         """What the stage unfolds to."""
         more = len(self.pictures) - 1
         counts = {"goal": len(self.goals), "planner": len(self.planners), "number": len(self.numbers)}
-        told = [f"{more} more picture{'s' * (more != 1)}"] if more > 0 else []
-        told += [f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count]
+        told = [counted(more, "more picture")] if more > 0 else []
+        told += [counted(count, noun) for noun, count in counts.items() if count]
         return ", ".join(told) or "details"
 
     @property
@@ -204,7 +205,7 @@ def _run_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     goals = metrics.get("goals") or []
     hits = collision_count(metrics)
     what = [_goals_sentence(goals)] if goals else []
-    what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
+    what.append("no collision" if hits == 0 else counted(hits, "collision"))
     believed = bool(metrics.get("success", hits == 0))
     good = believed and bool(metrics.get("true_success", True)) and not _elsewhere(goals)
     sentence = ("; " if _elsewhere(goals) else ", ").join(what)
