@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from turtlebag.reports.campaign import LevelSummary, PairedSummary, levels_of
@@ -90,8 +91,8 @@ def render_running(running: Running, again_s: float) -> str:
         share=shown(running.done / running.total, "percent") if running.total else DASH,
         rate=f"{60.0 * rate:.3g}" if rate > 0.0 else DASH,
         left=_duration(left / rate) if rate > 0.0 else DASH,
-        failures=[_failure(row, running.factors) for row in running.failures],
-        worst=_worst(running.worst, running.factors, ""),
+        chosen=partial(_chosen, running.factors),
+        shown=shown,
         again_s=round(again_s),
     )
 
@@ -104,13 +105,6 @@ def _duration(seconds: float) -> str:
     return f"{int(seconds)} s"
 
 
-def _worst(worst: Worst | None, factors: Sequence[str], base: str) -> dict[str, str] | None:
-    if worst is None:
-        return None
-    where = _failure(worst.row, factors)
-    return {**where, "label": worst.label, "value": shown(worst.value, worst.unit), "link": base + worst.link}
-
-
 def render_campaign(study: Study, pictures: Sequence[Picture], base: str) -> str:
     """The page as HTML text; `base` stands before links to the files of cases."""
     failed = [row for row in study.rows if row["failed"]]
@@ -119,12 +113,13 @@ def render_campaign(study: Study, pictures: Sequence[Picture], base: str) -> str
         study=study,
         sizes=_sizes(study),
         failed=len(failed),
-        failures=[_failure(row, study.factors) for row in failed[:MOST_FAILURES]],
+        failures=failed[:MOST_FAILURES],
+        chosen=partial(_chosen, study.factors),
         pictures=pictures,
         against=f"{words(study.compare)} = {words(study.against)}",
         clear=_clear(study),
         source=shlex.quote(study.source),
-        worst=_worst(study.worst, study.factors, base),
+        base=base,
         words=words,
         shown=shown,
     )
@@ -150,6 +145,6 @@ def _clear(study: Study) -> dict[str, tuple[list[PairedSummary], list[PairedSumm
     return found
 
 
-def _failure(row: Row, factors: Sequence[str]) -> dict[str, str]:
-    chosen = ", ".join(f"{factor} {row[factor]}" for factor in factors)
-    return {"case": str(row["case"]), "factors": chosen, "error": str(row["error"])}
+def _chosen(factors: Sequence[str], row: Row) -> str:
+    """The levels of a case."""
+    return ", ".join(f"{factor} {row[factor]}" for factor in factors)

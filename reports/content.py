@@ -26,7 +26,7 @@ from turtlebag.reports.numbers import (
 )
 from turtlebag.reports.pointer import PointerMap, pointer_map
 from turtlebag.reports.spec import Section
-from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
+from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 
@@ -124,7 +124,7 @@ def build_chapter(
                 other_values(stage, metrics),
                 draw(stage, group, album),
                 goal_rows(metrics),
-                planner_rows(metrics),
+                metrics.get("planners") or [],
             )
         )
     return chapter
@@ -289,21 +289,6 @@ def collision_count(metrics: Mapping[str, Any]) -> int:
     if isinstance(collisions, Mapping):
         return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
     return int(collisions or 0)
-
-
-def planner_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The planners of a comparison as table rows: texts as shown."""
-    return [
-        {
-            "name": str(entry.get("planner")),
-            "found": bool(entry.get("success")),
-            "reason": entry.get("reason") or "",
-            "numbers": [
-                (key, entry.get(key), shown(entry.get(key), unit)) for key, unit in PLANNER_UNITS.items()
-            ],
-        }
-        for entry in metrics.get("planners") or []
-    ]
 
 
 def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -19,7 +19,7 @@ from turtlebag.reports.index import Line, used_columns
 from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.provenance import packages, recipe
-from turtlebag.reports.specs import GOAL_MEANINGS, SPECS
+from turtlebag.reports.specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import Group
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
@@ -60,6 +60,8 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         packages=packages(groups),
         words=WORDS,
         goal_meanings=GOAL_MEANINGS,
+        planner_units=PLANNER_UNITS,
+        shown=shown,
         good_walls=GOOD_WALLS,
     )
 
