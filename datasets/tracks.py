@@ -46,9 +46,8 @@ class Track:
 
     def in_time(self) -> Track:
         """Sorted by stamp; of several poses with one stamp the first."""
-        order = np.argsort(self.stamps_ns, kind="stable")
-        stamps, first = np.unique(self.stamps_ns[order], return_index=True)
-        return Track(stamps, self.T[order[first]])
+        stamps, first = np.unique(self.stamps_ns, return_index=True)
+        return Track(stamps, self.T[first])
 
 
 def read_track(path: Path, times: Path | None, scans_ns: Stamps) -> Track:
