@@ -126,12 +126,7 @@ def fetch(name: str) -> list[Path]:
 
     InputError when a file is damaged or cannot be had.
     """
-    return [_local(file) for file in find_dataset(name).files]
-
-
-def _local(file: RemoteFile) -> Path:
-    mirrored = _in_mirror(file)
-    return mirrored if mirrored else _downloaded(file)
+    return [_in_mirror(file) or _downloaded(file) for file in find_dataset(name).files]
 
 
 def _in_mirror(file: RemoteFile) -> Path | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
@@ -128,6 +129,14 @@ def gaps(stamps_ns: Stamps) -> list[tuple[int, int]]:
         return []
     wide = np.flatnonzero(steps > max(2_000_000_000, 5 * int(np.median(steps))))
     return [(int(stamps_ns[k]), int(stamps_ns[k + 1])) for k in wide]
+
+
+def covered(wanted_ns: Stamps, stamps_ns: Stamps) -> NDArray[np.bool_]:
+    """Which stamps lie in the time that others (increasing) cover, without their gaps."""
+    inside = (wanted_ns >= stamps_ns[0]) & (wanted_ns <= stamps_ns[-1])
+    for begin, end in gaps(stamps_ns):
+        inside &= (wanted_ns <= begin) | (wanted_ns >= end)
+    return np.asarray(inside)
 
 
 def coverage(stamps_ns: Stamps, begin_ns: int, end_ns: int) -> float:

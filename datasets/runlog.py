@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -55,15 +56,8 @@ class RunLog:
 
     def write_rows(self, file: TextIO) -> None:
         """Append the rows to a file that begins with the header."""
-        poses = (self.T_world_base.xyt, self.T_map_base.xyt, self.T_odom_base.xyt)
-        numbers = np.column_stack([*poses, self.v, self.w, self.clearance_m]).tolist()
-        writer = csv.writer(file, lineterminator="\n")
-        for k, row in enumerate(numbers):
-            texts = ["" if value != value else f"{value:.6f}" for value in row]
-            flags = (int(self.contact_visible[k]), int(self.contact_low[k]))
-            writer.writerow(
-                [int(self.t_ns[k]), *texts, *flags, int(self.goal_index[k]), self.state[k], self.owner[k]]
-            )
+        columns = [_texts(column) for column in self.columns().values()]
+        csv.writer(file, lineterminator="\n").writerows(zip(*columns, strict=True))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Every column by its name in the file, (n,) each."""
@@ -77,26 +71,13 @@ class RunLog:
     def joined(parts: Sequence[RunLog]) -> RunLog:
         """Logs that follow on one another as one; at least one."""
 
-        def together(name: str) -> NDArray[Any]:
-            return np.concatenate([getattr(part, name) for part in parts])
+        def together(name: str) -> Any:
+            found = [getattr(part, name) for part in parts]
+            if isinstance(found[0], SE2):
+                return SE2(np.concatenate([poses.xyt for poses in found]))
+            return list(chain(*found)) if isinstance(found[0], list) else np.concatenate(found)
 
-        def poses(name: str) -> SE2:
-            return SE2(np.concatenate([getattr(part, name).xyt for part in parts]))
-
-        return RunLog(
-            t_ns=together("t_ns"),
-            T_world_base=poses("T_world_base"),
-            T_map_base=poses("T_map_base"),
-            T_odom_base=poses("T_odom_base"),
-            v=together("v"),
-            w=together("w"),
-            clearance_m=together("clearance_m"),
-            contact_visible=together("contact_visible"),
-            contact_low=together("contact_low"),
-            goal_index=together("goal_index"),
-            state=[word for part in parts for word in part.state],
-            owner=[word for part in parts for word in part.owner],
-        )
+        return RunLog(*(together(column.name) for column in fields(RunLog)))
 
     @staticmethod
     def load(path: Path) -> RunLog:
@@ -111,14 +92,19 @@ class RunLog:
             for number, row in enumerate(rows, start=2):
                 try:
                     visible, low, goal, state, owner = row[13:]
-                    builder.stamps.append(int(row[0]))
-                    builder.numbers.append([float(text) if text else float("nan") for text in row[1:13]])
-                    builder.flags.append((bool(int(visible)), bool(int(low)), int(goal)))
-                    builder.states.append(state)
-                    builder.owners.append(owner)
+                    numbers = [float(text) if text else float("nan") for text in row[1:13]]
+                    flags = (bool(int(visible)), bool(int(low)), int(goal))
+                    builder.rows.append((int(row[0]), numbers, flags, state, owner))
                 except ValueError:
                     raise InputError(f"{path}, line {number}: not a row of a run log") from None
         return builder.build()
+
+
+def _texts(column: NDArray[Any]) -> list[Any]:
+    """A column as it is written."""
+    if column.dtype.kind == "f":
+        return ["" if value != value else f"{value:.6f}" for value in column.tolist()]
+    return (column.astype(np.int64) if column.dtype.kind == "b" else column).tolist()
 
 
 def write_header(file: TextIO) -> None:
@@ -130,11 +116,7 @@ class RunLogBuilder:
     """Collects the rows of a run while it happens."""
 
     def __init__(self) -> None:
-        self.stamps: list[int] = []
-        self.numbers: list[list[float]] = []
-        self.flags: list[tuple[bool, bool, int]] = []
-        self.states: list[str] = []
-        self.owners: list[str] = []
+        self.rows: list[tuple[int, list[float], tuple[bool, bool, int], str, str]] = []
 
     def append(
         self,
@@ -153,27 +135,17 @@ class RunLogBuilder:
     ) -> None:
         """Add the row of one control tick."""
         estimate = _NOWHERE if T_map_base is None else T_map_base.xyt.tolist()
-        self.stamps.append(stamp_ns)
-        self.numbers.append(
-            [
-                *T_world_base.xyt.tolist(),
-                *estimate,
-                *T_odom_base.xyt.tolist(),
-                command.v,
-                command.w,
-                clearance_m,
-            ]
-        )
-        self.flags.append((contact_visible, contact_low, goal_index))
-        self.states.append(state)
-        self.owners.append(owner)
+        poses = (*T_world_base.xyt.tolist(), *estimate, *T_odom_base.xyt.tolist())
+        numbers = [*poses, command.v, command.w, clearance_m]
+        self.rows.append((stamp_ns, numbers, (contact_visible, contact_low, goal_index), state, owner))
 
     def build(self) -> RunLog:
         """The log of all rows so far."""
-        table = np.array(self.numbers, dtype=np.float64).reshape(-1, len(_NUMBERS))
-        flags = np.array(self.flags, dtype=np.int64).reshape(-1, 3)
+        stamps, numbers, marks, states, owners = zip(*self.rows, strict=True) if self.rows else ((),) * 5
+        table = np.array(numbers, dtype=np.float64).reshape(-1, len(_NUMBERS))
+        flags = np.array(marks, dtype=np.int64).reshape(-1, 3)
         return RunLog(
-            t_ns=np.array(self.stamps, dtype=np.int64),
+            t_ns=np.array(stamps, dtype=np.int64),
             T_world_base=SE2.from_array(table[:, 0:3]),
             T_map_base=SE2.from_array(table[:, 3:6]),
             T_odom_base=SE2.from_array(table[:, 6:9]),
@@ -183,6 +155,6 @@ class RunLogBuilder:
             contact_visible=flags[:, 0].astype(bool),
             contact_low=flags[:, 1].astype(bool),
             goal_index=flags[:, 2],
-            state=list(self.states),
-            owner=list(self.owners),
+            state=list(states),
+            owner=list(owners),
         )

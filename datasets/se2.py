@@ -143,16 +143,16 @@ def _joined(*parts: Array) -> Array:
 def compose(a: Array, b: Array) -> Array:
     """`T_x_z` from `T_x_y` and `T_y_z`, single poses (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
-    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], _wrapped(a[2] + b[2])])
+    return np.array([a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapped(a[2] + b[2])])
 
 
 def between(a: Array, b: Array) -> Array:
     """`T_a_b` from `T_x_a` and `T_x_b`, single poses (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, _wrapped(b[2] - a[2])])
+    return np.array([c * dx + s * dy, -s * dx + c * dy, wrapped(b[2] - a[2])])
 
 
-def _wrapped(angle: float) -> float:
+def wrapped(angle: float) -> float:
     """`wrap` of one angle, in a tenth of the time."""
     return float((angle + np.pi) % (2.0 * np.pi) - np.pi)

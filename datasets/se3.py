@@ -89,6 +89,17 @@ def log(T: Array) -> Array:
     return np.concatenate([w, np.einsum("...ij,...j->...i", V_inverse, T[..., :3, 3])], axis=-1)
 
 
+def rotations(q: Array) -> Array:
+    """Matrices (..., 3, 3) of unit quaternions (..., 4) x, y, z, w."""
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def quaternions(T: Array) -> Array:
     """Unit quaternions (..., 4) x, y, z, w of the rotations (Shepperd 1978: from the largest part)."""
     R = T[..., :3, :3]

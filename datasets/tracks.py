@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.se3 import lifted, planar
+from turtlebag.datasets.se3 import lifted, planar, rotations
 from turtlebag.datasets.trajectories import stamp_from_text
 from turtlebag.datasets.types import Stamps, Trajectory
 
@@ -46,9 +46,8 @@ class Track:
 
     def in_time(self) -> Track:
         """Sorted by stamp; of several poses with one stamp the first."""
-        order = np.argsort(self.stamps_ns, kind="stable")
-        stamps, first = np.unique(self.stamps_ns[order], return_index=True)
-        return Track(stamps, self.T[order[first]])
+        stamps, first = np.unique(self.stamps_ns, return_index=True)
+        return Track(stamps, self.T[first])
 
 
 def read_track(path: Path, times: Path | None, scans_ns: Stamps) -> Track:
@@ -122,11 +121,8 @@ def _poses(path: Path, lines: Lines, xyz: Array, q: Array) -> Array:
         raise InputError(
             f"{path}, line {lines[int(bad[0])][0]}: its quaternion has length {norm[bad[0]]:.3g}, not 1"
         )
-    x, y, z, w = (q / norm[:, None]).T
     T = np.zeros((len(xyz), 4, 4))
-    T[:, 0, 0], T[:, 0, 1], T[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    T[:, 1, 0], T[:, 1, 1], T[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    T[:, 2, 0], T[:, 2, 1], T[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    T[:, :3, :3] = rotations(q / norm[:, None])
     T[:, :3, 3] = xyz
     T[:, 3, 3] = 1.0
     return T

@@ -135,6 +135,18 @@ class Observation:
     cloud: tuple[int, Cloud] | None = None
 
 
+def neighbours(stamps_ns: Stamps, wanted_ns: Stamps) -> tuple[Stamps, Stamps, Array]:
+    """For each wanted stamp the indices of those (increasing) before and after it, and how far on the way
+    from the one to the other it is, 0 to 1: the ends are held.
+    """
+    last = len(stamps_ns) - 1
+    high = np.clip(np.searchsorted(stamps_ns, wanted_ns, side="right"), 1, max(last, 1))
+    low, high = high - 1, np.minimum(high, last)
+    # Differences of nanosecond integers are exact; seconds since 1970 as floats are not.
+    span = np.maximum(stamps_ns[high] - stamps_ns[low], 1)
+    return low, high, np.clip((wanted_ns - stamps_ns[low]) / span, 0.0, 1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Stamped poses, in the order of their source (stamps need not be monotone)."""
@@ -167,14 +179,8 @@ class Trajectory:
         """
         if len(self) == 0 or np.any(np.diff(self.stamps_ns) <= 0):
             raise ValueError("a trajectory must have increasing stamps to be interpolated")
-        stamps_ns = np.asarray(stamps_ns)
-        # Differences of nanosecond integers are exact; seconds since 1970 as floats are not.
-        hi = np.clip(np.searchsorted(self.stamps_ns, stamps_ns, side="right"), 1, max(len(self) - 1, 1))
-        lo = hi - 1
-        hi = np.minimum(hi, len(self) - 1)
-        span = np.maximum(self.stamps_ns[hi] - self.stamps_ns[lo], 1)
-        fraction = np.clip((stamps_ns - self.stamps_ns[lo]) / span, 0.0, 1.0)
-        return self.poses[lo].interpolate(self.poses[hi], fraction)
+        low, high, fraction = neighbours(self.stamps_ns, np.asarray(stamps_ns))
+        return self.poses[low].interpolate(self.poses[high], fraction)
 
 
 @dataclass(frozen=True, eq=False)

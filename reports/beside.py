@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,8 @@ from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.metrics.systems import Known, Measured
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.spec import Spec
-from turtlebag.reports.spec_systems import EVO, MORE_IS_BETTER, NOT_JUDGED, SYSTEMS
+from turtlebag.reports.spec import MORE_IS_BETTER, Spec
+from turtlebag.reports.spec_systems import EVO, NOT_JUDGED, SYSTEMS
 
 
 @dataclass(frozen=True)
@@ -129,18 +128,18 @@ def beside(measured: Sequence[Measured], known: Known, album: Album, prefix: str
         "systems": {one.system.name: one.numbers for one in measured},
     }
     notes = [(one.system.name, note) for one in measured for note in one.notes]
-    return Beside(metrics, notes, _draw(measured, known, album, prefix))
+    before = len(album.pictures)
+    _draw(measured, known, replace(album, prefix=f"{prefix}-"))
+    return Beside(metrics, notes, album.pictures[before:])
 
 
-def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str) -> list[Picture]:
-    pictures = []
+def _draw(measured: Sequence[Measured], known: Known, album: Album) -> None:
     paths = {one.system.name: one.path for one in measured if one.path is not None}
     reference = "the truth" if known.truth is not None else OURS
     ground = known.true_map if known.true_map is not None else measured[0].grid
     if len(paths) > 1:
         caption = f"All paths, each moved as a whole to lie on {reference} best."
-        draw = partial(figures.paths, ground, known.truth, paths)
-        pictures.append(album.add(f"{prefix}-paths", "Paths", caption, draw))
+        album.add("paths", "Paths", caption, figures.paths, ground, known.truth, paths)
     errors = {
         one.system.name: figures.over_time(one.paired)
         for one in measured
@@ -152,8 +151,7 @@ def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str)
             "An axis that goes beyond 3 is logarithmic above 1."
         )
         title = "Distance over time" if known.truth is None else "Error over time"
-        draw = partial(figures.errors, errors, list(paths), f"to {reference} [cm]")
-        pictures.append(album.add(f"{prefix}-time", title, caption, draw))
+        album.add("time", title, caption, figures.errors, errors, list(paths), f"to {reference} [cm]")
     ours = measured[0].grid
     for number, one in enumerate(measured[1:], start=1):
         if ours is not None and one.grid is not None:
@@ -162,9 +160,8 @@ def _draw(measured: Sequence[Measured], known: Known, album: Album, prefix: str)
                 f"Walls of both maps: grey where they agree to a cell, coloured where only {OURS} or only "
                 f"{name} has one."
             )
-            draw = partial(figures.walls, ours, one.grid, name, number)
-            pictures.append(album.add(f"{prefix}-walls-{name.lower()}", f"Walls: {name}", caption, draw))
-    return pictures
+            drawn = (ours, one.grid, name, number)
+            album.add(f"walls-{name.lower()}", f"Walls: {name}", caption, figures.walls, *drawn)
 
 
 def write_pairs(measured: Sequence[Measured], folder: Path) -> None:

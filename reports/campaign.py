@@ -33,6 +33,12 @@ class PairedSummary:
     result: str
     found: Paired
 
+    @property
+    def differs(self) -> bool:
+        """Whether the interval of the difference leaves out 0."""
+        low, high = self.found.difference.low, self.found.difference.high
+        return low is not None and high is not None and (low > 0.0 or high < 0.0)
+
 
 def levels_of(rows: Sequence[Row], factor: str) -> list[Any]:
     """Levels of a factor in order of appearance."""

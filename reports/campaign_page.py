@@ -12,7 +12,6 @@ from typing import Any
 from turtlebag.reports.campaign import LevelSummary, PairedSummary, levels_of
 from turtlebag.reports.figures.album import Album, Picture
 from turtlebag.reports.figures.campaign import Wish, result_over_factor, words
-from turtlebag.reports.metrics.statistics import Interval
 from turtlebag.reports.numbers import DASH, shown
 from turtlebag.reports.page import fill
 from turtlebag.reports.stage_titles import slug
@@ -31,8 +30,8 @@ def draw_campaign(wishes: Sequence[Wish], rows: Sequence[Row], seed: int, album:
         each = f", for each {' and '.join(shares)}" if shares else ""
         caption = f"{wish.label} over {words(wish.x)}{each}."
         name = f"{number:02d}-{slug(wish.y)}-over-{slug(wish.x)}"
-        drawing = partial(result_over_factor, rows, wish, seed)
-        album.add(name, wish.title or wish.label, caption[0].upper() + caption[1:], drawing)
+        caption, drawn = caption[0].upper() + caption[1:], (rows, wish, seed)
+        album.add(name, wish.title or wish.label, caption, result_over_factor, *drawn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +87,12 @@ def render_running(running: Running, again_s: float) -> str:
     left, rate = running.total - running.done, running.rate
     return fill(
         "campaign_running.html.j2",
-        name=running.name,
-        question=running.question,
-        total=running.total,
-        done=running.done,
+        running=running,
         share=shown(running.done / running.total, "percent") if running.total else DASH,
         rate=f"{60.0 * rate:.3g}" if rate > 0.0 else DASH,
         left=_duration(left / rate) if rate > 0.0 else DASH,
-        failed=running.failed,
-        failures=[_failure(row, running.factors) for row in running.failures],
-        worst=_worst(running.worst, running.factors, ""),
+        chosen=partial(_chosen, running.factors),
+        shown=shown,
         again_s=round(again_s),
     )
 
@@ -110,35 +105,23 @@ def _duration(seconds: float) -> str:
     return f"{int(seconds)} s"
 
 
-def _worst(worst: Worst | None, factors: Sequence[str], base: str) -> dict[str, str] | None:
-    if worst is None:
-        return None
-    where = _failure(worst.row, factors)
-    return {**where, "label": worst.label, "value": shown(worst.value, worst.unit), "link": base + worst.link}
-
-
 def render_campaign(study: Study, pictures: Sequence[Picture], base: str) -> str:
     """The page as HTML text; `base` stands before links to the files of cases."""
-    compared = [_pair(pair, study.names) for pair in study.pairs]
     failed = [row for row in study.rows if row["failed"]]
-    summaries = study.summaries.items()
     return fill(
         "campaign.html.j2",
-        name=study.name,
-        question=study.question,
-        total=len(study.rows),
+        study=study,
         sizes=_sizes(study),
         failed=len(failed),
-        failures=[_failure(row, study.factors) for row in failed[:MOST_FAILURES]],
+        failures=failed[:MOST_FAILURES],
+        chosen=partial(_chosen, study.factors),
         pictures=pictures,
-        compare=words(study.compare),
         against=f"{words(study.compare)} = {words(study.against)}",
-        pairs=compared,
-        clear=_clear(compared),
-        levels=[_level(factor, item, study.names) for factor, found in summaries for item in found],
+        clear=_clear(study),
         source=shlex.quote(study.source),
-        file=study.file,
-        worst=_worst(study.worst, study.factors, base),
+        base=base,
+        words=words,
+        shown=shown,
     )
 
 
@@ -153,51 +136,15 @@ def _sizes(study: Study) -> str:
     )
 
 
-def _clear(pairs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """For each result the levels whose difference leaves out 0, and how many others were compared."""
-    found: dict[str, dict[str, Any]] = {}
-    for pair in pairs:
-        entry = found.setdefault(pair["result"], {"result": pair["result"], "differ": [], "rest": []})
-        entry["differ" if pair["differs"] else "rest"].append(pair)
-    return list(found.values())
+def _clear(study: Study) -> dict[str, tuple[list[PairedSummary], list[PairedSummary]]]:
+    """For each result the pairs whose difference leaves out 0, and the others that were compared."""
+    found: dict[str, tuple[list[PairedSummary], list[PairedSummary]]] = {}
+    for pair in study.pairs:
+        differ, rest = found.setdefault(study.names[pair.result][0], ([], []))
+        (differ if pair.differs else rest).append(pair)
+    return found
 
 
-def _failure(row: Row, factors: Sequence[str]) -> dict[str, str]:
-    chosen = ", ".join(f"{factor} {row[factor]}" for factor in factors)
-    return {"case": str(row["case"]), "factors": chosen, "error": str(row["error"])}
-
-
-def _texts(interval: Interval, unit: str) -> dict[str, str]:
-    return {
-        "n": str(interval.n),
-        "value": shown(interval.value, unit),
-        "low": shown(interval.low, unit),
-        "high": shown(interval.high, unit),
-    }
-
-
-def _level(factor: str, item: LevelSummary, names: Names) -> dict[str, str]:
-    label, unit = names[item.result]
-    unit = "percent" if item.kind == "share" else unit
-    return {
-        "factor": words(factor),
-        "level": words(item.level),
-        "result": label,
-        "kind": item.kind,
-        "failed": str(item.failed),
-        **_texts(item.interval, unit),
-    }
-
-
-def _pair(pair: PairedSummary, names: Names) -> dict[str, Any]:
-    label, unit = names[pair.result]
-    found = pair.found.difference
-    clear = found.low is not None and found.high is not None and (found.low > 0.0 or found.high < 0.0)
-    less = DASH if pair.found.less is None else shown(pair.found.less, "percent")
-    return {
-        "level": words(pair.level),
-        "result": label,
-        "differs": clear,
-        "less": less,
-        **_texts(found, unit),
-    }
+def _chosen(factors: Sequence[str], row: Row) -> str:
+    """The levels of a case."""
+    return ", ".join(f"{factor} {row[factor]}" for factor in factors)

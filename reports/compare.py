@@ -7,7 +7,6 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,24 +19,16 @@ from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.draw_localise import given_map, read_path
 from turtlebag.reports.figures import comparison
 from turtlebag.reports.figures.album import Album
+from turtlebag.reports.figures.series import time_axis
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown
 from turtlebag.reports.provenance import renamed
+from turtlebag.reports.spec import LESS_IS_BETTER, MORE_IS_BETTER
 from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import Group, Stage
 
-MORE_IS_BETTER = (
-    "iou",
-    "iou_one_cell",
-    "coverage",
-    "within_one_cell",
-    "true_success",
-    "goals_truly_reached",
-    "min_clearance_m",
-)
 PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}
-LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")
 
 
 @dataclass(frozen=True)
@@ -148,19 +139,17 @@ def draw_comparison(a: Stage, b: Stage, album: Album) -> None:
             f"Wall cells: {both} in both (grey), {only_a} only in A, {only_b} only in B. Coloured "
             "walls away from the grey exist in only one of the two."
         )
-        album.add("maps", "Maps", caption, partial(comparison.maps, a.map, b.map))
+        album.add("maps", "Maps", caption, comparison.maps, a.map, b.map)
     path_a, path_b = driven(a), driven(b)
     if path_a is not None and path_b is not None:
         grids = (a.map, a.true_map, given_map(a, Group("", (a,))))
         ground = next((grid for grid in grids if grid is not None), None)
-        figure = partial(comparison.paths, ground, path_a, path_b)
-        caption = PATHS.get(a.kind, "True paths")
-        caption += ": A wide, B thin on top of it."
-        album.add("paths", "Paths", caption, figure)
+        caption = f"{PATHS.get(a.kind, 'True paths')}: A wide, B thin on top of it."
+        album.add("paths", "Paths", caption, comparison.paths, ground, path_a, path_b)
     errors_a, errors_b = _errors(a), _errors(b)
     if errors_a is not None and errors_b is not None:
         caption = "Distance of the estimate from the truth, each run in its own time; lower is better."
-        album.add("errors", "Position error", caption, partial(comparison.errors, errors_a, errors_b))
+        album.add("errors", "Position error", caption, comparison.errors, errors_a, errors_b)
     elif a.kind == "map" and path_a is not None and path_b is not None and same_input(a, b):
         _draw_apart(path_a, path_b, album)
 
@@ -172,10 +161,9 @@ def same_input(a: Stage, b: Stage) -> bool:
 
 def _draw_apart(path_a: Trajectory, path_b: Trajectory, album: Album) -> None:
     pairs = associate(path_b, path_a)
-    time_s = (pairs.stamps_ns - pairs.stamps_ns.min()).astype(np.float64) * 1e-9
+    time_s = time_axis(pairs.stamps_ns, int(pairs.stamps_ns.min()))
     caption = "Distance between the estimates of A and B at the same instant."
-    figure = partial(comparison.apart, time_s, pairs.position_errors())
-    album.add("apart", "Difference", caption, figure)
+    album.add("apart", "Difference", caption, comparison.apart, time_s, pairs.position_errors())
 
 
 def driven(stage: Stage) -> Trajectory | None:
@@ -195,8 +183,7 @@ def _errors(stage: Stage) -> tuple[np.ndarray, np.ndarray] | None:
     if not stage.metrics.get("localisation_error_m"):
         return None
     pairs = associate(stage.trajectory, stage.truth)
-    time_s = (pairs.stamps_ns - pairs.stamps_ns[0]).astype(np.float64) * 1e-9
-    return time_s, pairs.position_errors()
+    return time_axis(pairs.stamps_ns, int(pairs.stamps_ns[0])), pairs.position_errors()
 
 
 def map_overlap(a: OccupancyGrid, b: OccupancyGrid) -> tuple[int, int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from turtlebag.reports.beside import Beside
@@ -16,6 +16,7 @@ from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
     DASH,
     Number,
+    counted,
     files_of,
     lookup,
     numbers_of,
@@ -25,7 +26,7 @@ from turtlebag.reports.numbers import (
 )
 from turtlebag.reports.pointer import PointerMap, pointer_map
 from turtlebag.reports.spec import Section
-from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES, PLANNER_UNITS
+from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 
@@ -65,8 +66,8 @@ class Part:
         """What the stage unfolds to."""
         more = len(self.pictures) - 1
         counts = {"goal": len(self.goals), "planner": len(self.planners), "number": len(self.numbers)}
-        told = [f"{more} more picture{'s' * (more != 1)}"] if more > 0 else []
-        told += [f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count]
+        told = [counted(more, "more picture")] if more > 0 else []
+        told += [counted(count, noun) for noun, count in counts.items() if count]
         return ", ".join(told) or "details"
 
     @property
@@ -123,7 +124,7 @@ def build_chapter(
                 other_values(stage, metrics),
                 draw(stage, group, album),
                 goal_rows(metrics),
-                planner_rows(metrics),
+                metrics.get("planners") or [],
             )
         )
     return chapter
@@ -160,8 +161,10 @@ def pointer_of(group: Group) -> PointerMap | None:
 
 def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:
     """The pictures of one stage, named by world and stage."""
-    prefix = f"{slug(group.name)}-{slug(stage.label)}"
-    return DRAW[stage.kind](stage, group, album, prefix)
+    before = len(album.pictures)
+    prefix = f"{slug(group.name)}-{slug(stage.label)}-"
+    DRAW[stage.kind](stage, group, replace(album, prefix=prefix))
+    return album.pictures[before:]
 
 
 def stage_metrics(stage: Stage) -> dict[str, Any]:
@@ -202,7 +205,7 @@ def _run_verdict(metrics: Mapping[str, Any]) -> tuple[str, str]:
     goals = metrics.get("goals") or []
     hits = collision_count(metrics)
     what = [_goals_sentence(goals)] if goals else []
-    what.append("no collision" if hits == 0 else f"{hits} collision{'s' if hits != 1 else ''}")
+    what.append("no collision" if hits == 0 else counted(hits, "collision"))
     believed = bool(metrics.get("success", hits == 0))
     good = believed and bool(metrics.get("true_success", True)) and not _elsewhere(goals)
     sentence = ("; " if _elsewhere(goals) else ", ").join(what)
@@ -286,21 +289,6 @@ def collision_count(metrics: Mapping[str, Any]) -> int:
     if isinstance(collisions, Mapping):
         return int(collisions.get("visible", 0)) + int(collisions.get("low", 0))
     return int(collisions or 0)
-
-
-def planner_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The planners of a comparison as table rows: texts as shown."""
-    return [
-        {
-            "name": str(entry.get("planner")),
-            "found": bool(entry.get("success")),
-            "reason": entry.get("reason") or "",
-            "numbers": [
-                (key, entry.get(key), shown(entry.get(key), unit)) for key, unit in PLANNER_UNITS.items()
-            ],
-        }
-        for entry in metrics.get("planners") or []
-    ]
 
 
 def goal_rows(metrics: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures import maps, series
-from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.stages import Group, Stage
 
@@ -40,36 +39,36 @@ def given_map(stage: Stage, group: Group) -> OccupancyGrid | None:
     return None
 
 
-def draw_localise(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+def draw_localise(stage: Stage, group: Group, album: Album) -> None:
     """Where the filter took the robot to be, and how far that was from the truth."""
     estimate = stage.trajectory
     if estimate is None:
-        return []
+        return
     grid = given_map(stage, group)
     record = group.record_of(stage)
     truth = record.truth if record is not None else None
     if stage.metrics.get("status") == "rejected":
         caption = "The robot had no initial pose. The odometry is shown in place of an estimate."
-        draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": estimate})
-        return [album.add(f"{prefix}-path", "Not localised", caption, draw)]
+        paths = {"truth": truth, "odometry": estimate}
+        album.add("path", "Not localised", caption, maps.trajectories, grid, paths)
+        return
     caption = "The path estimated by the particle filter (AMCL)"
     caption += (
         "; the thin line should run along the middle of the wide pale one." if truth is not None else "."
     )
-    draw = partial(maps.trajectories, grid, {"truth": truth, "amcl": estimate})
-    pictures = [album.add(f"{prefix}-path", "Localised path", caption, draw)]
+    paths = {"truth": truth, "amcl": estimate}
+    album.add("path", "Localised path", caption, maps.trajectories, grid, paths)
     if truth is not None:
-        draw = partial(series.localisation, associate(estimate, truth), int(truth.stamps_ns[0]), [], [])
+        pairs, start = associate(estimate, truth), int(truth.stamps_ns[0])
         caption = "Distance between the estimated and the true position at each scan. It should stay low."
-        pictures.append(album.add(f"{prefix}-error", "Localisation error", caption, draw))
-    return pictures
+        album.add("error", "Localisation error", caption, series.localisation, pairs, start, [], [])
 
 
-def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+def draw_plan(stage: Stage, group: Group, album: Album) -> None:
     """The planned path on its map."""
     path = stage.folder / "path.csv"
     if not path.is_file():
-        return []
+        return
     grid, poses = given_map(stage, group), read_path(path)
     compared = planner_paths(stage)
     if compared:
@@ -77,13 +76,10 @@ def draw_plan(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pic
             "Each planner's path from the same start to the same goal. Look for paths that are shorter "
             "but keep less clearance, and for those that take another route."
         )
-        draw = partial(maps.plans, grid, compared)
-        return [album.add(f"{prefix}-path", "Planners compared", caption, draw)]
-    if len(poses) == 0:
-        return []
-    plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
-    draw = partial(maps.trajectories, grid, {"plan": plan})
-    return [album.add(f"{prefix}-path", "Plan", "The planned path.", draw)]
+        album.add("path", "Planners compared", caption, maps.plans, grid, compared)
+    elif len(poses):
+        plan = Trajectory(np.arange(len(poses), dtype=np.int64), poses)
+        album.add("path", "Plan", "The planned path.", maps.trajectories, grid, {"plan": plan})
 
 
 def read_path(path: Path) -> SE2:

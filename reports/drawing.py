@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.draw_localise import given_map
 from turtlebag.reports.figures import animation, maps, runs, series
-from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.cloud import cloud_from_above
 from turtlebag.reports.figures.graph import pose_graph, shown_edges
 from turtlebag.reports.figures.particles import particles
@@ -31,20 +30,19 @@ from turtlebag.reports.stages import Group, Stage
 SNAPSHOTS = 6
 
 
-def draw_record(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+def draw_record(stage: Stage, group: Group, album: Album) -> None:
     """The drive on the true map."""
     if stage.truth is None:
-        return []
+        return
     paths = {"truth": stage.truth, "odometry": stage.odometry}
     caption = (
         "The robot's true path, and its path by wheel odometry. The farther apart they are, the more "
         "mapping has to correct."
     )
-    draw = partial(maps.trajectories, stage.true_map, paths)
-    return [album.add(f"{prefix}-drive", "The drive", caption, draw)]
+    album.add("drive", "The drive", caption, maps.trajectories, stage.true_map, paths)
 
 
-def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+def draw_map(stage: Stage, group: Group, album: Album) -> None:
     """The map and its errors where truth is known; the map with its path where not."""
     grid, slam = stage.map, stage.trajectory
     record = group.record_of(stage)
@@ -52,57 +50,53 @@ def draw_map(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     true_map = record.true_map if record is not None else None
     recording = source_recording(stage, record)
     odometry = odometry_of(recording)
-    pictures = []
     if grid is not None and true_map is not None:
         caption = (
             "Every wall cell of the map, coloured by its distance from the nearest true surface (grey). Blue "
             "is on the surface, grey-brown one cell away; orange is a wall that does not exist."
         )
-        draw = partial(maps.map_over_truth, grid, true_map)
-        pictures.append(album.add(f"{prefix}-error", "Map over truth", caption, draw))
+        album.add("error", "Map over truth", caption, maps.map_over_truth, grid, true_map)
     if slam is not None and truth is not None:
         caption = (
             "SLAM's path should run along the middle of the wide pale band, which is the truth. "
             "Odometry alone drifts away from it."
         )
-        draw = partial(maps.trajectories, grid, {"truth": truth, "odometry": odometry, "slam": slam})
-        pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
-        pictures.append(_error_picture(album, prefix, slam, odometry, truth))
+        paths = {"truth": truth, "odometry": odometry, "slam": slam}
+        album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
+        _add_errors(album, slam, odometry, truth)
     elif grid is not None:
         caption = (
             "The map and the robot's path. The truth is not known here; look for walls that appear twice."
         )
-        draw = partial(maps.plain_map, grid, {"slam": slam})
-        pictures.append(album.add(f"{prefix}-map", "Map", caption, draw))
+        album.add("map", "Map", caption, maps.plain_map, grid, {"slam": slam})
         if odometry is not None and slam is not None:
             caption = "The path by odometry alone and the path by SLAM."
-            draw = partial(maps.trajectories, grid, {"odometry": odometry, "slam": slam})
-            pictures.append(album.add(f"{prefix}-paths", "Trajectories", caption, draw))
+            paths = {"odometry": odometry, "slam": slam}
+            album.add("paths", "Trajectories", caption, maps.trajectories, grid, paths)
     if stage.has("map.ply"):
-        pictures += _cloud_picture(stage, album, prefix)
+        _add_cloud(stage, album)
     if stage.has("graph.g2o"):
-        pictures.append(_graph_picture(stage, grid, album, prefix))
-    return pictures + _mapping_animation(stage, recording, odometry, album, prefix)
+        _add_graph(stage, grid, album)
+    _add_mapping_animation(stage, recording, odometry, album)
 
 
-def _cloud_picture(stage: Stage, album: Album, prefix: str) -> list[Picture]:
+def _add_cloud(stage: Stage, album: Album) -> None:
     points = read_ply(stage.folder / "map.ply")
     if len(points) == 0:
-        return []
+        return
     caption = (
         "The 3D map from above, showing the highest point at each place. Walls should be thin lines and the "
         "floor one colour. A floor that changes colour is bent; a wall that appears twice was not recognised."
     )
-    draw = partial(cloud_from_above, points)
-    return [album.add(f"{prefix}-cloud", "Point cloud", caption, draw)]
+    album.add("cloud", "Point cloud", caption, cloud_from_above, points)
 
 
-def _mapping_animation(
-    stage: Stage, recording: Recording | None, odometry: Trajectory | None, album: Album, prefix: str
-) -> list[Picture]:
+def _add_mapping_animation(
+    stage: Stage, recording: Recording | None, odometry: Trajectory | None, album: Album
+) -> None:
     slam, grid = stage.trajectory, stage.map
     if recording is None or slam is None or grid is None or not album.animate or len(slam) != len(recording):
-        return []
+        return
 
     def draw() -> bytes:
         return animation.gif(animation.mapping(recording, slam, odometry, grid))
@@ -111,7 +105,7 @@ def _mapping_animation(
         "The scans as SLAM places them, with its path in blue and the odometry's in purple. Walls seen again "
         "on a later visit should fall on those seen before."
     )
-    return [album.add_animation(f"{prefix}-animation", "Animation of the map", caption, draw)]
+    album.add_animation("animation", "Animation of the map", caption, draw)
 
 
 def read_again(folder: Path) -> Recording | None:
@@ -122,7 +116,7 @@ def read_again(folder: Path) -> Recording | None:
         return None
 
 
-def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefix: str) -> Picture:
+def _add_graph(stage: Stage, grid: OccupancyGrid | None, album: Album) -> None:
     graph = read_g2o(stage.folder / "graph.g2o")
     record = read_loops(stage.folder / "graph.json") if stage.has("graph.json") else None
     pairs, residual_m = shown_edges(graph, record)
@@ -135,13 +129,10 @@ def _graph_picture(stage: Stage, grid: OccupancyGrid | None, album: Album, prefi
     if len(pairs):
         middle, worst = shown(float(np.median(residual_m)), "cm"), shown(float(residual_m.max()), "cm")
         caption += f". Residual of a loop: median {middle}, largest {worst}"
-    draw = partial(pose_graph, graph, grid, record)
-    return album.add(f"{prefix}-graph", "Pose graph", caption + ".", draw)
+    album.add("graph", "Pose graph", caption + ".", pose_graph, graph, grid, record)
 
 
-def _error_picture(
-    album: Album, prefix: str, slam: Trajectory, odometry: Trajectory | None, truth: Trajectory
-) -> Picture:
+def _add_errors(album: Album, slam: Trajectory, odometry: Trajectory | None, truth: Trajectory) -> None:
     def draw() -> Figure:
         at_scans = None
         if odometry is not None:
@@ -153,7 +144,7 @@ def _error_picture(
         "fall again after every turn; the odometry's does not. An axis that goes beyond 3 is "
         "logarithmic above 1."
     )
-    return album.add(f"{prefix}-time", "Error over time", caption, draw)
+    album.add("time", "Error over time", caption, draw)
 
 
 def source_recording(stage: Stage, record: Stage | None) -> Recording | None:
@@ -175,11 +166,11 @@ def odometry_of(recording: Recording | None) -> Trajectory | None:
     return None if poses is None else Trajectory(recording.stamps_ns, poses)
 
 
-def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Picture]:
+def draw_run(stage: Stage, group: Group, album: Album) -> None:
     """What a run drove, how well it knew where it was, and how near it came to things."""
     log = stage.runlog
     if log is None or len(log) == 0:
-        return []
+        return
     world = _background(stage, group)
     truth = Trajectory(log.t_ns, log.T_world_base)
     goals = stage.metrics.get("goals") or []
@@ -188,39 +179,35 @@ def draw_run(stage: Stage, group: Group, album: Album, prefix: str) -> list[Pict
     first = contact & ~np.concatenate([[False], contact[:-1]])
     estimate = stage.trajectory if stage.metrics.get("localisation_error_m") else None
     decisions = decisions_of(log) if not goals and stage.fact("task") == "avoid" else None
-    draw = partial(runs.run, world, truth, estimate, goals, log.T_world_base.xy[first], decisions)
     caption = _run_caption(estimate is not None, bool(goals), decisions)
-    pictures = [album.add(f"{prefix}-path", "The run", caption, draw)]
+    drawn = (world, truth, estimate, goals, log.T_world_base.xy[first], decisions)
+    album.add("path", "The run", caption, runs.run, *drawn)
     ends = goal_ends(log)
     if estimate is not None:
         caption = (
             "Distance between the estimated and the true position. It should stay low. Dotted lines "
             "mark the end of a goal, orange bands contact."
         )
-        pairs = associate(estimate, truth)
-        draw = partial(series.localisation, pairs, int(log.t_ns[0]), episodes, ends)
-        pictures.append(album.add(f"{prefix}-localisation", "Localisation error", caption, draw))
+        errors = (associate(estimate, truth), int(log.t_ns[0]), episodes, ends)
+        album.add("localisation", "Localisation error", caption, series.localisation, *errors)
     caption = (
         "Top: the distance from the footprint to the nearest surface (0 is contact). Bottom: the "
         "controller's commands, smooth in open space and uneven where it had to avoid something."
     )
-    commands = np.stack([log.v, log.w], axis=1)
-    draw = partial(series.clearance, log.t_ns, log.clearance_m, commands, episodes, ends)
-    pictures.append(album.add(f"{prefix}-clearance", "Clearance", caption, draw))
+    room = (log.t_ns, log.clearance_m, np.stack([log.v, log.w], axis=1), episodes, ends)
+    album.add("clearance", "Clearance", caption, series.clearance, *room)
     caption = "The true path, coloured by clearance: orange where it was tight, ▼ where it was smallest."
-    draw = partial(runs.clearance_on_map, world, truth, log.clearance_m)
-    pictures.append(album.add(f"{prefix}-tight", "Clearance along the path", caption, draw))
+    on_map = runs.clearance_on_map
+    album.add("tight", "Clearance along the path", caption, on_map, world, truth, log.clearance_m)
     if stage.map is not None and stage.true_map is not None:
         caption = (
             "The map built during the run: every wall cell, coloured by its distance from the nearest "
             "true surface (grey)."
         )
-        draw = partial(maps.map_over_truth, stage.map, stage.true_map)
-        pictures.append(album.add(f"{prefix}-map", "The map it built", caption, draw))
-    pictures += _particle_pictures(stage, world, truth, album, prefix)
+        album.add("map", "The map it built", caption, maps.map_over_truth, stage.map, stage.true_map)
+    _add_particles(stage, world, truth, album)
     if album.animate:
-        pictures.append(_run_animation(stage, world, truth, estimate, log, album, prefix))
-    return pictures
+        _add_run_animation(stage, world, truth, estimate, log, album)
 
 
 def decisions_of(log: RunLog) -> runs.Decisions:
@@ -241,15 +228,14 @@ def _run_caption(localised: bool, goals: bool, decisions: runs.Decisions | None)
     return f"{caption}. An arrow marks each of the {turns} places where it decided to turn or back off."
 
 
-def _run_animation(
+def _add_run_animation(
     stage: Stage,
     world: OccupancyGrid | None,
     truth: Trajectory,
     estimate: Trajectory | None,
     log: RunLog,
     album: Album,
-    prefix: str,
-) -> Picture:
+) -> None:
     goals = stage.metrics.get("goals") or []
 
     def draw() -> bytes:
@@ -262,7 +248,7 @@ def _run_animation(
         "on the walls."
     )
     caption += " A goal is blue while pursued, green once reached, orange if missed." if goals else ""
-    return album.add_animation(f"{prefix}-animation", "Animation of the run", caption, draw)
+    album.add_animation("animation", "Animation of the run", caption, draw)
 
 
 def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
@@ -271,12 +257,10 @@ def _background(stage: Stage, group: Group) -> OccupancyGrid | None:
     return grid if grid is not None else stage.true_map
 
 
-def _particle_pictures(
-    stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album, prefix: str
-) -> list[Picture]:
+def _add_particles(stage: Stage, world: OccupancyGrid | None, truth: Trajectory, album: Album) -> None:
     clouds = particle_clouds(stage.folder / "bag")
     if not clouds:
-        return []
+        return
     start = int(truth.stamps_ns[0])
     pick = np.unique(np.linspace(0.0, 1.0, SNAPSHOTS) ** 2 * (len(clouds) - 1)).astype(int)
     snapshots = [((clouds[k][0] - start) * 1e-9, clouds[k][1]) for k in np.unique(pick)]
@@ -285,8 +269,7 @@ def _particle_pictures(
         "arrow with a dot is the truth. Each panel is zoomed to the particles, so note its scale bar: they "
         "should converge and stay around the arrow. More panels are from the start of the run."
     )
-    draw = partial(particles, world, snapshots, truth)
-    return [album.add(f"{prefix}-particles", "Particles", caption, draw)]
+    album.add("particles", "Particles", caption, particles, world, snapshots, truth)
 
 
 def particle_clouds(bag: Path) -> list[tuple[int, SE2]]:

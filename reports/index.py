@@ -10,7 +10,7 @@ from typing import Any
 from turtlebag.datasets.errors import InputError
 from turtlebag.reports.content import collision_count, stage_metrics, verdict
 from turtlebag.reports.metrics.navigation import truly_reached
-from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
 
@@ -127,5 +127,5 @@ def _result(stage: Stage, metrics: dict[str, Any]) -> str:
     hits = collision_count(metrics)
     parts = [f"{reached} of {len(goals)} goals"] if goals else []
     if hits or not goals:
-        parts.append(f"{hits} collision{'s' * (hits > 1)}" if hits else "no collision")
+        parts.append(counted(hits, "collision") if hits else "no collision")
     return ", ".join(parts)

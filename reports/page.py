@@ -17,9 +17,9 @@ from turtlebag.reports.figures.album import Picture
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.index import Line, used_columns
 from turtlebag.reports.metrics.navigation import truly_reached
-from turtlebag.reports.numbers import lookup, shown
+from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.provenance import packages, recipe
-from turtlebag.reports.specs import GOAL_MEANINGS, SPECS
+from turtlebag.reports.specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import Group
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
@@ -60,6 +60,8 @@ def render(chapters: Sequence[Chapter], groups: Sequence[Group]) -> str:
         packages=packages(groups),
         words=WORDS,
         goal_meanings=GOAL_MEANINGS,
+        planner_units=PLANNER_UNITS,
+        shown=shown,
         good_walls=GOOD_WALLS,
     )
 
@@ -131,11 +133,6 @@ def overall(chapters: Sequence[Chapter]) -> tuple[str, str]:
     return mood, ", ".join(found) + ", no navigation"
 
 
-def counted(count: int, noun: str) -> str:
-    """`1 map`, `2 maps`."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
     """Up to five figures over the whole report; of several worlds the worst is shown and named."""
     parts = [(chapter.name, part) for chapter in chapters for part in chapter.parts]
@@ -151,10 +148,10 @@ def tiles(chapters: Sequence[Chapter]) -> list[Tile]:
         found.append(Tile("goals reached", f"{reached} of {len(goals)}", note, meaning, mood))
     if runs:
         hits = sum(collision_count(part.metrics) for part in runs)
-        note = f"in {len(runs)} run{'s' * (len(runs) > 1)}"
         meaning = (
             "Episodes of contact with anything but the floor, over all runs, as counted by the simulator."
         )
+        note = f"in {counted(len(runs), 'run')}"
         found.append(Tile("collisions", str(hits), note, meaning, BAD if hits else GOOD))
     for path, label, unit, worst, kinds in (
         ("ate_m.rmse", "map trajectory error, RMSE", "cm", max, ("map",)),

@@ -32,21 +32,13 @@ class Step:
 
 def recipe(groups: Sequence[Group]) -> list[Step]:
     """Every stage's command with output folders renamed to `world/stage`, so that it runs anywhere."""
-    names = {
-        out.rstrip("/"): f"{group.name}/{stage.label}"
-        for group in groups
-        for stage in group.stages
-        if (out := stage.option("out"))
-    }
-    names |= {
-        str(stage.folder).rstrip("/"): f"{group.name}/{stage.label}"
-        for group in groups
-        for stage in group.stages
-    }
-    return [_step(group, stage, names) for group in groups for stage in group.stages]
+    stages = [(f"{group.name}/{stage.label}", stage) for group in groups for stage in group.stages]
+    names = {out.rstrip("/"): label for label, stage in stages if (out := stage.option("out"))}
+    names |= {str(stage.folder).rstrip("/"): label for label, stage in stages}
+    return [_step(label, stage, names) for label, stage in stages]
 
 
-def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
+def _step(label: str, stage: Stage, names: dict[str, str]) -> Step:
     words = [word for word in renamed(stage.command, names) if word != "--force"]
     inputs = [
         (f"{name}: {path}" if path != name else name, digest)
@@ -54,8 +46,8 @@ def _step(group: Group, stage: Stage, names: dict[str, str]) -> Step:
         for path, digest in entry.sha256.items()
     ]
     return Step(
-        f"{group.name}/{stage.label}",
-        " ".join(shlex.quote(word) for word in words),
+        label,
+        shlex.join(words),
         DASH if stage.seed is None else str(stage.seed),
         stage.config_hash or "",
         inputs,

@@ -48,3 +48,15 @@ LOG = ("runlog.csv",)
 SEEN = ("truth/trajectory.tum", "truth/map.yaml")
 ODOMETRY = ("/odom", "/ground_truth/odom")
 TRUTH = ("/ground_truth/odom",)
+
+# Last parts of paths.
+MORE_IS_BETTER = (
+    "iou",
+    "iou_one_cell",
+    "coverage",
+    "within_one_cell",
+    "true_success",
+    "goals_truly_reached",
+    "min_clearance_m",
+)
+LESS_IS_BETTER = ("rmse", "max", "mean", "p95", "trans_m", "rot_rad", "visible", "low", "time_s")

@@ -5,6 +5,9 @@ from __future__ import annotations
 from turtlebag.reports.spec import BAG, LOG, SEEN, TRUTH, Spec, section
 from turtlebag.reports.spec_map import WALLS
 
+LARGEST_ERROR = Spec(
+    "localisation_error_m.max", "localisation error, largest", "cm", "The largest of these distances."
+)
 RUN = (
     section(
         "Outcome",
@@ -128,9 +131,7 @@ RUN = (
             "Distance between the estimate and the true position at the estimate's stamps.",
             trusted=True,
         ),
-        Spec(
-            "localisation_error_m.max", "localisation error, largest", "cm", "The largest of these distances."
-        ),
+        LARGEST_ERROR,
         sources=("trajectory.tum", "bag/"),
         topics=TRUTH,
     ),

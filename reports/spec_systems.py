@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from turtlebag.reports.spec import Section, Spec, section
+from turtlebag.reports.spec_map import MAP
+
+_OF_MAPS = {spec.path: spec for part in MAP for spec in part.specs}
+
+
+def shared(path: str, meaning: str = "") -> Spec:
+    """A number that reports of maps show too, under the same name; what it means may be said otherwise."""
+    spec = _OF_MAPS[path]
+    return replace(spec, meaning=meaning or spec.meaning, sources=())
+
 
 SYSTEMS: tuple[Section, ...] = (
     section(
@@ -36,14 +48,8 @@ SYSTEMS: tuple[Section, ...] = (
     section(
         "Drift",
         "Relative pose error. Numbers per frame compare only systems of one rate.",
-        Spec(
-            "rpe.trans_m",
-            "drift per metre",
-            "cm/m",
-            "Over each metre of the reference's path, wherever it starts; RMSE.",
-            trusted=True,
-        ),
-        Spec("rpe.rot_rad", "heading error per metre", "deg/m", "The same for the heading."),
+        shared("rpe.trans_m", "Over each metre of the reference's path, wherever it starts; RMSE."),
+        shared("rpe.rot_rad"),
         Spec("rpe_metre.trans_m.rmse", "RPE, 1 m, RMSE", "cm", "Over pairs a metre of its own path apart."),
         Spec("rpe_metre.rot_deg.rmse", "RPE, 1 m, angle, RMSE", "deg1", "The same for the angle."),
         Spec("rpe_frame.trans_m.rmse", "RPE, 1 frame, RMSE", "cm", "From each pose to the next."),
@@ -53,43 +59,26 @@ SYSTEMS: tuple[Section, ...] = (
         "Hand-made relations",
         "Relative poses of some pairs of scans, verified by hand. A system that misses some of the drive is "
         "judged by fewer of them.",
-        Spec("relations.n", "relations", "count", "Those with poses at both ends."),
-        Spec(
-            "relations.trans_m.mean",
-            "relations error, mean",
-            "m4",
-            "Translation error by metricEvaluator's definition (Kümmerle et al. 2009).",
-            trusted=True,
-        ),
-        Spec("relations.trans_m.std", "relations error, standard deviation", "m4", "Its deviation."),
-        Spec("relations.rot_deg.mean", "relations heading error, mean", "deg1", "Mean absolute yaw error."),
-        Spec(
-            "relations_cartographer.trans_m.mean",
-            "relations error (Cartographer's), mean",
-            "m4",
-            "Norm of (p1^-1 p2) expected^-1.",
-        ),
+        shared("relations.n", "Those with poses at both ends."),
+        shared("relations.trans_m.mean"),
+        shared("relations.trans_m.std", "Its deviation."),
+        shared("relations.rot_deg.mean"),
+        shared("relations_cartographer.trans_m.mean"),
     ),
     section(
         "Walls",
         "Against {map_reference}, each map laid on it as well as it can be.",
-        Spec(
+        shared(
             "map.occupied_error_m.within_one_cell",
-            "wall cells within one cell",
-            "percent",
             "Occupied cells on or beside one of the other map: no invented walls.",
-            trusted=True,
         ),
-        Spec(
+        shared(
             "map.coverage",
-            "surfaces found",
-            "percent",
             "Surfaces of the other map with an occupied cell on or beside them: no missing walls.",
-            trusted=True,
         ),
-        Spec("map.occupied_error_m.mean", "wall error, mean", "cm", "Distance to the nearest surface."),
-        Spec("map.occupied_error_m.p95", "wall error, 95 %", "cm", "95 % are no farther off."),
-        Spec("map.iou_one_cell", "map IoU, one cell tolerance", "percent", "Both shares in one number."),
+        shared("map.occupied_error_m.mean", "Distance to the nearest surface."),
+        shared("map.occupied_error_m.p95", "95 % are no farther off."),
+        shared("map.iou_one_cell", "Both shares in one number."),
     ),
     section(
         "What there was to measure",
@@ -109,5 +98,4 @@ EVO = {
     "rpe_frame.rot_deg.rmse": "evo_rpe -d 1 -u f -r angle_deg",
 }
 """What prints a number as its rmse, of the two files of a system in `rivals/`."""
-MORE_IS_BETTER = ("within_one_cell", "coverage", "iou_one_cell")
 NOT_JUDGED = ("poses", "paired", "coverage", "relations.n", "ours_there.ate_aligned_m.rmse")

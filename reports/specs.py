@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from turtlebag.reports.spec import (
     BAG,
     GRAPH,
@@ -15,7 +17,7 @@ from turtlebag.reports.spec import (
     section,
 )
 from turtlebag.reports.spec_map import MAP
-from turtlebag.reports.spec_run import RUN
+from turtlebag.reports.spec_run import LARGEST_ERROR, RUN
 
 RECORD = (
     section(
@@ -93,13 +95,7 @@ LOCALISE = (
             TRAJECTORY,
             trusted=True,
         ),
-        Spec(
-            "localisation_error_m.max",
-            "localisation error, largest",
-            "cm",
-            "The largest of these distances.",
-            TRAJECTORY,
-        ),
+        replace(LARGEST_ERROR, sources=TRAJECTORY),
         Spec(
             "localisation_error_rad.rmse",
             "heading error, RMSE",

@@ -263,20 +263,16 @@ def _whole(digits: str) -> float:
 
 def load_stage(folder: Path) -> Stage:
     """The stage output in `folder`; InputError for anything else."""
-    manifest = _manifest(folder)
-    kind = ALIASES.get(manifest.stage, manifest.stage)
-    if kind not in KINDS:
-        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
-    return Stage(folder, kind, kind, manifest)
-
-
-def _manifest(folder: Path) -> Manifest:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder (expected the output of a stage)")
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder}: has no manifest.json, so it is not a finished output")
-    return read_manifest(path)
+    manifest = read_manifest(path)
+    kind = ALIASES.get(manifest.stage, manifest.stage)
+    if kind not in KINDS:
+        raise InputError(f"{folder}: is a {kind} output; a report shows {', '.join(KINDS)}")
+    return Stage(folder, kind, kind, manifest)
 
 
 class _Metrics(BaseModel):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 
-from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se2 import Array, wrapped
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.simulator import Truth
 
@@ -56,7 +56,7 @@ class Driver:
             rate = min(self._w, max(CREEP_W, math.sqrt(2.0 * TURN_BRAKING * abs(left))))
             truth = yield Twist(0.0, math.copysign(rate, left))
             now = float(truth.T_world_base.yaw)
-            left, yaw = left - _wrapped(now - yaw), now
+            left, yaw = left - wrapped(now - yaw), now
         return (yield from self._stand(truth))
 
     def drive(self, truth: Truth, distance: float) -> Action:
@@ -71,7 +71,7 @@ class Driver:
             px, py, yaw = (float(value) for value in truth.T_world_base.xyt)
             if math.hypot(x - px, y - py) < 2.0 * NEAR_M:
                 continue
-            truth = yield from self.turn(truth, _wrapped(math.atan2(y - py, x - px) - yaw))
+            truth = yield from self.turn(truth, wrapped(math.atan2(y - py, x - px) - yaw))
             truth = yield from self._straight(truth, (x, y), 1.0)
         return truth
 
@@ -93,7 +93,7 @@ class Driver:
             patience.check(left + (len(line) - at) * RESAMPLED_M, truth)
             swing = weave * min(left / LOOK_AHEAD_M, 1.0) * math.sin(2.0 * math.pi * steps / WEAVE_STEPS)
             aim = math.atan2(line[at, 1] - y, line[at, 0] - x)
-            truth = yield self._toward(_wrapped(aim + swing - yaw))
+            truth = yield self._toward(wrapped(aim + swing - yaw))
             steps += 1
         return (yield from self._stand(truth))
 
@@ -106,7 +106,7 @@ class Driver:
             patience.check(left, truth)
             truth = yield Twist(speed, speed / radius)
             now = float(truth.T_world_base.yaw)
-            left, yaw = left - _wrapped(now - yaw), now
+            left, yaw = left - wrapped(now - yaw), now
         return truth
 
     def follow_wall(
@@ -122,7 +122,7 @@ class Driver:
             away_x, away_y = room(x + 0.01, y) - room(x - 0.01, y), room(x, y + 0.01) - room(x, y - 0.01)
             along = math.atan2(-away_x, away_y)
             back = math.atan(3.0 * (room(x, y) - aside))
-            truth = yield self._toward(_wrapped(along - back - yaw))
+            truth = yield self._toward(wrapped(along - back - yaw))
         return (yield from self._stand(truth))
 
     def _toward(self, error: float) -> Twist:
@@ -144,7 +144,7 @@ class Driver:
             patience.check(left, truth)
             off = -dx * math.sin(line) + dy * math.cos(line)
             facing = line if direction > 0.0 else line + math.pi
-            wanted = _wrapped(facing + direction * math.atan2(off, 0.3) - yaw)
+            wanted = wrapped(facing + direction * math.atan2(off, 0.3) - yaw)
             speed = min(self._v, max(CREEP_V, math.sqrt(2.0 * BRAKING * left)))
             rate = max(-self._w, min(self._w, STEERING * wanted))
             truth = yield Twist(direction * speed, rate)
@@ -179,7 +179,3 @@ def _resampled(points: Array) -> Array:
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.append(np.arange(0.0, lengths[-1], RESAMPLED_M), lengths[-1])
     return np.stack([np.interp(at, lengths, points[:, axis]) for axis in (0, 1)], axis=-1)
-
-
-def _wrapped(angle: float) -> float:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -11,12 +11,10 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.settings import Finite, NonNegative, Settings
 from turtlebag.datasets.types import Imu, Scan, Twist
 
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Spans = Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(description="[start, end] for each")]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=0.95)]
 
 

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se2 import Array, wrapped
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,7 +88,7 @@ def _between(rows: Array, place: float) -> Array:
         return np.asarray(rows[low])
     high = min(low + 1, len(rows) - 1)
     step = rows[high] - rows[low]
-    step[2] = (step[2] + math.pi) % (2.0 * math.pi) - math.pi
+    step[2] = wrapped(step[2])
     between = rows[low] + (place - low) * step
-    between[2] = (between[2] + math.pi) % (2.0 * math.pi) - math.pi
+    between[2] = wrapped(between[2])
     return np.asarray(between)

@@ -11,15 +11,12 @@ from pydantic import Field, field_validator
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.settings import Finite, NonNegative, Positive, Settings
 from turtlebag.datasets.types import LidarSpec, RobotModel
 from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.settings import Finite, Positive, Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, read_mapping
 from turtlebag.sim.driver import Driver
@@ -29,8 +29,6 @@ from turtlebag.sim.world import World
 
 FOLDER = Path(__file__).parent / "scripts"
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Action = Generator[Twist, Truth, None]
 
 ACTIONS = ("drive", "turn_deg", "spin", "wait", "through", "route", "wall_follow", "random_walk", "repeat")

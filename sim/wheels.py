@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.sim.robots import RobotSpec
@@ -108,6 +108,6 @@ class WheelOdometry:
         forward, turn = 0.5 * (left + right), (right - left) / self._calibration.track
         self._x += forward * math.cos(self._yaw + 0.5 * turn)
         self._y += forward * math.sin(self._yaw + 0.5 * turn)
-        self._yaw = (self._yaw + turn + math.pi) % (2.0 * math.pi) - math.pi
+        self._yaw = wrapped(self._yaw + turn)
         T_odom_base = SE2(np.array([self._x, self._y, self._yaw]))
         return T_odom_base, Twist(forward / self._dt, turn / self._dt)

@@ -8,13 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.settings import Finite, Positive, Settings
 from turtlebag.sim.meshes import load_mesh
 from turtlebag.sim.movers import Mover
 from turtlebag.sim.shapes import Solid, box, cylinder, mesh, prism
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 
 

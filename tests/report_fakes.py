@@ -18,8 +18,8 @@ from turtlebag.datasets.trajectories import load_tum, save_tum
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Trajectory, Twist
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics
-from turtlebag.reports.metrics.navigation import localisation_error, pose_error
-from turtlebag.reports.metrics.trajectory import trajectory_metrics
+from turtlebag.reports.metrics.navigation import pose_error
+from turtlebag.reports.metrics.trajectory import ate, trajectory_metrics
 
 TICK_NS = 1_000_000_000 // 30
 TICKS = 900
@@ -203,7 +203,7 @@ def fake_run(
         "min_clearance_m": min(0.3 + 0.2 * float(np.sin(k / 90.0)) for k in range(TICKS)),
         "distance_m": Trajectory(stamps, truth).length(),
         "time_s": float(stamps[-1]) * 1e-9,
-        "localisation_error_m": localisation_error(estimate, scans),
+        "localisation_error_m": ate(estimate, scans, align=False),
     }
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "navigate", "--world", "room", "--map", f"{map_folder}/map.yaml", "--task", task]
@@ -217,7 +217,7 @@ def fake_localise(folder: Path, record: Path, map_folder: Path) -> Path:
     folder.mkdir(parents=True)
     truth = load_tum(record / "truth/trajectory.tum")
     save_tum(noisy(truth, 0.01), folder / "trajectory.tum")
-    error = localisation_error(load_tum(folder / "trajectory.tum"), truth)
+    error = ate(load_tum(folder / "trajectory.tum"), truth, align=False)
     metrics = {"scans": 150, "success": True, "status": "localised", "localisation_error_m": error}
     write_json(folder / "metrics.json", metrics)
     command = ["turtlebag", "localise", str(record), "--map", f"{map_folder}/map.yaml", "--out", str(folder)]

@@ -162,9 +162,8 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     del notes[known:]
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
+    streams.bad += bad
     streams.note_left_out(notes)
-    if streams.bad + bad:
-        notes.append(f"{streams.bad + bad} damaged messages skipped")
     return Recording3D(
         source=str(path),
         stamps_ns=stamps,

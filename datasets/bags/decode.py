@@ -54,11 +54,14 @@ class Cursor:
         if known is None:
             known = _STRUCTS[key] = struct.Struct(f"{self.order}{count}{code}")
         self.align(_SIZES[code])
+        return self._unpacked(known)
+
+    def _unpacked(self, layout: struct.Struct) -> tuple:
         try:
-            values = known.unpack_from(self.data, self.at)
+            values = layout.unpack_from(self.data, self.at)
         except struct.error:
             raise BadMessage("the message is too short") from None
-        self.at += known.size
+        self.at += layout.size
         return values
 
     def count(self, least: int) -> int:
@@ -82,23 +85,17 @@ class Cursor:
     def string(self) -> str:
         """A string without ROS 1's leading slash."""
         self.align(4)
-        try:
-            (n,) = _LENGTHS[self.order].unpack_from(self.data, self.at)
-        except struct.error:
-            raise BadMessage("the message is too short") from None
-        return self._text(self.at + 4, n)
+        return self._text(*self._unpacked(_LENGTHS[self.order]))
 
     def header(self) -> tuple[int, str]:
         """(stamp [ns], frame)."""
         self.align(4)
-        try:
-            sec, nanosec, n = _HEADERS[self.order].unpack_from(self.data, self.at)
-        except struct.error:
-            raise BadMessage("the message is too short") from None
-        return sec * 1_000_000_000 + nanosec, self._text(self.at + 12, n)
+        sec, nanosec, n = self._unpacked(_HEADERS[self.order])
+        return sec * 1_000_000_000 + nanosec, self._text(n)
 
-    def _text(self, start: int, size: int) -> str:
-        self.at = start + size
+    def _text(self, size: int) -> str:
+        start = self.at
+        self.at += size
         if self.at > len(self.data):
             raise BadMessage("a text is longer than its message")
         return _name(self.data[start : self.at])

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import yaml
-
 from turtlebag.datasets.bags.mcap import McapWriter
 from turtlebag.datasets.bags.topics import (
     CUSTOM_RECORD,
     DATA_FILE,
     METADATA_FILE,
-    TopicSummary,
     bag_metadata,
     metadata_text,
 )
@@ -80,11 +77,7 @@ class BagFolder:
             return
         self._closed = True
         self._mcap.flush()
-        summaries = [
-            TopicSummary(name, msgtype, yaml.safe_load(qos) or [] if qos else [], type_hash, count)
-            for (name, msgtype, qos, type_hash), count in zip(self._topics, self._mcap.counts, strict=True)
-        ]
-        information = bag_metadata(summaries, self._mcap.span_ns, self._custom)
+        information = bag_metadata(self._topics, self._mcap.counts, self._mcap.span_ns, self._custom)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(information)})
         self._mcap.close()
         unfinished = self._folder / (METADATA_FILE + ".tmp")

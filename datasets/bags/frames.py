@@ -10,6 +10,7 @@ import numpy as np
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.units import far_away
 from turtlebag.datasets.se2 import Array
+from turtlebag.datasets.se3 import rotations
 
 BASES = ("base_footprint", "base_link")
 """Names of a robot's base frame."""
@@ -17,13 +18,9 @@ BASES = ("base_footprint", "base_link")
 
 def matrix(xyz: Iterable[float], quaternion: Iterable[float]) -> Array:
     """Homogeneous (4, 4) matrix of a translation and a quaternion x, y, z, w (normalised here)."""
-    x, y, z, w = np.array(list(quaternion), dtype=np.float64) / (np.linalg.norm(list(quaternion)) or 1.0)
+    q = np.array(list(quaternion), dtype=np.float64)
     out = np.eye(4)
-    out[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    out[:3, :3] = rotations(q / (np.linalg.norm(q) or 1.0))
     out[:3, 3] = list(xyz)
     return out
 

@@ -56,8 +56,6 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
     T_odom_base = odometry_at(odometry, stamps, log_times, notes)
     imu = streams.read_imu()
     streams.note_left_out(notes)
-    if streams.bad:
-        notes.append(f"{streams.bad} damaged messages skipped")
     return Recording(
         source=str(bag.path),
         stamps_ns=stamps,

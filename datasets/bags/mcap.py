@@ -22,26 +22,27 @@ CHUNK_BYTES = 128 * 1024
 CHUNK_NS = 1_000_000_000
 """... or spans this time, whichever comes first."""
 
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<BQHIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-
-
-def _text(value: str) -> bytes:
-    data = value.encode()
-    return struct.pack("<I", len(data)) + data
+HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+CHUNK_HEAD = struct.Struct("<QQQI")
+FOOTER_BODY = struct.Struct("<QQI")
 
 
 def _sized(data: bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
+def _text(value: str) -> bytes:
+    return _sized(value.encode())
+
+
 def _map(items: Mapping[str, str]) -> bytes:
     return _sized(b"".join(_text(key) + _text(value) for key, value in items.items()))
 
 
-def _record(opcode: int, body: bytes) -> bytes:
-    return _RECORD.pack(opcode, len(body)) + body
+def packed_record(opcode: int, body: bytes) -> bytes:
+    """A record with its opcode and length before it."""
+    return HEAD.pack(opcode, len(body)) + body
 
 
 class McapWriter:
@@ -64,7 +65,7 @@ class McapWriter:
         self._end_ns = 0
         self._first_ns: int | None = None
         self._new_chunk()
-        self._append(MAGIC + _record(HEADER, _text("ros2") + _text("turtlebag")))
+        self._append(MAGIC + packed_record(HEADER, _text("ros2") + _text("turtlebag")))
 
     @property
     def counts(self) -> list[int]:
@@ -80,7 +81,7 @@ class McapWriter:
         """Register a message definition; returns its id."""
         number = len(self._schemas) + 1
         body = struct.pack("<H", number) + _text(name) + _text(encoding) + _text(text)
-        self._schemas.append(_record(SCHEMA, body))
+        self._schemas.append(packed_record(SCHEMA, body))
         self._add_part(self._schemas[-1])
         return number
 
@@ -88,7 +89,7 @@ class McapWriter:
         """Register a topic; returns its id."""
         number = len(self._channels) + 1
         body = struct.pack("<HH", number, schema) + _text(topic) + _text(encoding) + _map(metadata)
-        self._channels.append(_record(CHANNEL, body))
+        self._channels.append(packed_record(CHANNEL, body))
         self._counts.append(0)
         self._add_part(self._channels[-1])
         return number
@@ -96,9 +97,8 @@ class McapWriter:
     def write(self, channel: int, log_time_ns: int, data: bytes) -> None:
         """Append one message; the chunk goes to disk when it is full."""
         size = len(data)
-        self._parts.append(
-            _MESSAGE.pack(MESSAGE, size + 22, channel, self._counts[channel - 1], log_time_ns, log_time_ns)
-        )
+        count = self._counts[channel - 1]
+        self._parts.append(MESSAGE_HEAD.pack(MESSAGE, size + 22, channel, count, log_time_ns, log_time_ns))
         self._parts.append(data)
         index = self._index.get(channel)
         if index is None:
@@ -108,7 +108,7 @@ class McapWriter:
         index.append(log_time_ns)
         index.append(self._size)
         self._size += size + 31
-        self._counts[channel - 1] += 1
+        self._counts[channel - 1] = count + 1
         if self._size >= CHUNK_BYTES or abs(log_time_ns - (self._first_ns or 0)) >= CHUNK_NS:
             self.flush()
 
@@ -120,18 +120,18 @@ class McapWriter:
         packed = self._compressor.compress(records) if self._compression else records
         times = [time for index in self._index.values() for time in index[::2]]
         start, end = (min(times), max(times)) if times else (0, 0)
-        body = _CHUNK_HEAD.pack(start, end, len(records), zlib.crc32(records))
+        body = CHUNK_HEAD.pack(start, end, len(records), zlib.crc32(records))
         body += _text(self._compression) + struct.pack("<Q", len(packed)) + packed
-        chunk = _record(CHUNK, body)
+        chunk = packed_record(CHUNK, body)
         parts, offsets, position = [chunk], [], self._position + len(chunk)
         for channel, index in self._index.items():
             entries = struct.pack(f"<{len(index)}Q", *index)
-            parts.append(_record(MESSAGE_INDEX, struct.pack("<H", channel) + _sized(entries)))
+            parts.append(packed_record(MESSAGE_INDEX, struct.pack("<H", channel) + _sized(entries)))
             offsets.append(struct.pack("<HQ", channel, position))
             position += len(parts[-1])
         index_size = position - self._position - len(chunk)
         self._chunk_indices.append(
-            _record(
+            packed_record(
                 CHUNK_INDEX,
                 struct.pack("<QQQQ", start, end, self._position, len(chunk))
                 + _sized(b"".join(offsets))
@@ -149,15 +149,15 @@ class McapWriter:
     def add_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Write a metadata record, after what was given so far."""
         self.flush()
-        record = _record(METADATA, _text(name) + _map(items))
+        record = packed_record(METADATA, _text(name) + _map(items))
         place = struct.pack("<QQ", self._position, len(record))
-        self._metadata_indices.append(_record(METADATA_INDEX, place + _text(name)))
+        self._metadata_indices.append(packed_record(METADATA_INDEX, place + _text(name)))
         self._append(record)
 
     def close(self) -> None:
         """Write the index and the end magic, and close the file."""
         self.flush()
-        self._append(_record(DATA_END, struct.pack("<I", self._crc)))
+        self._append(packed_record(DATA_END, struct.pack("<I", self._crc)))
         self._append_summary()
         self._file.close()
 
@@ -183,7 +183,7 @@ class McapWriter:
         groups = (
             (SCHEMA, self._schemas),
             (CHANNEL, self._channels),
-            (STATISTICS, [_record(STATISTICS, statistics + _sized(counts))]),
+            (STATISTICS, [packed_record(STATISTICS, statistics + _sized(counts))]),
             (CHUNK_INDEX, self._chunk_indices),
             (METADATA_INDEX, self._metadata_indices),
         )
@@ -192,11 +192,9 @@ class McapWriter:
             if records:
                 group = b"".join(records)
                 place = struct.pack("<BQQ", opcode, summary_start + len(summary), len(group))
-                offsets += _record(SUMMARY_OFFSET, place)
+                offsets += packed_record(SUMMARY_OFFSET, place)
                 summary += group
-        footer_head = _RECORD.pack(FOOTER, 20) + struct.pack(
-            "<QQ", summary_start, summary_start + len(summary)
-        )
+        footer_head = HEAD.pack(FOOTER, 20) + struct.pack("<QQ", summary_start, summary_start + len(summary))
         crc = zlib.crc32(summary + offsets + footer_head)
         self._append(summary + offsets + footer_head + struct.pack("<I", crc) + MAGIC)
 

@@ -18,10 +18,13 @@ from turtlebag.datasets.bags.mcap import (
     CHUNK_INDEX,
     DATA_END,
     FOOTER,
+    FOOTER_BODY,
+    HEAD,
     HEADER,
     MAGIC,
     METADATA_INDEX,
     SCHEMA,
+    packed_record,
 )
 from turtlebag.datasets.bags.mcap_scan import Damage, Fields, McapState, register
 from turtlebag.datasets.bags.messages import Topic
@@ -35,8 +38,6 @@ _TAIL = 256 << 10
 _GAP = 32 << 10
 """Two chunks no further apart than this are read at once, with what is between them."""
 _PIECE = 8 << 20
-_RECORD = struct.Struct("<BQ")
-_FOOTER = struct.Struct("<QQI")
 
 
 class _Span(NamedTuple):
@@ -63,7 +64,7 @@ def partial_mcap(read: Read, size: int, choose: Choice) -> Iterator[bytes]:
     chosen = set(choose(index.state.channels))
     # A writer may leave out which channels a chunk holds.
     chunks = [span for span, channels in index.chunks if not channels or channels & chosen]
-    yield MAGIC + _record(HEADER, struct.pack("<II", 0, 0)) + b"".join(index.introduced)
+    yield MAGIC + packed_record(HEADER, struct.pack("<II", 0, 0)) + b"".join(index.introduced)
     for span in index.metadata:
         yield read(span.start, span.start + span.size)
     for spans in _grouped(sorted(chunks)):
@@ -72,14 +73,10 @@ def partial_mcap(read: Read, size: int, choose: Choice) -> Iterator[bytes]:
         for span in spans:
             at = span.start - first.start
             chunk = piece[at : at + span.size]
-            if len(chunk) != span.size or _RECORD.unpack_from(chunk) != (CHUNK, span.size - _RECORD.size):
+            if len(chunk) != span.size or HEAD.unpack_from(chunk) != (CHUNK, span.size - HEAD.size):
                 raise Damage("a chunk does not lie where the index says")
             yield chunk
-    yield _record(DATA_END, bytes(4)) + _record(FOOTER, bytes(20)) + MAGIC
-
-
-def _record(opcode: int, body: bytes) -> bytes:
-    return _RECORD.pack(opcode, len(body)) + body
+    yield packed_record(DATA_END, bytes(4)) + packed_record(FOOTER, bytes(20)) + MAGIC
 
 
 def _grouped(spans: list[_Span]) -> Iterator[list[_Span]]:
@@ -98,21 +95,21 @@ def _grouped(spans: list[_Span]) -> Iterator[list[_Span]]:
 def _read_index(read: Read, size: int) -> _Index:
     begin = max(0, size - _TAIL)
     tail = read(begin, size)
-    footer = len(tail) - len(MAGIC) - _FOOTER.size - _RECORD.size
+    footer = len(tail) - len(MAGIC) - FOOTER_BODY.size - HEAD.size
     if footer < 0 or not tail.endswith(MAGIC) or tail[footer] != FOOTER:
         raise Damage("the file does not end as an mcap does")
-    start, _, crc = _FOOTER.unpack_from(tail, footer + _RECORD.size)
+    start, _, crc = FOOTER_BODY.unpack_from(tail, footer + HEAD.size)
     if not len(MAGIC) < start <= begin + footer:
         raise Damage("the file has no index")
     if start < begin:
         tail, begin, footer = read(start, begin) + tail, start, footer + begin - start
-    if crc and crc != zlib.crc32(tail[start - begin : footer + _RECORD.size + 16]):
+    if crc and crc != zlib.crc32(tail[start - begin : footer + HEAD.size + 16]):
         raise Damage("the index is damaged")
     index, at = _Index(), start - begin
     try:
         while at < footer:
-            opcode, length = _RECORD.unpack_from(tail, at)
-            following = at + _RECORD.size + length
+            opcode, length = HEAD.unpack_from(tail, at)
+            following = at + HEAD.size + length
             _note(index, opcode, tail[at:following])
             at = following
     except struct.error:
@@ -121,7 +118,7 @@ def _read_index(read: Read, size: int) -> _Index:
 
 
 def _note(index: _Index, opcode: int, record: bytes) -> None:
-    body = record[_RECORD.size :]
+    body = record[HEAD.size :]
     if opcode in (SCHEMA, CHANNEL):
         register(index.state, opcode, body)
         index.introduced.append(record)

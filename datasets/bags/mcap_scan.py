@@ -18,11 +18,15 @@ import zstandard
 from turtlebag.datasets.bags.mcap import (
     CHANNEL,
     CHUNK,
+    CHUNK_HEAD,
     DATA_END,
     FOOTER,
+    FOOTER_BODY,
+    HEAD,
     HEADER,
     MAGIC,
     MESSAGE,
+    MESSAGE_HEAD,
     MESSAGE_INDEX,
     METADATA,
     SCHEMA,
@@ -32,10 +36,6 @@ from turtlebag.datasets.bags.messages import Message, Topic, Wanted, full_type
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import FileBytes, Unpacked, chunk_bound
 
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<BQHIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-_FOOTER = struct.Struct("<QQI")
 _LAST_OPCODE = DATA_END
 
 
@@ -186,10 +186,10 @@ class McapScan:
         return {}
 
     def _record(self, at: int) -> tuple[int, bytes, int]:
-        if at + _RECORD.size > len(self._data):
+        if at + HEAD.size > len(self._data):
             raise Damage("the file ends inside a record")
-        opcode, size = _RECORD.unpack(self._data[at : at + _RECORD.size])
-        start = at + _RECORD.size
+        opcode, size = HEAD.unpack(self._data[at : at + HEAD.size])
+        start = at + HEAD.size
         if size > len(self._data) - start:
             raise Damage("the file ends inside a record, or its length is wrong")
         if opcode == 0 or _LAST_OPCODE < opcode < 0x80:
@@ -214,27 +214,33 @@ class McapScan:
 
     def _register_from_summary(self) -> None:
         """Topics from the end of the file, should the chunk that introduced them be the damaged one."""
-        footer = len(self._data) - len(MAGIC) - _RECORD.size - 20
+        footer = len(self._data) - len(MAGIC) - HEAD.size - 20
         if footer < 0 or self._data[-len(MAGIC) :] != MAGIC or self._data[footer] != FOOTER:
             return
-        at, _, crc = _FOOTER.unpack(self._data[footer + _RECORD.size : footer + _RECORD.size + _FOOTER.size])
-        if not 0 < at <= footer or (crc and crc != zlib.crc32(self._data[at : footer + _RECORD.size + 16])):
-            return
         try:
-            while at < footer:
+            at = self._index_start(footer)
+            while 0 < at < footer:
                 opcode, body, at = self._record(at)
                 if opcode in (SCHEMA, CHANNEL):
                     register(self.state, opcode, body)
         except Damage:
             self.state.channels.clear()
 
+    def _index_start(self, footer: int) -> int:
+        """Where the footer at a place says the index lies, 0 for nowhere; Damage when that has changed."""
+        body = footer + HEAD.size
+        start, _, crc = FOOTER_BODY.unpack(self._data[body : body + FOOTER_BODY.size])
+        if start and crc and crc != zlib.crc32(self._data[start : body + 16]):
+            raise Damage("the index is damaged")
+        return int(start)
+
     def _chunk_messages(self, records: bytes, wanted: Wanted | None) -> Iterator[Message]:
         state, channels = self.state, self.state.channels
         choice = {number: wanted is None or wanted(channel) for number, channel in channels.items()}
         at, end = 0, len(records)
-        unpack = _MESSAGE.unpack_from
+        unpack = MESSAGE_HEAD.unpack_from
         while at < end:
-            if records[at] == MESSAGE and at + _MESSAGE.size <= end:
+            if records[at] == MESSAGE and at + MESSAGE_HEAD.size <= end:
                 _, size, number, _, log_time, _ = unpack(records, at)
                 start, at = at + 31, at + 9 + size
                 channel = channels.get(number)
@@ -243,9 +249,9 @@ class McapScan:
                 state.messages += 1
                 if choice[number]:
                     yield Message(channel, log_time, records[start:at])
-            elif at + _RECORD.size <= end:
-                opcode, size = _RECORD.unpack_from(records, at)
-                start, at = at + _RECORD.size, at + _RECORD.size + size
+            elif at + HEAD.size <= end:
+                opcode, size = HEAD.unpack_from(records, at)
+                start, at = at + HEAD.size, at + HEAD.size + size
                 if at > end or opcode not in (SCHEMA, CHANNEL):
                     raise Damage("an unexpected record in a chunk")
                 register(state, opcode, records[start:at])
@@ -270,11 +276,7 @@ class McapScan:
                 opcode, record, following = self._record(following)
                 if opcode == STATISTICS:
                     state.claimed = Fields(record).number("Q")
-            start, _, crc = _FOOTER.unpack(
-                self._data[following + _RECORD.size : following + _RECORD.size + _FOOTER.size]
-            )
-            if crc and start and crc != zlib.crc32(self._data[start : following + _RECORD.size + 16]):
-                state.complete = False
+            self._index_start(following)
         except (Damage, IndexError, struct.error):
             state.complete = False
         if not state.complete:
@@ -285,13 +287,13 @@ class McapScan:
 
 def _unpack_chunk(body: bytes) -> bytes:
     """Verified records of a chunk."""
-    if len(body) < _CHUNK_HEAD.size:
+    if len(body) < CHUNK_HEAD.size:
         raise Damage("a chunk without a head")
-    start, end, size, crc = _CHUNK_HEAD.unpack_from(body)
+    start, end, size, crc = CHUNK_HEAD.unpack_from(body)
     if start > end or size > chunk_bound(len(body)):
         raise Damage("a chunk with an impossible head")
     fields = Fields(body)
-    fields.at = _CHUNK_HEAD.size
+    fields.at = CHUNK_HEAD.size
     compression = fields.text()
     packed = fields.take(fields.number("Q"))
     fields.end()

@@ -13,7 +13,7 @@ from turtlebag.datasets.bags.mcap import MAGIC
 from turtlebag.datasets.bags.mcap_scan import McapScan
 from turtlebag.datasets.bags.messages import Message, Wanted
 from turtlebag.datasets.bags.ros1_scan import ROS1_MAGIC
-from turtlebag.datasets.bags.storage import READERS
+from turtlebag.datasets.bags.storage import READERS, one_line
 from turtlebag.datasets.bags.topics import CUSTOM_RECORD, METADATA_FILE
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import (
@@ -88,10 +88,6 @@ class Bag:
         return Ros1Cursor(data) if self.kind == "ros1" else Cursor(data)
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
-
-
 def open_bag(path: Path) -> Bag:
     """The bag at a path: a record's folder, a rosbag2 folder or a single file, packed or not.
 
@@ -112,10 +108,11 @@ def _kind_of(path: Path) -> str | None:
         head = file.read(16)
     if not head:
         raise InputError(f"{path}: the file is empty")
-    for magic, kind in MAGICS.items():
-        if head.startswith(magic):
-            return kind
-    return None
+    return _kind_by(head)
+
+
+def _kind_by(head: bytes) -> str | None:
+    return next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), None)
 
 
 def is_bag(path: Path) -> bool:
@@ -125,7 +122,7 @@ def is_bag(path: Path) -> bool:
 
 def _open_packed(path: Path) -> Bag:
     content, problem = read_unpacked(path)
-    kind = next((kind for magic, kind in MAGICS.items() if content.startswith(magic)), None)
+    kind = _kind_by(content)
     if kind is None:
         if PurePosixPath(path.name.lower()).suffix in SUFFIXES:
             raise InputError(f"{path}: damaged bag, its first bytes are not those of any bag format")
@@ -146,7 +143,7 @@ def _open_folder(path: Path) -> Bag:
             # Nothing is wrong with the bag: who may not read it is told so, once, before any work.
             raise InputError(f"{folder / METADATA_FILE}: cannot be read ({error.strerror})") from None
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError, yaml.YAMLError) as error:
-            notes.append(f"{METADATA_FILE} cannot be used ({_one_line(error)}); reading the files beside it")
+            notes.append(f"{METADATA_FILE} cannot be used ({one_line(error)}); reading the files beside it")
     for suffix, kind in SUFFIXES.items():
         files = sorted(folder.glob("*" + suffix), key=lambda file: (len(file.name), file.name))
         if files:

@@ -50,10 +50,14 @@ def _sqlite3_messages(
         raise
     except Exception as error:
         # rosbags raises whatever its parsers stumble over: struct, key and type errors too.
-        what = " ".join(str(error).split())[:120] or type(error).__name__
         if not count:
-            raise InputError(f"{path}: damaged bag ({what}); fetch or record it again") from None
-        _note_problems(path, [f"damaged after {count} messages ({what})"], True, notes)
+            raise InputError(f"{path}: damaged bag ({one_line(error)}); fetch or record it again") from None
+        _note_problems(path, [f"damaged after {count} messages ({one_line(error)})"], True, notes)
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, for a note."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def _sqlite3_topic(connection: Connection) -> Topic:

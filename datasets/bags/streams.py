@@ -70,7 +70,7 @@ class Streams:
         return topic.msgtype in self._types and not topic.name.startswith(TRUTH_PREFIX)
 
     def note_left_out(self, notes: list[str]) -> None:
-        """Name the topics whose types are no standard ROS types, and the transforms that are no places."""
+        """Name the transforms that are no places and the topics of no standard type; count the damaged."""
         for parent, child in sorted(self.frames.far):
             notes.append(f"the transform {parent} -> {child} is no place on Earth and left out")
         known = typestore().fielddefs
@@ -79,6 +79,8 @@ class Streams:
         ]
         if unknown:
             notes.append(f"topics of unknown types skipped: {', '.join(sorted(unknown))}")
+        if self.bad:
+            notes.append(f"{self.bad} damaged messages skipped")
 
     def _scan(self, name: str, log_time: int, data: bytes) -> None:
         try:

@@ -71,17 +71,6 @@ TOPICS: dict[str, Topic] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class TopicSummary:
-    """What the metadata says of one recorded topic."""
-
-    name: str
-    msgtype: str
-    qos: Sequence[Mapping[str, Any]]
-    type_hash: str
-    count: int
-
-
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
     """Message definitions of ROS 2 Jazzy."""
@@ -99,29 +88,35 @@ def definition(msgtype: str) -> tuple[str, str]:
 
 
 def bag_metadata(
-    topics: Sequence[TopicSummary], span_ns: tuple[int, int], custom: Mapping[str, str]
+    topics: Sequence[tuple[str, str, str, str]],
+    counts: Sequence[int],
+    span_ns: tuple[int, int],
+    custom: Mapping[str, str],
 ) -> dict[str, Any]:
-    """rosbag2's description of a one-file bag, the content of metadata.yaml."""
+    """rosbag2's description of a one-file bag, the content of metadata.yaml.
+
+    `topics` are (name, type, quality of service as YAML, hash of the type), `counts` their messages.
+    """
     start, duration = span_ns[0], span_ns[1] - span_ns[0]
-    count = sum(topic.count for topic in topics)
+    total = sum(counts)
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": duration},
         "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": count,
+        "message_count": total,
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.msgtype,
+                    "name": name,
+                    "type": msgtype,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": list(topic.qos),
-                    "type_description_hash": topic.type_hash,
+                    "offered_qos_profiles": yaml.safe_load(qos) or [] if qos else [],
+                    "type_description_hash": type_hash,
                 },
-                "message_count": topic.count,
+                "message_count": count,
             }
-            for topic in topics
+            for (name, msgtype, qos, type_hash), count in zip(topics, counts, strict=True)
         ],
         "compression_format": "",
         "compression_mode": "",
@@ -131,7 +126,7 @@ def bag_metadata(
                 "path": DATA_FILE,
                 "starting_time": {"nanoseconds_since_epoch": start},
                 "duration": {"nanoseconds": duration},
-                "message_count": count,
+                "message_count": total,
             }
         ],
         "custom_data": dict(custom) or None,

@@ -62,35 +62,22 @@ class BagWriter:
         for sample in observation.imu:
             self._imu_sample(sample)
         self.odometry(observation.odometry)
-        template = self._joints
-        template.patch_stamp(observation.joints.stamp_ns)
-        template.patch_doubles("position", observation.joints.position)
-        template.patch_doubles("velocity", observation.joints.velocity)
-        self._write("/joint_states", observation.joints.stamp_ns, bytes(template.data))
+        self._joints.patch_doubles("position", observation.joints.position)
+        self._joints.patch_doubles("velocity", observation.joints.velocity)
+        self._patched("/joint_states", self._joints, observation.joints.stamp_ns)
         if observation.scan is not None:
             self.scan(observation.stamp_ns, observation.scan)
 
     def odometry(self, odometry: Odometry) -> None:
         """/odom and its transform on /tf."""
-        stamp = odometry.stamp_ns
-        x, y, yaw = odometry.T_odom_base.xyt.tolist()
-        template = self._odom
-        template.patch_stamp(stamp)
-        template.patch_pose(x, y, yaw)
-        template.patch_twist(odometry.twist.v, odometry.twist.w)
-        self._write("/odom", stamp, bytes(template.data))
-        template = self._tf_odom
-        template.patch_stamp(stamp)
-        template.patch_pose(x, y, yaw)
-        self._write("/tf", stamp, bytes(template.data))
+        self._odom.patch_twist(odometry.twist.v, odometry.twist.w)
+        self._patched("/odom", self._odom, odometry.stamp_ns, odometry.T_odom_base)
+        self._patched("/tf", self._tf_odom, odometry.stamp_ns, odometry.T_odom_base)
 
     def truth(self, stamp_ns: int, T_world_base: SE2, twist: Twist) -> None:
         """/ground_truth/odom, in the frame world; never in /tf."""
-        template = self._truth
-        template.patch_stamp(stamp_ns)
-        template.patch_pose(*T_world_base.xyt.tolist())
-        template.patch_twist(twist.v, twist.w)
-        self._write("/ground_truth/odom", stamp_ns, bytes(template.data))
+        self._truth.patch_twist(twist.v, twist.w)
+        self._patched("/ground_truth/odom", self._truth, stamp_ns, T_world_base)
 
     def command(self, stamp_ns: int, twist: Twist) -> None:
         """/cmd_vel; a Twist has no header, its time is the log time."""
@@ -108,18 +95,12 @@ class BagWriter:
 
     def amcl_pose(self, stamp_ns: int, T_map_base: SE2, covariance: Array) -> None:
         """/amcl_pose with the (3, 3) covariance of x, y, yaw."""
-        template = self._amcl
-        template.patch_stamp(stamp_ns)
-        template.patch_pose(*T_map_base.xyt.tolist())
-        template.patch_doubles("covariance", cdr.planar_covariance(covariance))
-        self._write("/amcl_pose", stamp_ns, bytes(template.data))
+        self._amcl.patch_doubles("covariance", cdr.planar_covariance(covariance))
+        self._patched("/amcl_pose", self._amcl, stamp_ns, T_map_base)
 
     def map_to_odom(self, stamp_ns: int, T_map_odom: SE2) -> None:
         """The localiser's transform, on /tf."""
-        template = self._tf_map
-        template.patch_stamp(stamp_ns)
-        template.patch_pose(*T_map_odom.xyt.tolist())
-        self._write("/tf", stamp_ns, bytes(template.data))
+        self._patched("/tf", self._tf_map, stamp_ns, T_map_odom)
 
     def particles(self, stamp_ns: int, T_map_base: SE2) -> None:
         """/particlecloud from a batch of poses (n,)."""
@@ -131,16 +112,12 @@ class BagWriter:
 
     def goal(self, stamp_ns: int, T_map_goal: SE2) -> None:
         """/goal_pose."""
-        self._goal.patch_stamp(stamp_ns)
-        self._goal.patch_pose(*T_map_goal.xyt.tolist())
-        self._write("/goal_pose", stamp_ns, bytes(self._goal.data))
+        self._patched("/goal_pose", self._goal, stamp_ns, T_map_goal)
 
     def _imu_sample(self, sample: Imu) -> None:
-        template = self._imu
-        template.patch_stamp(sample.stamp_ns)
-        template.patch_doubles("angular", sample.angular_velocity.tolist())
-        template.patch_doubles("linear", sample.linear_acceleration.tolist())
-        self._write("/imu", sample.stamp_ns, bytes(template.data))
+        self._imu.patch_doubles("angular", sample.angular_velocity.tolist())
+        self._imu.patch_doubles("linear", sample.linear_acceleration.tolist())
+        self._patched("/imu", self._imu, sample.stamp_ns)
 
     def scan(self, log_time_ns: int, scan: Scan) -> None:
         """/scan; its header has the stamp of the first beam, the log time is when it was complete."""
@@ -169,6 +146,13 @@ class BagWriter:
     def cloud(self, log_time_ns: int, stamp_ns: int, cloud: Cloud, frame: str) -> None:
         """/points: a 3D scan in the given lidar frame, its stamp that of the first point."""
         self._write("/points", log_time_ns, cdr.point_cloud(frame, stamp_ns, cloud.points, cloud.times))
+
+    def _patched(self, topic: str, template: cdr.Template, stamp_ns: int, T: SE2 | None = None) -> None:
+        """Write what the template holds with this stamp and, if given, this pose."""
+        template.patch_stamp(stamp_ns)
+        if T is not None:
+            template.patch_pose(*T.xyt.tolist())
+        self._write(topic, stamp_ns, bytes(template.data))
 
     def _write(self, topic: str, log_time_ns: int, data: bytes) -> None:
         channel = self._channels.get(topic)

@@ -46,7 +46,7 @@ class Diary(RunRecorder):
     ) -> None:
         """One control period: what was seen, and what is commanded for the next."""
         super().tick(observation, owner, command, T_frame_odom)
-        if len(self._rows.stamps) >= CHUNK_ROWS:
+        if len(self._rows.rows) >= CHUNK_ROWS:
             self._write()
 
     def end(self, task: Task, grid: OccupancyGrid | None) -> RunMetrics | None:
@@ -73,7 +73,7 @@ class Diary(RunRecorder):
             file.close()
 
     def _write(self) -> None:
-        if not self._rows.stamps:
+        if not self._rows.rows:
             return
         log = self.log()
         log.write_rows(self._log_file)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -31,24 +33,25 @@ class Picture:
 class Album:
     """Collects the pictures of one report in `folder`; `paper` adds each as PDF and SVG.
 
-    Without a folder nothing is drawn: titles and captions only. `told` hears what is being drawn.
+    Without a folder nothing is drawn: titles and captions only. `told` hears what is being drawn. `prefix`
+    begins the names of the pictures.
     """
 
     folder: Path | None
     animate: bool = True
     paper: bool = False
+    prefix: str = ""
     pictures: list[Picture] = field(default_factory=list)
     told: Callable[[str], None] = lambda title: None
 
-    def add(self, name: str, title: str, caption: str, draw: Callable[[], Figure]) -> Picture:
-        """Draw, save `name.png` and keep the SVG; names are unique within a report."""
+    def add(self, name: str, title: str, caption: str, draw: Callable[..., Figure], *drawn: Any) -> None:
+        """Call `draw`, save `name.png` and keep the SVG; names are unique within a report."""
+        name = self.prefix + name
         if any(picture.name == name for picture in self.pictures):
             raise ValueError(f"two pictures are called {name}")
         self.told(title)
-        svg = "" if self.folder is None else self._saved(self.folder, name, draw)
-        picture = Picture(name, title, caption, svg)
-        self.pictures.append(picture)
-        return picture
+        svg = "" if self.folder is None else self._saved(self.folder, name, partial(draw, *drawn))
+        self.pictures.append(Picture(name, title, caption, svg))
 
     def _saved(self, folder: Path, name: str, draw: Callable[[], Figure]) -> str:
         folder.mkdir(parents=True, exist_ok=True)
@@ -65,8 +68,9 @@ class Album:
                 (folder / f"{name}.svg").write_text(standalone(svg))
         return svg
 
-    def add_animation(self, name: str, title: str, caption: str, draw: Callable[[], bytes]) -> Picture:
+    def add_animation(self, name: str, title: str, caption: str, draw: Callable[[], bytes]) -> None:
         """Save `name.gif` and carry it in the page."""
+        name = self.prefix + name
         self.told(title)
         picture = Picture(name, title, caption)
         if self.folder is not None:
@@ -76,7 +80,6 @@ class Album:
             gif, still = _address("gif", data), _address("png", last_frame(data))
             picture = Picture(name, title, caption, gif=gif, still=still)
         self.pictures.append(picture)
-        return picture
 
 
 def _address(kind: str, data: bytes) -> str:

@@ -93,11 +93,6 @@ class Canvas:
         draw.text((bar[0] - left, middle), length_text(length), fill=INK, font=font, anchor="rm")
 
 
-def palette() -> list[int]:
-    """The colours as Pillow wants them."""
-    return [part for colour in COLOURS for part in colour]
-
-
 def mapping(
     recording: Recording, slam: Trajectory, odometry: Trajectory | None, grid: OccupancyGrid
 ) -> Iterator[Image.Image]:
@@ -201,7 +196,8 @@ def run(
         for number, goal in enumerate(goals):
             if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float)):
                 colour = _goal_colour(number, pursued, so_far, truly_reached(goal))
-                _disc(draw, canvas, np.array([[goal["x"], goal["y"]]]), 0.02 * canvas.size[0], colour)
+                [(x, y)] = canvas.pixels(np.array([[goal["x"], goal["y"]]]))
+                draw.circle((x, y), 0.02 * canvas.size[0], fill=colour)
         _robot(draw, canvas, truth.poses[int(row)], INK)
         canvas.caption(draw, float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
         yield frame
@@ -252,11 +248,6 @@ def _path(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, colour: int, wid
         draw.line(canvas.pixels(xy), fill=colour, width=width, joint="curve")
 
 
-def _disc(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, radius: float, colour: int) -> None:
-    for x, y in canvas.pixels(xy):
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
-
-
 def _robot(draw: ImageDraw.ImageDraw, canvas: Canvas, T_map_base: SE2, colour: int) -> None:
     """A triangle that points where the robot looks."""
     length = 0.03 * canvas.size[0] / canvas.scale
@@ -285,7 +276,7 @@ def gif(frames: Iterator[Image.Image]) -> bytes:
 
 
 def _reduce(frame: Image.Image) -> Image.Image:
-    frame.putpalette(palette())
+    frame.putpalette([part for colour in COLOURS for part in colour])
     return frame.convert("RGB").reduce(SUPER)
 
 

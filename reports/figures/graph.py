@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.figures.maps import ERROR_SCALE_M, add_scale, draw_grid, map_figure, view_box
+from turtlebag.reports.figures.maps import ERROR_SCALE_M, add_scale, faint_map
 from turtlebag.reports.figures.style import FINE_TO_BAD, MUTED
 from turtlebag.reports.g2o import LoopRecord, PoseGraph
 
@@ -37,9 +37,7 @@ def shown_edges(graph: PoseGraph, record: LoopRecord | None) -> tuple[NDArray[np
 def pose_graph(graph: PoseGraph, grid: OccupancyGrid | None, record: LoopRecord | None) -> Figure:
     """Keys in order as a thin line, loops as lines from blue (agrees) to orange (strained)."""
     keys = Trajectory(np.arange(len(graph.T_map_keys), dtype=np.int64), graph.T_map_keys)
-    figure, axes = map_figure(view_box(grid, [keys]), bar=True)
-    if grid is not None:
-        draw_grid(axes, grid, faint=True)
+    figure, axes = faint_map(grid, [keys], bar=True)
     axes.plot(keys.poses.x, keys.poses.y, "-", color=MUTED, linewidth=0.8, zorder=2)
     axes.plot(keys.poses.x, keys.poses.y, ".", color=MUTED, markersize=3, zorder=3)
     pairs, residual_m = shown_edges(graph, record)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 import matplotlib
@@ -12,17 +12,19 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import UNKNOWN, OccupancyGrid
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.figures.style import (
     FINE_TO_BAD,
     GROUND,
     INK,
     LINES,
+    MUTED,
     PAPER,
     SERIES,
     WIDTH_IN,
@@ -54,6 +56,16 @@ def map_figure(box: Box, *, bar: bool = False) -> tuple[Figure, Axes]:
     figure = new_figure(float(np.clip(shape * width, 2.0, 7.0)) + extra)
     axes = figure.add_subplot()
     frame(axes, box)
+    return figure, axes
+
+
+def faint_map(
+    grid: OccupancyGrid | None, paths: Sequence[Trajectory | None], *, bar: bool = False
+) -> tuple[Figure, Axes]:
+    """A figure with room for the paths and the map, where there is one, in their background."""
+    figure, axes = map_figure(view_box(grid, paths), bar=bar)
+    if grid is not None:
+        draw_grid(axes, grid, faint=True)
     return figure, axes
 
 
@@ -128,9 +140,7 @@ def plain_map(grid: OccupancyGrid, paths: Mapping[str, Trajectory | None]) -> Fi
 def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | None]) -> Figure:
     """Paths of every kind given, over a faint map; start marked."""
     shown = {kind: path for kind, path in paths.items() if path is not None and len(path)}
-    figure, axes = map_figure(view_box(grid, list(shown.values())))
-    if grid is not None:
-        draw_grid(axes, grid, faint=True)
+    figure, axes = faint_map(grid, list(shown.values()))
     for kind, trajectory in shown.items():
         draw_path(axes, trajectory, kind)
     draw_start(axes, next(iter(shown.values())).poses[0])
@@ -141,9 +151,7 @@ def trajectories(grid: OccupancyGrid | None, paths: Mapping[str, Trajectory | No
 def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     """Several ways over one faint map, each in a colour and a line of its own; start and goal marked."""
     tracks = {name: Trajectory(np.arange(len(p), dtype=np.int64), p) for name, p in paths.items()}
-    figure, axes = map_figure(view_box(grid, list(tracks.values())))
-    if grid is not None:
-        draw_grid(axes, grid, faint=True)
+    figure, axes = faint_map(grid, list(tracks.values()))
     for number, (name, track) in enumerate(tracks.items()):
         colour = SERIES[number % len(SERIES)]
         dashes = ("-", (0, (5, 2)), (0, (1, 1.5)))[number // len(SERIES) % 3]
@@ -156,18 +164,32 @@ def plans(grid: OccupancyGrid | None, paths: Mapping[str, SE2]) -> Figure:
     return figure
 
 
+def walls_of_both(
+    layers: Sequence[tuple[OccupancyGrid, OccupancyGrid, str]],
+    agree: Callable[[Array, OccupancyGrid], NDArray[np.bool_]],
+    box: Box,
+    words: Sequence[tuple[str, str]],
+) -> Figure:
+    """Occupied cells of grids, the last on top, each in its colour but where they `agree` with the other.
+
+    `words` say what the colours mean.
+    """
+    figure, axes = map_figure(box)
+    for grid, other, colour in layers:
+        image = np.zeros((*grid.shape, 4))
+        cells = np.argwhere(occupied(grid))
+        agreed = agree(grid.center_of(cells), other)
+        for chosen, shade in ((cells[agreed], MUTED), (cells[~agreed], colour)):
+            image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
+        show_image(axes, image, grid)
+    legend_above(axes, [Patch(color=colour, label=word) for colour, word in words])
+    return figure
+
+
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None) -> None:
-    """A legend in one line above the axes."""
-    options: dict[str, Any] = {
-        "loc": "lower left",
-        "bbox_to_anchor": (0.0, 1.0),
-        "ncol": 4,
-        "borderaxespad": 0.2,
-    }
-    if handles is None:
-        axes.legend(**options)
-    else:
-        axes.legend(handles=list(handles), **options)
+    """A legend in one line above the axes: of the handles, or of what has a label."""
+    shown = {} if handles is None else {"handles": list(handles)}
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncol=4, borderaxespad=0.2, **shown)
 
 
 def draw_pose(axes: Axes, T_map_base: SE2, colour: str, length_m: float = 0.3) -> None:

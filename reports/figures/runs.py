@@ -23,6 +23,7 @@ from turtlebag.reports.figures.maps import (
     draw_path,
     draw_pose,
     draw_start,
+    faint_map,
     legend_above,
     map_figure,
     view_box,
@@ -129,9 +130,7 @@ def _draw_decisions(axes: Axes, decisions: Decisions, length_m: float) -> list[A
 
 def clearance_on_map(grid: OccupancyGrid | None, truth: Trajectory, clearance_m: Array) -> Figure:
     """The true path coloured by the footprint's clearance; the nearest place is named."""
-    figure, axes = map_figure(view_box(grid, [truth]), bar=True)
-    if grid is not None:
-        draw_grid(axes, grid, faint=True)
+    figure, axes = faint_map(grid, [truth], bar=True)
     finite = np.where(np.isfinite(clearance_m), clearance_m, np.nan)
     points = axes.scatter(
         truth.poses.x,

@@ -24,7 +24,8 @@ def time_axis(stamps_ns: Stamps, start_ns: int) -> Array:
     return (stamps_ns - start_ns).astype(np.float64) * 1e-9
 
 
-def _stack(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
+def stacked(rows: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    """Axes over one time, one above the other."""
     figure = new_figure(height_in)
     axes = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True)))
     axes[-1].set_xlabel("time [s]")
@@ -41,7 +42,7 @@ def speeds(truth: Trajectory) -> tuple[Array, Array, Array]:
 
 def error_over_time(slam: PosePairs | None, odometry: PosePairs | None, truth: Trajectory) -> Figure:
     """Position and yaw errors of SLAM and odometry, aligned with the true speed and yaw rate."""
-    figure, axes = _stack(4, 5.6)
+    figure, axes = stacked(4, 5.6)
     start = int(truth.stamps_ns[0])
     for pairs, kind in ((odometry, "odometry"), (slam, "slam")):
         if pairs is None:
@@ -82,7 +83,7 @@ def localisation(
     pairs: PosePairs, start_ns: int, contacts: Sequence[Span], goals_s: Sequence[float]
 ) -> Figure:
     """Position and yaw error of the estimate, with contact episodes shaded and goals ticked."""
-    figure, axes = _stack(2, 3.4)
+    figure, axes = stacked(2, 3.4)
     t = time_axis(pairs.stamps_ns, start_ns)
     axes[0].plot(t, 100.0 * pairs.position_errors(), color=AMCL, linewidth=1.2)
     axes[0].set_ylabel("position\nerror [cm]")
@@ -109,7 +110,7 @@ def clearance(
     stamps_ns: Stamps, clearance_m: Array, commands: Array, contacts: Sequence[Span], goals_s: Sequence[float]
 ) -> Figure:
     """Footprint clearance and the commands (n, 2) [m/s, rad/s] over time."""
-    figure, axes = _stack(3, 4.4)
+    figure, axes = stacked(3, 4.4)
     start = int(stamps_ns[0])
     t = time_axis(stamps_ns, start)
     axes[0].plot(t, 100.0 * np.where(np.isfinite(clearance_m), clearance_m, np.nan), color=INK, linewidth=1.1)

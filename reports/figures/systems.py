@@ -5,28 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import scipy
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.rivals import gaps
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.types import Stamps, Trajectory
-from turtlebag.reports.figures.maps import (
-    draw_grid,
-    draw_path,
-    legend_above,
-    map_figure,
-    show_image,
-    view_box,
-)
-from turtlebag.reports.figures.series import error_axis
-from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM, new_figure
+from turtlebag.reports.figures.maps import draw_path, faint_map, legend_above, view_box, walls_of_both
+from turtlebag.reports.figures.series import error_axis, stacked
+from turtlebag.reports.figures.style import INK, MUTED, ODOMETRY, SLAM
 from turtlebag.reports.metrics.evo import Paired
-from turtlebag.reports.metrics.map import occupied
+from turtlebag.reports.metrics.map import nearest_m, occupied
 from turtlebag.reports.metrics.trajectory import fit_rigid
 
 COLOURS = (SLAM, ODOMETRY, "#009e73", "#8a7f1f", "#56b4e9", INK)
@@ -36,9 +26,7 @@ def paths(
     ground: OccupancyGrid | None, truth: Trajectory | None, systems: Mapping[str, Trajectory]
 ) -> Figure:
     """Paths over a faint map, the truth as a wide band beneath."""
-    figure, axes = map_figure(view_box(ground, [*systems.values(), truth]))
-    if ground is not None:
-        draw_grid(axes, ground, faint=True)
+    figure, axes = faint_map(ground, [*systems.values(), truth])
     draw_path(axes, truth, "truth")
     for number, (name, path) in enumerate(systems.items()):
         xy = _broken(path.stamps_ns, path.poses.xy)
@@ -57,13 +45,11 @@ def over_time(paired: Paired) -> tuple[Stamps, Array]:
 
 def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], label: str) -> Figure:
     """Distances over the time since the first of all stamps; `names` give each system its colour."""
-    figure = new_figure(2.8)
-    axes = figure.add_subplot()
+    figure, (axes,) = stacked(1, 2.8)
     start = min(int(stamps[0]) for stamps, _ in systems.values())
     for name, (stamps, distance) in systems.items():
         line = _broken(stamps, np.stack([(stamps - start) * 1e-9, 100.0 * distance], axis=1))
         axes.plot(line[:, 0], line[:, 1], color=_colour(names.index(name)), linewidth=1.2, label=name)
-    axes.set_xlabel("time [s]")
     axes.set_ylabel(label)
     error_axis(axes)
     legend_above(axes)
@@ -73,29 +59,14 @@ def errors(systems: Mapping[str, tuple[Stamps, Array]], names: Sequence[str], la
 def walls(ours: OccupancyGrid, rival: OccupancyGrid, name: str, number: int) -> Figure:
     """Occupied cells of both: grey where the other has one within a cell, else in the system's colour
     (the rival's by its number)."""
-    figure, axes = map_figure(view_box(ours))
-    colours = (_colour(0), _colour(number))
     reach = 1.5 * max(ours.resolution, rival.resolution)
-    for grid, other, colour in ((rival, ours, colours[1]), (ours, rival, colours[0])):
-        cells = np.argwhere(occupied(grid))
-        agreed = _near(grid.center_of(cells), other, reach)
-        image = np.zeros((*grid.shape, 4))
-        for chosen, shade in ((cells[agreed], MUTED), (cells[~agreed], colour)):
-            image[chosen[:, 0], chosen[:, 1]] = (*to_rgb(shade), 1.0)
-        show_image(axes, image, grid)
-    words = ("both", "only TurtleBag", f"only {name}")
-    legend_above(
-        axes, [Patch(color=colour, label=word) for colour, word in zip((MUTED, *colours), words, strict=True)]
-    )
-    return figure
 
+    def agree(points: Array, other: OccupancyGrid) -> NDArray[np.bool_]:
+        return nearest_m(points, other.center_of(np.argwhere(occupied(other)))) < reach
 
-def _near(points: Array, grid: OccupancyGrid, reach_m: float) -> NDArray[np.bool_]:
-    targets = grid.center_of(np.argwhere(occupied(grid)))
-    if not len(targets) or not len(points):
-        return np.zeros(len(points), dtype=bool)
-    distance, _ = scipy.spatial.cKDTree(targets).query(points, distance_upper_bound=reach_m)
-    return np.asarray(np.isfinite(distance))
+    layers = [(rival, ours, _colour(number)), (ours, rival, _colour(0))]
+    words = (MUTED, "both"), (_colour(0), "only TurtleBag"), (_colour(number), f"only {name}")
+    return walls_of_both(layers, agree, view_box(ours), words)
 
 
 def _broken(stamps_ns: Stamps, values: Array) -> Array:

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.reports.figures.style import INK, ODOMETRY, SLAM
+from turtlebag.reports.figures.style import INK, ODOMETRY, SLAM, new_figure
 from turtlebag.reports.metrics.map import occupied
 
 
@@ -32,8 +30,7 @@ def draw_world(
     x_min, x_max, y_min, y_max = grid.extent()
     width = 10.0
     height = min(max(width * (y_max - y_min) / (x_max - x_min), 3.0), 20.0)
-    figure = Figure(figsize=(width, height + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(height + 0.6, width_in=width)
     axes = figure.add_subplot()
     shades = np.where(grid.cells < 0, 0.75, np.where(occupied(grid), 0.0, 1.0))
     axes.imshow(

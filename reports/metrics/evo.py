@@ -11,11 +11,11 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.rivals import gaps
+from turtlebag.datasets.rivals import covered
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import interpolate, inverse, quaternions
 from turtlebag.datasets.tracks import Track
-from turtlebag.datasets.types import Stamps
+from turtlebag.datasets.types import Stamps, neighbours
 from turtlebag.reports.metrics.relations import nearest
 
 MATCH_NS = 10_000_000
@@ -72,27 +72,18 @@ def pair(estimate: Track, reference: Track) -> Paired:
     """
     sparse, dense = (estimate, reference) if len(estimate) <= len(reference) else (reference, estimate)
     near, met = nearest(dense.stamps_ns, sparse.stamps_ns, MATCH_NS)
-    shared = _within(sparse.stamps_ns, dense.stamps_ns)
-    if met.sum() > 0 and met.sum() >= ENOUGH * shared.sum():
+    first, last = dense.stamps_ns[0], dense.stamps_ns[-1]
+    shared = np.count_nonzero((sparse.stamps_ns >= first) & (sparse.stamps_ns <= last))
+    if met.sum() > 0 and met.sum() >= ENOUGH * shared:
         chosen = sparse[met], dense[near[met]]
         return Paired(*(chosen if sparse is estimate else chosen[::-1]))
-    inside = _within(estimate.stamps_ns, reference.stamps_ns)
-    for begin, end in gaps(reference.stamps_ns):
-        inside &= (estimate.stamps_ns <= begin) | (estimate.stamps_ns >= end)
+    inside = covered(estimate.stamps_ns, reference.stamps_ns)
     return Paired(estimate[inside], at(reference, estimate.stamps_ns[inside]), interpolated=True)
-
-
-def _within(stamps: Stamps, others: Stamps) -> NDArray[np.bool_]:
-    return np.asarray((stamps >= others[0]) & (stamps <= others[-1]))
 
 
 def at(track: Track, stamps: Stamps) -> Track:
     """Interpolated poses at stamps within the track's span."""
-    high = np.clip(np.searchsorted(track.stamps_ns, stamps, side="right"), 1, max(len(track) - 1, 1))
-    high = np.minimum(high, len(track) - 1)
-    low = np.maximum(high - 1, 0)
-    span = np.maximum(track.stamps_ns[high] - track.stamps_ns[low], 1)
-    fraction = np.clip((stamps - track.stamps_ns[low]) / span, 0.0, 1.0)
+    low, high, fraction = neighbours(track.stamps_ns, stamps)
     return Track(stamps, interpolate(track.T[low], track.T[high], fraction))
 
 

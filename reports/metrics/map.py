@@ -60,10 +60,11 @@ def map_error(grid: OccupancyGrid, true_grid: OccupancyGrid) -> MapError:
     """Distances between mapped occupied cells and the visible true surface, both ways."""
     xy_mapped = grid.center_of(np.argwhere(occupied(grid)))
     xy_true = true_grid.center_of(np.argwhere(visible_surface(true_grid, grid)))
-    return MapError(xy_mapped, _nearest(xy_mapped, xy_true), xy_true, _nearest(xy_true, xy_mapped))
+    return MapError(xy_mapped, nearest_m(xy_mapped, xy_true), xy_true, nearest_m(xy_true, xy_mapped))
 
 
-def _nearest(points: Array, targets: Array) -> Array:
+def nearest_m(points: Array, targets: Array) -> Array:
+    """Distance of each point (n, 2) to the nearest target (m, 2), (n,) [m]; inf without targets."""
     if len(targets) == 0:
         return np.full(len(points), np.inf)
     return np.asarray(scipy.spatial.cKDTree(targets).query(points)[0], dtype=np.float64)

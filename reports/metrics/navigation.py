@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Stamps, Trajectory, yaw_difference
 from turtlebag.reports.metrics.area import AreaMetrics, area_metrics
 from turtlebag.reports.metrics.map import MapMetrics, map_metrics
-from turtlebag.reports.metrics.trajectory import Extremes, associate, summary
+from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summary
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
@@ -130,7 +130,7 @@ def run_metrics(
         "takeovers": takeovers(log.t_ns, log.owner),
         "distance_m": distance_driven(Trajectory(log.t_ns, log.T_world_base)),
         "time_s": round(float(log.t_ns[-1] - log.t_ns[0]) * 1e-9, 6),
-        "localisation_error_m": localisation_error(estimate, truth) if estimate else None,
+        "localisation_error_m": ate(estimate, truth, align=False) if estimate else None,
     }
     if floor is not None:
         found["area"] = area_metrics(
@@ -208,11 +208,6 @@ def localisation_errors(estimate: Trajectory, truth: Trajectory, success: bool) 
         "last_error_m": last_m,
         "true_success": success and last_m <= THERE_M,
     }
-
-
-def localisation_error(estimate: Trajectory, truth: Trajectory) -> Extremes:
-    """Distance of the estimate from the truth at its own stamps, unaligned: {rmse, max} [m]."""
-    return summary(associate(estimate, truth).position_errors())
 
 
 def pose_error(T_map_base: SE2, T_world_goal: SE2) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,12 +11,12 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.relations import Relations
-from turtlebag.datasets.rivals import System, coverage, gaps
+from turtlebag.datasets.rivals import System, coverage, covered, gaps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import lifted
 from turtlebag.datasets.tracks import Track
 from turtlebag.datasets.trajectories import stamp_text
-from turtlebag.datasets.types import Stamps, Trajectory, seconds
+from turtlebag.datasets.types import Trajectory, seconds
 from turtlebag.reports.metrics import evo
 from turtlebag.reports.metrics.map import map_metrics, visible_surface
 from turtlebag.reports.metrics.placing import Placed, place, walls
@@ -94,7 +94,8 @@ def _measure_track(
     if relations is not None:
         numbers |= relations_metrics(with_poses_at(system.track, relations), relations)
     if system is not ours and truth_known and ours.track is not None and numbers["coverage"] < WHOLE:
-        inside = _covered(ours.track.in_time(), track.stamps_ns)
+        whole = ours.track.in_time()
+        inside = whole[covered(whole.stamps_ns, track.stamps_ns)]
         numbers["ours_there"] = path_errors(evo.pair(inside, reference)) if len(inside) > 2 else None
     T = fit_rigid(paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3])
     path = Track(track.stamps_ns, lifted(T) @ track.T).planar()
@@ -153,24 +154,12 @@ def _notes(track: Track, paired: evo.Paired, span: tuple[int, int]) -> list[str]
     return notes
 
 
-def _covered(track: Track, stamps_ns: Stamps) -> Track:
-    """The part of a track that lies in the time another covers."""
-    inside = (track.stamps_ns >= stamps_ns[0]) & (track.stamps_ns <= stamps_ns[-1])
-    for begin, end in gaps(stamps_ns):
-        inside &= (track.stamps_ns <= begin) | (track.stamps_ns >= end)
-    return track[inside]
-
-
 def with_poses_at(track: Track, relations: Relations) -> Trajectory:
     """A track with interpolated poses at those stamps of relations at which it has none, but for gaps."""
     wanted = np.unique(np.concatenate([relations.stamps_a_ns, relations.stamps_b_ns]))
     _, met = nearest(track.stamps_ns, wanted)
     ordered = track.in_time()
-    stamps = ordered.stamps_ns
-    inside = ~met & (wanted >= stamps[0]) & (wanted <= stamps[-1])
-    for begin, end in gaps(stamps):
-        inside &= (wanted <= begin) | (wanted >= end)
-    added = evo.at(ordered, wanted[inside])
+    added = evo.at(ordered, wanted[~met & covered(wanted, ordered.stamps_ns)])
     both = Track(np.concatenate([track.stamps_ns, added.stamps_ns]), np.concatenate([track.T, added.T]))
     return both.planar()
 
@@ -182,7 +171,7 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
     if grid is None or reference is None:
         return measured
     if known.true_map is None and measured is ours:
-        return _replaced(measured, {}, [], grid)
+        return replace(measured, grid=grid)
     surface = _surface(reference, known.true_map, ours.system.grid)
     placed = place(grid, surface, reference.resolution, _guesses(measured, ours, known))
     # Between grids of one lattice the closest points are no match to the cell: no move may be the better one.
@@ -191,9 +180,9 @@ def _measure_map(measured: Measured, before: Sequence[Measured], known: Known) -
         for at in (replace(placed, T_ref_map=SE2.identity()), placed)
     ]
     placed, found = max(scored, key=lambda one: one[1]["iou_one_cell"])
-    moved = placed.moved(grid)
-    numbers = {"map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
-    return _replaced(measured, numbers, _map_notes(placed, grid) if measured is not ours else [], moved)
+    numbers = {**measured.numbers, "map": found, "map_moved": placed.T_ref_map.xyt.tolist()}
+    notes = measured.notes + (_map_notes(placed, grid) if measured is not ours else [])
+    return replace(measured, numbers=numbers, notes=notes, grid=placed.moved(grid))
 
 
 def _surface(reference: OccupancyGrid, true_map: OccupancyGrid | None, ours: OccupancyGrid | None) -> Array:
@@ -232,16 +221,3 @@ def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
             "it is a map of another place, or badly bent."
         )
     return notes
-
-
-def _replaced(
-    measured: Measured, numbers: Mapping[str, Any], notes: Sequence[str], grid: OccupancyGrid
-) -> Measured:
-    return Measured(
-        measured.system,
-        {**measured.numbers, **numbers},
-        [*measured.notes, *notes],
-        measured.paired,
-        measured.path,
-        grid,
-    )

@@ -44,9 +44,8 @@ class PosePairs:
 
 def associate(estimate: Trajectory, truth: Trajectory, *, slack_ns: int = SLACK_NS) -> PosePairs:
     """The estimate's poses with the interpolated truth; ValueError when their times do not overlap."""
-    order = np.argsort(truth.stamps_ns, kind="stable")
-    stamps, first = np.unique(truth.stamps_ns[order], return_index=True)
-    truth = Trajectory(stamps, truth.poses[order[first]])
+    stamps, first = np.unique(truth.stamps_ns, return_index=True)
+    truth = Trajectory(stamps, truth.poses[first])
     inside = (estimate.stamps_ns >= stamps[0] - slack_ns) & (estimate.stamps_ns <= stamps[-1] + slack_ns)
     if not inside.any():
         raise ValueError("the estimate and the truth share no time")

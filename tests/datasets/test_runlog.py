@@ -39,6 +39,9 @@ def test_parts_of_a_run_log_are_one_log_again(tmp_path):
 def test_a_run_log_comes_back_from_its_file(tmp_path):
     log = sample_log()
     log.save(tmp_path / "runlog.csv")
+    poses = "0.100000,1.000000,0.500000,,,,0.100000,0.900000,0.400000"
+    rest = "0.200000,-0.300000,0.400000,0,0,0,follow,navigation"
+    assert (tmp_path / "runlog.csv").read_text().splitlines()[2] == f"33333333,{poses},{rest}"
     back = RunLog.load(tmp_path / "runlog.csv")
     assert back.t_ns.tolist() == log.t_ns.tolist()
     np.testing.assert_allclose(back.T_world_base.xyt, log.T_world_base.xyt, atol=1e-6)
