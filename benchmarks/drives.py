@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan, Trajectory
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.routes import RoutePlanner, random_goals
@@ -102,7 +102,7 @@ class Maps:
         place = self._folder / "".join(c if c.isalnum() else "_" for c in f"{world} {robot} {self._sensors}")
         if not (place / "map" / "manifest.json").exists():
             sim = SimConfig(sensors=self._sensors)
-            record(world, robot, "tour", 1, place / "record", sim=sim, force=True)
+            record(Scene.load(world, robot, sim=sim), "tour", place / "record", force=True)
         return built_map(place / "record", place / "map") / "map.yaml"
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:

@@ -29,7 +29,7 @@ from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.trajectory import ate
 
@@ -57,7 +57,7 @@ def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> Iterator[Row]:
         for world, teleop in cases:
             name = f"{world.replace(':', '_')}-{teleop}"
             drive = Path(scratch) / name
-            record(world, "waffle_pi_3d", teleop, 1, drive)
+            record(Scene.load(world, "waffle_pi_3d"), teleop, drive)
             truth, true_map = load_tum(drive / "truth/trajectory.tum"), load_map(drive / "truth/map.yaml")
             for sensors in ("both", "lidar"):
                 start = time.process_time()

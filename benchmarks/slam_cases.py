@@ -24,7 +24,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.slam import SlamConfig, SlamResult, run_slam
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.reports.metrics.map import map_metrics, occupied, visible_surface
 from turtlebag.sim.simulator import Sensors, SimConfig
 from turtlebag.sim.teleop import script_names
@@ -88,7 +88,8 @@ def driven(
     """A simulated drive: log and truth, the true map, and the exit code (1: the robot got stuck)."""
     with tempfile.TemporaryDirectory() as scratch:
         drive = Path(scratch) / "drive"
-        code = record(world, robot, teleop, seed, drive, sim=SimConfig(sensors=sensors))
+        scene = Scene.load(world, robot, seed, SimConfig(sensors=sensors))
+        code = record(scene, teleop, drive)
         recording, truth = load_recording(drive), load_tum(drive / "truth" / "trajectory.tum")
         true_map = load_map(drive / "truth" / "map.yaml")
     return known(recording, truth.at(recording.stamps_ns)), true_map, code

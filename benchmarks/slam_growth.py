@@ -29,7 +29,7 @@ from turtlebag.datasets.kernels import folders
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Recording
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 
 SCANS = 20_000
 GROWN = f"ACES to {SCANS} scans"
@@ -105,7 +105,7 @@ def arena_row(laps: int) -> Row:
         script, drive = Path(place) / "laps.yaml", Path(place) / "drive"
         steps = [{"wait": 1.0}, *[{"route": "tour"}] * laps, {"wait": 1.0}]
         script.write_text(yaml.safe_dump({"name": "laps", "v": 0.2, "w": 0.6, "steps": steps}))
-        record("turtlebot3_world", "burger", str(script), 1, drive)
+        record(Scene.load("turtlebot3_world", "burger"), str(script), drive)
         return map_cost(drive, Path(place))
 
 

@@ -33,8 +33,8 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.stages.studio import studio_output
+from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
 from turtlebag.pipeline.studio.frames import Frames
-from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
 from turtlebag.pipeline.studio.pilot import DRAWN_EVERY_NS
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.session import Session
@@ -63,10 +63,10 @@ def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -
 
     stage.Session = Stamped
     sockets = listen(LOOPBACK, 0)
-    guard = Guard(new_token(), LOOPBACK, sockets[0].getsockname()[1])
+    access = Access(new_token(), LOOPBACK, sockets[0].getsockname()[1])
     setup = StudioSetup(world, ROBOT, 1, map_path)
     with deferred_interrupt() as interrupted, studio_output(setup, out, say=lambda line: None) as session:
-        serve(session, guard, sockets, interrupted=interrupted, ready=lambda: told.send(guard.url))
+        serve(session, access, sockets, interrupted=interrupted, ready=lambda: told.send(access.url))
 
 
 @contextmanager

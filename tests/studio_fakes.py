@@ -10,7 +10,7 @@ from benchmarks.studio_client import Client
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.guard import LOOPBACK, Guard, listen, new_token
+from turtlebag.pipeline.studio.access import LOOPBACK, Access, listen, new_token
 from turtlebag.pipeline.studio.inputs import Drive, End, MapSave, SetGoal, Stop
 from turtlebag.pipeline.studio.server import serve
 from turtlebag.pipeline.studio.view import Event, MapLayer, Path, Scene, View
@@ -122,12 +122,12 @@ class Served:
     def __init__(self, session, host=LOOPBACK):
         self.session, self.failure = session, None
         sockets = listen(host, 0)
-        self.guard = Guard(new_token(), host, sockets[0].getsockname()[1])
+        self.access = Access(new_token(), host, sockets[0].getsockname()[1])
         self._interrupted, ready = [], threading.Event()
 
         def run():
             try:
-                serve(session, self.guard, sockets, interrupted=self._interrupted, ready=ready.set)
+                serve(session, self.access, sockets, interrupted=self._interrupted, ready=ready.set)
             except BaseException as error:
                 self.failure = error
 
@@ -137,11 +137,11 @@ class Served:
 
     @property
     def url(self):
-        return self.guard.url
+        return self.access.url
 
     @property
     def place(self):
-        return f"http://{LOOPBACK}:{self.guard.port}"
+        return f"http://{LOOPBACK}:{self.access.port}"
 
     def stop(self):
         self._interrupted.append(2)

@@ -9,7 +9,7 @@ from studio_fakes import FakeSession, view
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.guard import LOOPBACK
+from turtlebag.pipeline.studio.access import LOOPBACK
 from turtlebag.pipeline.studio.inputs import Drive, MapLoad
 from turtlebag.pipeline.studio.view import Event, MapLayer
 

@@ -6,7 +6,7 @@ import json
 import platform
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
@@ -67,7 +67,12 @@ def sweep(
         where = _where(campaign, store, claim.partial, inputs, scheduler)
         _begin(where, campaign, force=force)
         progress = Progress(campaign, where, todo)
-        rows, timing = _run(campaign, todo, where, run, progress, claim.partial / SCRATCH, scheduler, workers)
+        scratch = claim.partial / SCRATCH
+
+        def start(left: Sequence[Case]) -> Iterator[Done]:
+            return run_cases(campaign, left, where, run, scratch, scheduler=scheduler, workers=workers)
+
+        rows, timing = _run(campaign, todo, where, progress, start)
         (claim.partial / "config.yaml").write_text(config_text(campaign))
         source = Path(campaign_name).name
         write_results(campaign, source, rows, where.runs, claim.partial, progress.worst)
@@ -152,14 +157,11 @@ def _run(
     campaign: Campaign,
     todo: Sequence[Case],
     where: Where,
-    run: Run,
     progress: Progress,
-    scratch: Path,
-    scheduler: str | None,
-    workers: int | None,
+    start: Callable[[Sequence[Case]], Iterable[Done]],
 ) -> tuple[list[Row], dict[str, float]]:
     """Rows of all cases in the campaign's order, and how long each took [s]; those that were done before are
-    only read."""
+    only read, and `start` runs the others."""
     wanted = {case.name for case in todo}
     rows: dict[str, Row] = {}
     timing: dict[str, float] = {}
@@ -175,9 +177,7 @@ def _run(
     if left:
         progress.start()
         log.info(f"the page of how far it is: {where.runs.url}/{PAGE}")
-        found = run_cases(
-            campaign, _spread(left, campaign), where, run, scratch, scheduler=scheduler, workers=workers
-        )
+        found = start(_spread(left, campaign))
         for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if wall_s is not None:

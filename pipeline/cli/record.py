@@ -35,17 +35,8 @@ def inputs(args: argparse.Namespace) -> list[Path]:
 
 def run(args: argparse.Namespace) -> int:
     """Record a drive."""
-    from turtlebag.pipeline.stages.record import RecordOptions, record
+    from turtlebag.pipeline.stages.record import RecordOptions, Scene, record
 
     options = load_config(RecordOptions, args.config, args.settings)
-    return record(
-        args.world,
-        args.robot,
-        args.teleop,
-        args.seed,
-        args.out,
-        sim=options.sim,
-        start=start_of(args),
-        force=args.force,
-        command=args.command_line,
-    )
+    scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
+    return record(scene, args.teleop, args.out, force=args.force, command=args.command_line)

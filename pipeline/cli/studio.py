@@ -16,8 +16,8 @@ from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, se
 if TYPE_CHECKING:
     from socket import socket
 
+    from turtlebag.pipeline.studio.access import Access
     from turtlebag.pipeline.studio.bag_setup import BagSetup
-    from turtlebag.pipeline.studio.guard import Guard
     from turtlebag.pipeline.studio.setup import StudioSetup
 
 EXAMPLE = "turtlebag studio --world turtlebot3_world --robot burger --seed 1"
@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
         return _replay(args)
     from turtlebag.pipeline.stages.record import RecordOptions
     from turtlebag.pipeline.stages.settings import load_config
+    from turtlebag.pipeline.studio.access import Access, is_loopback, listen, new_token
     from turtlebag.pipeline.studio.bag_setup import BagSetup
-    from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen, new_token
     from turtlebag.pipeline.studio.setup import StudioSetup
     from turtlebag.pipeline.terminal.messages import log
 
@@ -88,17 +88,17 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or _free_folder(words)
     host = args.host or LOOPBACK
     sockets = listen(host, args.port or 0)
-    guard = Guard(new_token(), host, sockets[0].getsockname()[1])
+    access = Access(new_token(), host, sockets[0].getsockname()[1])
     if not is_loopback(host):
         log.warning(
             f"--host {host}: everybody who can reach this machine and knows the page's address can drive the "
             "robot and save below --out; nothing is encrypted"
         )
-    return _live(setup, out, guard, sockets, args)
+    return _live(setup, out, access, sockets, args)
 
 
 def _live(
-    setup: StudioSetup | BagSetup, out: Path, guard: Guard, sockets: list[socket], args: argparse.Namespace
+    setup: StudioSetup | BagSetup, out: Path, access: Access, sockets: list[socket], args: argparse.Namespace
 ) -> int:
     from turtlebag.pipeline.stages.record import deferred_interrupt
     from turtlebag.pipeline.stages.studio import studio_output
@@ -106,10 +106,10 @@ def _live(
     from turtlebag.pipeline.terminal.messages import log, say
 
     def ready() -> None:
-        say(guard.url)
+        say(access.url)
         log.info("Ctrl-C ends the session")
         if not args.no_browser:
-            _open_browser(guard.url)
+            _open_browser(access.url)
 
     failure: Exception | None = None
     # What was driven until an interrupt or a failure cannot be driven again: it is finished and kept.
@@ -118,7 +118,7 @@ def _live(
         studio_output(setup, out, force=args.force, command_line=args.command_line, say=log.info) as session,
     ):
         try:
-            serve(session, guard, sockets, interrupted=interrupted, ready=ready)
+            serve(session, access, sockets, interrupted=interrupted, ready=ready)
         except Exception as error:
             failure = error
             log.error(f"the session could not go on; what it holds is kept in {out}")

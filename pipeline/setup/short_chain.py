@@ -14,7 +14,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.navigate import navigate
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
@@ -57,7 +57,7 @@ def trial() -> float:
 def _record_and_map(folder: Path) -> None:
     script = folder / "trial.yaml"
     script.write_text(SCRIPT)
-    record(WORLD, ROBOT, str(script), 0, folder / "record")
+    record(Scene.load(WORLD, ROBOT, 0), str(script), folder / "record")
     build_map(folder / "record", folder / "map", truth=folder / "record" / "truth")
 
 

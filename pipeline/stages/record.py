@@ -53,31 +53,19 @@ def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) 
     save_map(world.rasterize(robot.lidar_height), folder)
 
 
-def record(
-    world: str,
-    robot: str | None,
-    teleop: str,
-    seed: int,
-    out: Path,
-    *,
-    sim: SimConfig | None = None,
-    start: SE2 | None = None,
-    force: bool = False,
-    command: Sequence[str] = (),
-) -> int:
+def record(scene: Scene, teleop: str, out: Path, *, force: bool = False, command: Sequence[str] = ()) -> int:
     """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
     0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
     complete and kept.
     """
-    scene = Scene.load(world, robot, seed, sim, start)
     own = teleop not in script_names() and Path(teleop).exists()
     inputs = {"teleop": Path(teleop)} if own else {}
     if own and is_recording(teleop):
         replayed = load_commands(Path(teleop))
         driver, label = replayed.commands(), replayed.label
     else:
-        driver, label = commands(load_script(teleop), scene.world, scene.robot, seed), teleop
+        driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
     return record_drive(scene, driver, label, out, inputs=inputs, force=force, command=command)
 
 
@@ -94,7 +82,13 @@ class Scene:
     seed: int
 
     @staticmethod
-    def load(world: str, robot: str | None, seed: int, sim: SimConfig | None, start: SE2 | None) -> Scene:
+    def load(
+        world: str,
+        robot: str | None = None,
+        seed: int = 1,
+        sim: SimConfig | None = None,
+        start: SE2 | None = None,
+    ) -> Scene:
         """Look the names up; InputError for unknown ones."""
         loaded = load_world(world)
         name = robot or loaded.robot

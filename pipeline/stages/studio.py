@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.takeover import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.record import deferred_interrupt
 from turtlebag.pipeline.studio.bag_setup import BagSetup
-from turtlebag.pipeline.studio.inputs import Deed, Drive, End, Release
+from turtlebag.pipeline.studio.inputs import Action, Drive, End, Release
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
@@ -91,7 +91,7 @@ def replay(
     check_free(out, force=force, kind="folder")
     recorded = load_session(session_file)
     setup = setup_of(recorded.header, session_file)
-    deeds, script = deque(recorded.deeds), Script(recorded.script)
+    actions, script = deque(recorded.actions), Script(recorded.script)
     with (
         deferred_interrupt() as interrupted,
         studio_output(
@@ -101,14 +101,14 @@ def replay(
     ):
         while not session.ended:
             now = session.stamp_ns
-            # where a bag is at its end the time stands still: the next deed comes at once
-            while deeds and (deeds[0][0] <= now or session.idle):
-                _apply(session, deeds.popleft()[1], session_file)
+            # where a bag is at its end the time stands still: the next action comes at once
+            while actions and (actions[0][0] <= now or session.idle):
+                _apply(session, actions.popleft()[1], session_file)
             asked = script.asked(now)
             if session.ended:
                 break
             session.apply(Release() if asked is None else Drive(v=asked.v, w=asked.w))
-            if interrupted or (not deeds and (now >= recorded.until_ns or session.idle)):
+            if interrupted or (not actions and (now >= recorded.until_ns or session.idle)):
                 session.apply(End())
             session.tick()
             clock(now, "")
@@ -117,8 +117,8 @@ def replay(
     return 128 + interrupted[0] if interrupted else 0
 
 
-def _apply(session: Session | Playback, deed: Deed, session_file: Path) -> None:
+def _apply(session: Session | Playback, action: Action, session_file: Path) -> None:
     try:
-        session.apply(deed)
+        session.apply(action)
     except InputError as error:
         raise InputError(f"{session_file}: at {session.stamp_ns * 1e-9:g} s: {error}") from None

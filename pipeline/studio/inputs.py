@@ -238,7 +238,7 @@ class End(Settings):
 
 Driving = Drive | Stop | Release
 """What holds for a while: `session.yaml` has it as intervals."""
-Deed = (
+Action = (
     Record
     | RecordStop
     | MapStart
@@ -268,7 +268,7 @@ Deed = (
     | End
 )
 """What happens at once: `session.yaml` has it with its time."""
-Input = Driving | Deed
+Input = Driving | Action
 
 _INPUTS: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="do")])
 KNOWN = tuple(model.model_fields["do"].default for model in get_args(Input))

@@ -19,7 +19,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
-from turtlebag.pipeline.studio.inputs import Deed, Driving, parse_input
+from turtlebag.pipeline.studio.inputs import Action, Driving, parse_input
 from turtlebag.sim.simulator import SimConfig
 
 FILE = "session.yaml"
@@ -50,10 +50,10 @@ class BagHeader(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A session as its file has it: deeds by time [ns], intervals of driving, and when it ended [ns]."""
+    """A session as its file has it: actions by time [ns], intervals of driving, and when it ended [ns]."""
 
     header: Header | BagHeader
-    deeds: tuple[tuple[int, Deed], ...]
+    actions: tuple[tuple[int, Action], ...]
     script: tuple[Interval, ...]
     until_ns: int
 
@@ -69,7 +69,7 @@ def load_session(path: Path) -> Recorded:
         header = checked(Header, data, where=str(path))
     if not isinstance(entries, list):
         raise InputError(f"{path}: inputs: expected a list")
-    deeds: list[tuple[int, Deed]] = []
+    actions: list[tuple[int, Action]] = []
     intervals: list[Any] = []
     until_ns = 0
     for number, entry in enumerate(entries, start=1):
@@ -83,32 +83,32 @@ def load_session(path: Path) -> Recorded:
             intervals.append(interval)
             until_ns = max(until_ns, round(interval.end * 1e9))
             continue
-        at_ns, deed = _timed(entry, where)
-        if at_ns < (deeds[-1][0] if deeds else 0):
+        at_ns, action = _timed(entry, where)
+        if at_ns < (actions[-1][0] if actions else 0):
             raise InputError(
                 f"{where}: at {entry['at']:g} s, which is before the one above; put them in order"
             )
-        if deeds and deeds[-1][1].do == "end":
+        if actions and actions[-1][1].do == "end":
             raise InputError(f"{where}: comes after the session's end; remove it")
         until_ns = max(until_ns, at_ns)
-        if deed is not None:
-            deeds.append((at_ns, deed))
+        if action is not None:
+            actions.append((at_ns, action))
     script = checked(TakeoverConfig, {"script": intervals}, where=str(path)).script
-    return Recorded(header, tuple(deeds), script, until_ns)
+    return Recorded(header, tuple(actions), script, until_ns)
 
 
-def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Deed | None]:
-    """Time [ns] and deed of an entry; no deed where it only says that the session still went on."""
+def _timed(entry: Mapping[str, Any], where: str) -> tuple[int, Action | None]:
+    """Time [ns] and action of an entry; no action where it only says that the session still went on."""
     at, rest = entry["at"], {key: value for key, value in entry.items() if key != "at"}
     if isinstance(at, bool) or not isinstance(at, (int, float)) or not 0.0 <= at <= LONGEST_S:
         raise InputError(f"{where}: at: must be 0 to {LONGEST_S:g} s")
     at_ns = round(at * 1e9)
     if not rest:
         return at_ns, None
-    deed = parse_input(rest, where)
-    if isinstance(deed, Driving):
-        raise InputError(f"{where}: {deed.do}: is written as an interval with begin, end, v and w")
-    return at_ns, deed
+    action = parse_input(rest, where)
+    if isinstance(action, Driving):
+        raise InputError(f"{where}: {action.do}: is written as an interval with begin, end, v and w")
+    return at_ns, action
 
 
 class Journal:
@@ -125,11 +125,11 @@ class Journal:
         self._asked: Twist | None = None
         self._begin_ns = self._silent_ns = 0
 
-    def deed(self, stamp_ns: int, deed: Deed) -> None:
-        """Note a deed, which happens before the tick at this stamp."""
+    def action(self, stamp_ns: int, action: Action) -> None:
+        """Note an action, which happens before the tick at this stamp."""
         self._interval(stamp_ns)
         self._begin_ns = self._silent_ns = stamp_ns
-        self._entry({"at": _seconds(stamp_ns), **deed.model_dump(mode="json", exclude_none=True)})
+        self._entry({"at": _seconds(stamp_ns), **action.model_dump(mode="json", exclude_none=True)})
 
     def tick(self, stamp_ns: int, asked: Twist | None) -> None:
         """Note a tick, and the speed that was asked for by hand, if one was."""

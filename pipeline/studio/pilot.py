@@ -127,7 +127,7 @@ class Pilot(Driver):
         if self.navigation is not None and driver is not self.navigation:
             self.navigation.stand_by(observation)
         if self.localiser is not None:
-            self.localiser.scan_poses.clear()  # a session has a diary
+            self.localiser.scan_poses.clear()  # a session writes them as it goes on
 
     def _draw(self, mapper: OnlineMap, observation: Observation) -> None:
         now, T_odom_base = observation.stamp_ns, observation.odometry.T_odom_base

@@ -26,11 +26,11 @@ from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.bag_setup import BagSetup, scene_of
 from turtlebag.pipeline.studio.journal import FILE, Journal
+from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
-from turtlebag.pipeline.studio.onlooker import EventLog, Trail
-from turtlebag.pipeline.studio.shelf import Shelf
 from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
+from turtlebag.pipeline.studio.visuals import EventLog, Trail
 from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
 
 EDITS = "edits.yaml"
@@ -47,7 +47,7 @@ class Playback:
 
     def __init__(self, setup: BagSetup, folder: Path, say: Callable[[str], None]) -> None:
         self._log, self._folder = setup.recording, folder
-        self._events, self._shelf = EventLog(say), Shelf(folder, None)
+        self._events, self._library = EventLog(say), Library(folder, None)
         self.scene = scene_of(setup.bag, self._log)
         # logs whose clock goes back keep their order
         self._at_ns = np.maximum.accumulate(self._log.stamps_ns) - self._log.stamps_ns[0]
@@ -104,7 +104,7 @@ class Playback:
             line = str(done(entry))
         except OSError as error:
             raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
-        self._journal.deed(self.stamp_ns, entry)  # type: ignore[arg-type]
+        self._journal.action(self.stamp_ns, entry)  # type: ignore[arg-type]
         if line:
             self._events.add(self._position_ns, line)
         return line
@@ -153,30 +153,30 @@ class Playback:
             inputs.Seek: self._seek,
             inputs.MapStart: self._map_start,
             inputs.MapStop: self._map_stop,
-            inputs.MapBuild: lambda deed: self._build(),
+            inputs.MapBuild: lambda _: self._build(),
             inputs.MapSave: self._map_save,
             inputs.LoopShow: self._show,
             inputs.LoopReject: self._reject,
             inputs.LoopAdd: self._add,
-            inputs.EditsClear: lambda deed: self._edited(Edits(), "loops are as the mapper finds them again"),
-            inputs.Reset: lambda deed: self._seek(inputs.Seek(t=0.0)),
+            inputs.EditsClear: lambda _: self._edited(Edits(), "loops are as the mapper finds them again"),
+            inputs.Reset: lambda _: self._seek(inputs.Seek(t=0.0)),
             inputs.End: self._end,
         }
 
-    def _end(self, deed: inputs.End) -> str:
+    def _end(self, action: inputs.End) -> str:
         self.ended = True
         return "the session is over"
 
     # Where in the bag
 
-    def _seek(self, deed: inputs.Seek) -> str:
+    def _seek(self, action: inputs.Seek) -> str:
         """Play from there on; the online mapper stops, because it has not seen what lies between."""
-        if deed.t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
+        if action.t > self._at_ns[-1] * 1e-9 + ROUNDED_S:
             raise InputError(f"seek: the bag ends after {self._at_ns[-1] * 1e-9:.1f} s")
         self._mapper = None
         for trail in self._trails.values():
             trail.clear()
-        self._position_ns = min(round(deed.t * 1e9), int(self._at_ns[-1]))
+        self._position_ns = min(round(action.t * 1e9), int(self._at_ns[-1]))
         self._scan = int(np.searchsorted(self._at_ns, self._position_ns, side="right")) - 2
         self._play_to(self._position_ns)
         return ""
@@ -199,7 +199,7 @@ class Playback:
 
     # Mapping
 
-    def _map_start(self, deed: inputs.MapStart) -> str:
+    def _map_start(self, action: inputs.MapStart) -> str:
         if self._mapper is not None:
             raise InputError("map_start: the bag is being mapped already")
         if self.idle:
@@ -211,7 +211,7 @@ class Playback:
         self._trails["slam"].clear()
         return "mapping from here on"
 
-    def _map_stop(self, deed: inputs.MapStop) -> str:
+    def _map_stop(self, action: inputs.MapStop) -> str:
         if self._mapper is None:
             raise InputError("map_stop: no map is being made")
         self._draw()
@@ -253,39 +253,39 @@ class Playback:
         told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
         return f"{told}; {refused} of those added not believed" if refused else told
 
-    def _map_save(self, deed: inputs.MapSave) -> str:
+    def _map_save(self, action: inputs.MapSave) -> str:
         """The map of the whole bag under a name, built first where it is not what was said since."""
-        self._shelf.check_name(deed.name)
+        self._library.check_name(action.name)
         if self._built is None or self._built[0] != self._edits:
             self._events.add(self._position_ns, self._build())
         assert self._built is not None
-        self._shelf.save_map(deed.name, self._built[1], ())
-        return f"map {deed.name} saved"
+        self._library.save_map(action.name, self._built[1], ())
+        return f"map {action.name} saved"
 
     def _set_grid(self, grid: OccupancyGrid) -> None:
         self._grid, self._layer = grid, MapLayer(grid)
 
     # Loops
 
-    def _show(self, deed: inputs.LoopShow) -> str:
+    def _show(self, action: inputs.LoopShow) -> str:
         if self._graph is None:
             raise InputError("loop_show: there is no graph yet; map the bag first")
-        self._loop = self._graph.laid(self._log, deed.scan, deed.place)
+        self._loop = self._graph.laid(self._log, action.scan, action.place)
         return ""
 
-    def _reject(self, deed: inputs.LoopReject) -> str:
-        added = tuple(x for x in self._edits.add if {x.scan, x.place} != {deed.scan, deed.place})
+    def _reject(self, action: inputs.LoopReject) -> str:
+        added = tuple(x for x in self._edits.add if {x.scan, x.place} != {action.scan, action.place})
         if len(added) < len(self._edits.add):
             edits = self._edits.model_copy(update={"add": added})
-            return self._edited(edits, f"the loop of scans {deed.scan} and {deed.place} is not added")
-        rejected = (*self._edits.reject, RejectedLoop(scan=deed.scan, place=deed.place))
+            return self._edited(edits, f"the loop of scans {action.scan} and {action.place} is not added")
+        rejected = (*self._edits.reject, RejectedLoop(scan=action.scan, place=action.place))
         edits = self._edits.model_copy(update={"reject": rejected})
-        return self._edited(edits, f"the loop of scans {deed.scan} and {deed.place} is rejected")
+        return self._edited(edits, f"the loop of scans {action.scan} and {action.place} is rejected")
 
-    def _add(self, deed: inputs.LoopAdd) -> str:
-        loop = AddedLoop(scan=deed.scan, place=deed.place, pose=deed.pose)
+    def _add(self, action: inputs.LoopAdd) -> str:
+        loop = AddedLoop(scan=action.scan, place=action.place, pose=action.pose)
         edits = self._edits.model_copy(update={"add": (*self._edits.add, loop)})
-        return self._edited(edits, f"scans {deed.scan} and {deed.place} are to be joined")
+        return self._edited(edits, f"scans {action.scan} and {action.place} are to be joined")
 
     def _edited(self, edits: Edits, line: str) -> str:
         """Keep what was said; it is on disk at once."""
@@ -322,7 +322,7 @@ class Playback:
             recording=None,
             mapping=mapping,
             map_name=None,
-            maps=self._shelf.maps,
+            maps=self._library.maps,
             waypoint_files=(),
             loaded_waypoints=None,
             localised=False,

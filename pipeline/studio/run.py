@@ -15,14 +15,14 @@ from turtlebag.pipeline.navigation.drivers import Kit
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.status_lines import News, verdict
 from turtlebag.pipeline.navigation.takeover import CommandOwner
-from turtlebag.pipeline.studio.diary import Diary
-from turtlebag.pipeline.studio.onlooker import EventLog, Onlooker, Trail
+from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.pilot import Pilot
+from turtlebag.pipeline.studio.publisher import Publisher
+from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.shelf import Shelf
 from turtlebag.pipeline.studio.tasks import Task, WiggleDriver
-from turtlebag.pipeline.studio.tee import Tee
 from turtlebag.pipeline.studio.view import Level
+from turtlebag.pipeline.studio.visuals import EventLog, Trail, Visuals
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.sim.simulator import Simulator
 
@@ -47,10 +47,10 @@ class Room:
 
     setup: StudioSetup
     simulator: Simulator
-    shelf: Shelf
-    diary: Diary
+    library: Library
+    run_log: RunLogWriter
     events: EventLog
-    tee: Tee
+    publisher: Publisher
     tasks: list[dict[str, Any]]
     """Metrics of the tasks that are over."""
     trails: dict[str, Trail]
@@ -66,12 +66,12 @@ class Run:
         self.room = room
         self.observation = room.simulator.reset(step=step)
         robot, config = setup.spec, setup.config
-        room.tee.grid = room.tee.path = None
-        self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.tee))
+        room.publisher.grid = room.publisher.path = None
+        self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.publisher))
         self.hands = Hands()
         monitor = CollisionMonitor(robot.model, config.monitor)
         self.owner = CommandOwner(self.pilot, robot.model, self.hands, monitor)
-        self.onlooker = Onlooker(self.pilot)
+        self.visuals = Visuals(self.pilot)
         self.command = Twist()
         self.doing = ""
         self.grid: OccupancyGrid | None = None
@@ -108,7 +108,7 @@ class Run:
         observation, room, pilot = self.observation, self.room, self.pilot
         self.command = self.owner.step(observation)
         del self.owner.asked[:-1]  # the journal has them
-        room.diary.tick(observation, self.owner, self.command, pilot.T_map_odom)
+        room.run_log.tick(observation, self.owner, self.command, pilot.T_map_odom)
         task = pilot.task
         sequence = None if task is None else task.sequence
         self._news.tick(observation.stamp_ns, self.owner, sequence, room.simulator.truth)
@@ -123,7 +123,7 @@ class Run:
     def begin(self, task: Task) -> None:
         """Do this from the next tick on; nothing else is being done."""
         self.pilot.begin(task)
-        self.room.diary.begin()
+        self.room.run_log.begin()
         self._news.begin()
         self.shown = task if task.sequence is not None else None
 
@@ -157,11 +157,11 @@ class Run:
             self.say(task.driver.spread)
         explorer = task.explorer
         grid = None if explorer is None else explorer.grid
-        metrics = self.room.diary.end(task, grid)
+        metrics = self.room.run_log.end(task, grid)
         if metrics is not None:
             self.room.tasks.append({"begin_s": round(task.begin_ns * 1e-9, 6), **metrics})
             self.say(verdict(metrics), "info" if metrics["true_success"] else "warning")
-        self.room.tee.path = None
+        self.room.publisher.path = None
         self.pilot.end_task()
 
     def _clock(self, stamp_ns: int, doing: str) -> None:

@@ -1,4 +1,4 @@
-"""The studio's server: pages and sockets in the event loop, the session in the thread of its pace."""
+"""The studio's server: pages and sockets in the event loop, the session in a thread of its own."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tornado.web import Application
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.pipeline.studio.access import Access, CheckedHandler, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.controls import (
     Control,
     Layers,
@@ -27,11 +28,10 @@ from turtlebag.pipeline.studio.controls import (
     parse_message,
 )
 from turtlebag.pipeline.studio.frames import Frames, bye, hello
-from turtlebag.pipeline.studio.guard import Guard, Guarded, Page, Part, Rate, page_files
 from turtlebag.pipeline.studio.inputs import Input
-from turtlebag.pipeline.studio.pace import Gait, Pace
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
+from turtlebag.pipeline.studio.session_thread import SessionThread, Timing
 from turtlebag.pipeline.studio.view import View
 
 PAGE = Path(__file__).parent / "static"
@@ -56,23 +56,23 @@ class Studio:
     def __init__(self, session: Session | Playback) -> None:
         self._scene = session.scene
         self._loop = IOLoop.current()
-        self._pace = Pace(session, self._show)
+        self._thread = SessionThread(session, self._show)
         self._viewers: list[Viewer] = []
         self._driver: Viewer | None = None
-        self._last: tuple[View, Gait] | None = None
+        self._last: tuple[View, Timing] | None = None
 
     def start(self) -> None:
         """Let the simulated time pass."""
-        self._pace.start()
+        self._thread.start()
 
     @property
     def running(self) -> bool:
         """Whether it still does."""
-        return self._pace.running
+        return self._thread.running
 
     async def end(self, reason: str) -> None:
         """Stop the time, tell everybody why, and close; raises what went wrong in the session."""
-        await asyncio.to_thread(self._pace.end)
+        await asyncio.to_thread(self._thread.end)
         for viewer in list(self._viewers):
             viewer.part(1001, reason)
         patience = self._loop.time() + 1.0
@@ -80,8 +80,8 @@ class Studio:
             await asyncio.sleep(0.02)
         for viewer in list(self._viewers):
             viewer.drop()
-        if self._pace.failure is not None:
-            raise self._pace.failure
+        if self._thread.failure is not None:
+            raise self._thread.failure
 
     def join(self, viewer: Viewer) -> None:
         """Somebody has opened the page; who comes while nobody drives, drives."""
@@ -92,7 +92,7 @@ class Studio:
         self._driver = self._driver or viewer
         maps = () if self._last is None else self._last[0].maps
         viewer.send(hello(self._scene, maps=maps, driver=self._driver is viewer))
-        self._pace.want_view()
+        self._thread.want_view()
 
     def leave(self, viewer: Viewer) -> None:
         """A page was closed. Nobody drives in its place until somebody takes control."""
@@ -110,37 +110,37 @@ class Studio:
         elif viewer is not self._driver:
             viewer.error = WATCHING
         elif isinstance(asked, Pause | Resume):
-            self._pace.pause(isinstance(asked, Pause))
+            self._thread.pause(isinstance(asked, Pause))
         elif isinstance(asked, Step):
-            self._pace.step()
+            self._thread.step()
         elif isinstance(asked, Speed):
-            self._pace.speed(asked.factor)
+            self._thread.speed(asked.factor)
         else:
-            self._pace.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
+            self._thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
 
-    def _show(self, view: View, gait: Gait) -> None:
+    def _show(self, view: View, timing: Timing) -> None:
         """Called in the session's thread."""
-        self._loop.add_callback(self._send, view, gait)
+        self._loop.add_callback(self._send, view, timing)
 
-    def _send(self, view: View, gait: Gait) -> None:
-        self._last = view, gait
+    def _send(self, view: View, timing: Timing) -> None:
+        self._last = view, timing
         self._tell(None)
         if self._viewers:
-            self._pace.want_view()
+            self._thread.want_view()
 
     def excuse(self) -> None:
         """Tell the viewers what the session is busy with, if it has not given a new view for a while."""
-        if (busy := self._pace.busy) is not None:
+        if (busy := self._thread.busy) is not None:
             self._tell(busy)
 
     def _tell(self, busy: str | None) -> None:
         if self._last is not None:
-            view, gait = self._last
+            view, timing = self._last
             for viewer in list(self._viewers):
-                viewer.show(view, gait, driver=viewer is self._driver, busy=busy)
+                viewer.show(view, timing, driver=viewer is self._driver, busy=busy)
 
 
-class Viewer(Guarded, WebSocketHandler):
+class Viewer(CheckedHandler, WebSocketHandler):
     """The socket of one page."""
 
     studio: Studio
@@ -154,7 +154,7 @@ class Viewer(Guarded, WebSocketHandler):
         self._parted = False
 
     def check_origin(self, origin: str) -> bool:
-        """The guard looked at it before: see `prepare`."""
+        """Checked before: see `prepare`."""
         return True
 
     def open(self) -> None:
@@ -183,11 +183,11 @@ class Viewer(Guarded, WebSocketHandler):
         """The page is gone."""
         self.studio.leave(self)
 
-    def show(self, view: View, gait: Gait, *, driver: bool, busy: str | None) -> None:
+    def show(self, view: View, timing: Timing, *, driver: bool, busy: str | None) -> None:
         """Send what is new in a view; dropped while the frame before is still under way."""
         if self._parted or (self._written is not None and not self._written.done()):
             return
-        told = {**dataclasses.asdict(gait), "driver": driver, "busy": busy, "error": self.error}
+        told = {**dataclasses.asdict(timing), "driver": driver, "busy": busy, "error": self.error}
         self.send(self.frames.frame(view, told))
         self.error = None
 
@@ -215,12 +215,12 @@ class Viewer(Guarded, WebSocketHandler):
         self._written.add_done_callback(lambda written: written.cancelled() or written.exception())
 
 
-def application(studio: Studio, guard: Guard) -> Application:
+def application(studio: Studio, access: Access) -> Application:
     """The page, its parts and the socket; everything else is not found, by the same rules."""
     return Application(
         [("/", Page), ("/socket", Viewer, {"studio": studio}), (r"/(.+)", Part)],
-        default_handler_class=Guarded,
-        guard=guard,
+        default_handler_class=CheckedHandler,
+        access=access,
         files=page_files(PAGE),
         log_function=lambda handler: None,
         websocket_max_message_size=GIANT_BYTES,
@@ -231,7 +231,7 @@ def application(studio: Studio, guard: Guard) -> Application:
 
 def serve(
     session: Session | Playback,
-    guard: Guard,
+    access: Access,
     sockets: Sequence[socket.socket],
     *,
     interrupted: Sequence[int],
@@ -241,19 +241,19 @@ def serve(
 
     `ready` is called when the page can be opened. Raises what went wrong in the session.
     """
-    asyncio.run(_serve(session, guard, sockets, interrupted, ready))
+    asyncio.run(_serve(session, access, sockets, interrupted, ready))
 
 
 async def _serve(
     session: Session | Playback,
-    guard: Guard,
+    access: Access,
     sockets: Sequence[socket.socket],
     interrupted: Sequence[int],
     ready: Callable[[], None],
 ) -> None:
     studio = Studio(session)
     server = HTTPServer(
-        application(studio, guard),
+        application(studio, access),
         max_header_size=16 * 1024,
         max_body_size=0,
         idle_connection_timeout=IDLE_S,

@@ -13,15 +13,15 @@ from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.studio import inputs
-from turtlebag.pipeline.studio.deeds import DEEDS, map_load
-from turtlebag.pipeline.studio.diary import Diary
+from turtlebag.pipeline.studio.actions import ACTIONS, map_load
 from turtlebag.pipeline.studio.journal import FILE, LONGEST_S, Journal
-from turtlebag.pipeline.studio.onlooker import EventLog, Trail
+from turtlebag.pipeline.studio.library import Library
+from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run import Room, Run
+from turtlebag.pipeline.studio.run_log import RunLogWriter
 from turtlebag.pipeline.studio.setup import StudioSetup
-from turtlebag.pipeline.studio.shelf import Shelf
-from turtlebag.pipeline.studio.tee import Tee
 from turtlebag.pipeline.studio.view import Scene, View
+from turtlebag.pipeline.studio.visuals import EventLog, Trail
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import CONTROL_HZ, Simulator
 
@@ -39,15 +39,15 @@ class Session:
         """
         self.setup, self._folder = setup, folder
         self.scene = Scene.of(setup.arena, setup.spec, setup.seed)
-        header, shelf = setup.header(), Shelf(folder, setup.map_path)
-        tee, simulator = Tee(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
+        header, library = setup.header(), Library(folder, setup.map_path)
+        publisher, simulator = Publisher(), Simulator(setup.arena, setup.spec, setup.config.sim, setup.seed)
         self._room = Room(
             setup=setup,
             simulator=simulator,
-            shelf=shelf,
-            diary=Diary(folder, simulator, tee),
+            library=library,
+            run_log=RunLogWriter(folder, simulator, publisher),
             events=EventLog(say),
-            tee=tee,
+            publisher=publisher,
             tasks=[],
             trails={name: Trail() for name in ("odom", "slam", "true")},
         )
@@ -97,7 +97,7 @@ class Session:
             line = self._done(entry)
         except OSError as error:
             raise InputError(f"{entry.do}: {error.filename}: {error.strerror}") from None
-        self._journal.deed(self.stamp_ns, entry)
+        self._journal.action(self.stamp_ns, entry)
         if line:
             self._run.say(line)
         return line
@@ -121,7 +121,7 @@ class Session:
         if not self.ended:
             self.apply(inputs.End())
         self._journal.close()
-        self._room.diary.close()
+        self._room.run_log.close()
         self._room.simulator.close()
 
     def _started(self) -> Run:
@@ -139,24 +139,24 @@ class Session:
             hands.command = Twist(entry.v, entry.w) if isinstance(entry, inputs.Drive) else Twist()
         return ""
 
-    def _done(self, deed: inputs.Deed) -> str:
-        if isinstance(deed, inputs.Record):
-            return self._record(deed.name)
-        if isinstance(deed, inputs.RecordStop):
+    def _done(self, action: inputs.Action) -> str:
+        if isinstance(action, inputs.Record):
+            return self._record(action.name)
+        if isinstance(action, inputs.RecordStop):
             if self._bag is None:
                 raise InputError("record_stop: nothing is being recorded")
             return self._record_stop()
-        if isinstance(deed, inputs.Reset):
+        if isinstance(action, inputs.Reset):
             self._finish("ended: reset")
             self._run = self._started()
             return "reset: the robot is back at its start"
-        if isinstance(deed, inputs.End):
+        if isinstance(action, inputs.End):
             self._finish("ended with the session")
             self.ended = True
             return "the session is over"
-        if type(deed) not in DEEDS:
-            raise InputError(f"{deed.do}: no bag is being played; start the studio with --bag BAG")
-        return DEEDS[type(deed)](self._run, deed)
+        if type(action) not in ACTIONS:
+            raise InputError(f"{action.do}: no bag is being played; start the studio with --bag BAG")
+        return ACTIONS[type(action)](self._run, action)
 
     def _finish(self, why: str) -> None:
         self._run.end_task(why)
@@ -166,7 +166,7 @@ class Session:
     def _record(self, name: str) -> str:
         if self._bag is not None:
             raise InputError(f"record: {self._bag[0]} is being recorded; stop it first")
-        setup, tee, folder = self.setup, self._room.tee, self._folder / "bags" / name
+        setup, publisher, folder = self.setup, self._room.publisher, self._folder / "bags" / name
         if folder.exists():
             raise InputError(f"record: there is a bag {name} already; choose another name")
         custom = {
@@ -176,10 +176,10 @@ class Session:
             "task": "studio",
         }
         bag = BagWriter(folder, custom=custom)
-        self._bag, tee.bag = (name, bag), bag
+        self._bag, publisher.bag = (name, bag), bag
         bag.static_transforms(self.stamp_ns, static_transforms(setup.spec))
-        if tee.grid is not None:
-            bag.map(self.stamp_ns, tee.grid)
+        if publisher.grid is not None:
+            bag.map(self.stamp_ns, publisher.grid)
         if self._run.owner.owner == "teleop":
             bag.owner(self.stamp_ns, "teleop")
         return f"recording {name}"
@@ -188,13 +188,13 @@ class Session:
         assert self._bag is not None
         name, bag = self._bag
         bag.close()
-        self._bag, self._room.tee.bag = None, NoBag()
+        self._bag, self._room.publisher.bag = None, NoBag()
         return f"bag {name} recorded"
 
     def view(self) -> View:
         """What there is to draw now."""
         run, room = self._run, self._room
-        pilot, look, truth = run.pilot, run.onlooker, room.simulator.truth
+        pilot, look, truth = run.pilot, run.visuals, room.simulator.truth
         task = pilot.task
         sequence = None if task is None else task.sequence
         goal = None
@@ -210,8 +210,8 @@ class Session:
             recording=None if self._bag is None else self._bag[0],
             mapping=pilot.mapping,
             map_name=run.map_name,
-            maps=room.shelf.maps,
-            waypoint_files=room.shelf.waypoint_files,
+            maps=room.library.maps,
+            waypoint_files=room.library.waypoint_files,
             loaded_waypoints=run.waypoints,
             localised=pilot.localised,
             sure=look.sure(),
@@ -226,7 +226,7 @@ class Session:
             events=room.events.events,
             scan=look.scan(),
             particles=look.particles(),
-            plan=look.plan(room.tee.path),
+            plan=look.plan(room.publisher.path),
             local=look.local(run.T_map_base, run.command),
             odom_path=room.trails["odom"].path,
             slam_path=room.trails["slam"].path,
@@ -236,6 +236,6 @@ class Session:
             keepout=run.keepout,
             mover_segments=room.simulator.moving.segments,
             mover_circles=room.simulator.moving.circles,
-            map=look.map(room.tee.grid),
+            map=look.map(room.publisher.grid),
             costmap=look.costmap(),
         )

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 import turtlebag as tb
+from turtlebag.api.making import laser_text
 from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.se2 import SE2
+from turtlebag.pipeline.cli.arguments import laser
 from turtlebag.pipeline.cli.main import build_parser, joined, main
 
 ROOT = Path(__file__).parents[2]
@@ -212,6 +215,15 @@ WRONG = {
     "an array for a planner": (lambda c: tb.Planner(c / "map", planner=np.zeros(3)), "^planner: expected"),
     "no planner": (lambda c: tb.Planner(c / "map", planner="A*"), r"planner: 'A\*' is none of .*RRTConnect"),
     "no seed in an array": (lambda c: tb.record("empty", seed=np.zeros((9, 9))), r"not array.* \.\.\.$"),
+    "no planner for a plan": (
+        lambda c: tb.plan(c / "map", (0, 0, 0), (0.5, 0, 0), planner="A*"),
+        r"^planner: invalid choice: 'A\*' \(choose from [^()]*RRTConnect[^()]*\)$",
+    ),
+    "no mode": (lambda c: tb.navigate(world="empty", task=tb.Avoid(mode="x")), "^mode: invalid choice: 'x'"),
+    "nothing to wiggle on": (
+        lambda c: tb.navigate(world="empty", task=tb.Goal(1, 0), wiggle=True),
+        "^wiggle=True: needs a map; give map or remove it$",
+    ),
     "an area without corners": (
         lambda c: tb.navigate(c / "map", task=tb.Patrol(), keepout=[(1, 2)]),
         "^keepout: ",
@@ -232,6 +244,12 @@ def test_what_is_wrong_is_said_in_a_line_in_the_words_of_python(name, chain):
         call(chain)
     assert "\n" not in str(error.value)
     assert "--" not in str(error.value).replace("my--map", "")
+
+
+def test_a_laser_is_told_as_the_command_line_reads_it():
+    for given in (False, True):
+        placed, upside_down = laser(laser_text((-0.1, 0.0, 0.3), given))
+        assert (placed.xyt.tolist(), upside_down) == (SE2.from_xyt(-0.1, 0.0, 0.3).xyt.tolist(), given)
 
 
 def test_numbers_and_poses_may_be_numpys():

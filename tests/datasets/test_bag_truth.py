@@ -5,7 +5,7 @@ import pytest
 from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.pipeline.stages.map import build_map
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +24,7 @@ steps:
 
 def test_a_map_without_the_truth_is_the_same_to_the_byte(tmp_path):
     (tmp_path / "short.yaml").write_text(SCRIPT)
-    record("turtlebot3_world", None, str(tmp_path / "short.yaml"), 3, tmp_path / "with")
+    record(Scene.load("turtlebot3_world", seed=3), str(tmp_path / "short.yaml"), tmp_path / "with")
     to_mcap(tmp_path / "with" / "bag", tmp_path / "without" / "bag", exclude=["/ground_truth/odom"])
     topics = {message.topic.name for message in open_bag(tmp_path / "without").messages()}
     assert "/scan" in topics

@@ -21,7 +21,7 @@ from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import seconds
 from turtlebag.pipeline.cli.main import main
-from turtlebag.pipeline.stages.record import record
+from turtlebag.pipeline.stages.record import Scene, record
 from turtlebag.sim.raycast import distance_to_point
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import SimConfig, Simulator
@@ -49,7 +49,7 @@ def script(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory, script):
     out = tmp_path_factory.mktemp("record") / "rec"
-    assert record("turtlebot3_world", None, script, 1, out) == 0
+    assert record(Scene.load("turtlebot3_world"), script, out) == 0
     return out
 
 
@@ -95,13 +95,13 @@ def test_truth_has_one_line_per_scan_at_the_scans_stamp_and_the_map_of_the_world
 @pytest.mark.slow
 def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_path):
     code = "import sys, pathlib, turtlebag.pipeline.stages.record as r; "
-    code += "r.record('turtlebot3_world', None, sys.argv[1], 1, pathlib.Path(sys.argv[2]))"
+    code += "r.record(r.Scene.load('turtlebot3_world'), sys.argv[1], pathlib.Path(sys.argv[2]))"
     other = subprocess.Popen([sys.executable, "-c", code, script, str(tmp_path / "b")])
-    assert record("turtlebot3_world", None, script, 1, tmp_path / "a") == 0
+    assert record(Scene.load("turtlebot3_world"), script, tmp_path / "a") == 0
     assert other.wait() == 0
     assert hashes(tmp_path / "a") == hashes(recorded)
     assert hashes(tmp_path / "b") == hashes(recorded)
-    assert record("turtlebot3_world", None, script, 2, tmp_path / "c") == 0
+    assert record(Scene.load("turtlebot3_world", seed=2), script, tmp_path / "c") == 0
     assert hashes(tmp_path / "c")["bag/bag_0.mcap"] != hashes(recorded)["bag/bag_0.mcap"]
 
 
@@ -117,7 +117,9 @@ def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, monkeypatch, number, co
 
     monkeypatch.setattr(turtlebag.pipeline.stages.record, "_drive", interrupted)
     started = time.monotonic()
-    assert record("turtlebot3_world", None, "tour", 1, out, sim=SimConfig(physics={"substeps": 80})) == code
+    assert (
+        record(Scene.load("turtlebot3_world", sim=SimConfig(physics={"substeps": 80})), "tour", out) == code
+    )
     assert time.monotonic() - started < 20.0
     log = load_recording(out)
     assert len(log) == len(load_tum(out / "truth" / "trajectory.tum")) > 0
@@ -216,7 +218,7 @@ def test_every_route_keeps_clear_of_everything_the_robot_could_touch(name):
 def test_a_robot_that_gets_stuck_ends_the_recording_with_complete_outputs(tmp_path):
     path = tmp_path / "into_the_wall.yaml"
     path.write_text("name: wall\nsteps: [{turn_deg: 180}, {drive: 3.0}]\n")
-    assert record("turtlebot3_world", None, str(path), 1, tmp_path / "rec") == 1
+    assert record(Scene.load("turtlebot3_world"), str(path), tmp_path / "rec") == 1
     assert len(load_recording(tmp_path / "rec")) > 20
 
 
@@ -227,7 +229,7 @@ def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes
         left_over.parent.mkdir(parents=True)
         left_over.write_bytes(b"what a killed process left %d" % number)
         (tmp_path / "rec.partial" / MARKER).write_text("turtlebag\n")
-        assert record("turtlebot3_world", None, script, 1, tmp_path / "rec", force=True) == 0
+        assert record(Scene.load("turtlebot3_world"), script, tmp_path / "rec", force=True) == 0
     assert (tmp_path / "rec.unfinished" / "bag" / "bag_0.mcap").read_bytes().endswith(b"0")
     assert (tmp_path / "rec.unfinished-2" / "bag" / "bag_0.mcap").read_bytes().endswith(b"1")
     assert not (tmp_path / "rec.unfinished" / MARKER).exists()
@@ -252,7 +254,7 @@ def test_what_a_killed_run_left_is_set_aside_too_but_not_by_a_command_that_is_re
 def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
     for number, source in enumerate((recorded, recorded / "bag", recorded / "bag" / "bag_0.mcap")):
         out = tmp_path / str(number)
-        assert record("turtlebot3_world", None, str(source), 1, out) == 0
+        assert record(Scene.load("turtlebot3_world"), str(source), out) == 0
         again, before = hashes(out), hashes(recorded)
         assert again.pop("config.yaml") != before.pop("config.yaml")  # it names another driver
         assert again == before
@@ -260,14 +262,14 @@ def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path
 
 @pytest.mark.slow
 def test_a_bags_commands_drive_another_robot_too(recorded, tmp_path):
-    assert record("empty", "waffle_pi", str(recorded), 1, tmp_path / "rec") == 0
+    assert record(Scene.load("empty", "waffle_pi"), str(recorded), tmp_path / "rec") == 0
     path = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum")
     assert path.length() == pytest.approx(load_tum(recorded / "truth" / "trajectory.tum").length(), rel=0.1)
 
 
 def test_a_bag_without_commands_cannot_be_driven_again(tmp_path):
     with pytest.raises(InputError):
-        record("empty", None, str(tmp_path), 1, tmp_path / "rec")
+        record(Scene.load("empty"), str(tmp_path), tmp_path / "rec")
     assert not (tmp_path / "rec").exists()
 
 
@@ -281,7 +283,7 @@ def test_a_start_pose_may_be_given(tmp_path, script):
 def test_the_manifest_holds_the_hashes_of_the_users_own_files(tmp_path, script):
     world = tmp_path / "w.yaml"
     world.write_text("name: w\nspawn: [-2, -0.5, 0]\nbounds: [-9, 9, -9, 9]\nshapes: []\n")
-    assert record(str(world), None, script, 1, tmp_path / "rec") == 0
+    assert record(Scene.load(str(world)), script, tmp_path / "rec") == 0
     inputs = json.loads((tmp_path / "rec" / "manifest.json").read_text())["inputs"]
     assert inputs["world"]["sha256"] == {"w.yaml": hashlib.sha256(world.read_bytes()).hexdigest()}
     assert set(inputs) == {"world", "teleop"}

@@ -67,13 +67,13 @@ def test_driving_is_written_as_intervals_of_a_second_at_most(tmp_path):
 
 def test_what_happens_within_an_interval_stands_where_it_happened(tmp_path):
     goal = SetGoal(pose=(1.0, 0.5, 0.0))
-    deeds = [
-        lambda journal: journal.deed(stamp_of(6), goal),
-        lambda journal: journal.deed(stamp_of(9), MapStart()),
+    actions = [
+        lambda journal: journal.action(stamp_of(6), goal),
+        lambda journal: journal.action(stamp_of(9), MapStart()),
     ]
     asked = Twist(0.1, 0.0)
     entries = written(
-        tmp_path, [*ticks(0, 6, asked), deeds[0], *ticks(6, 9, asked), deeds[1], *ticks(9, 10, None)]
+        tmp_path, [*ticks(0, 6, asked), actions[0], *ticks(6, 9, asked), actions[1], *ticks(9, 10, None)]
     )
     assert entries == [
         {"begin": 0.0, "end": 0.2, "v": 0.1, "w": 0.0},
@@ -86,14 +86,14 @@ def test_what_happens_within_an_interval_stands_where_it_happened(tmp_path):
 def test_a_silent_session_says_each_second_that_it_goes_on(tmp_path):
     assert written(tmp_path, ticks(0, 70, None)) == [{"at": 1.0}, {"at": 2.0}]
     recorded = load_session(tmp_path / "session.yaml")
-    assert (recorded.deeds, recorded.until_ns) == ((), 2 * 10**9)
+    assert (recorded.actions, recorded.until_ns) == ((), 2 * 10**9)
 
 
 def test_every_line_is_in_the_file_at_once(tmp_path):
     journal = Journal(tmp_path / "session.yaml", Header(world="empty", robot="burger", seed=1))
-    assert load_session(tmp_path / "session.yaml").deeds == ()
-    journal.deed(0, MapStart())
-    assert [deed.do for _, deed in load_session(tmp_path / "session.yaml").deeds] == ["map_start"]
+    assert load_session(tmp_path / "session.yaml").actions == ()
+    journal.action(0, MapStart())
+    assert [action.do for _, action in load_session(tmp_path / "session.yaml").actions] == ["map_start"]
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_a_map_or_world_that_has_changed_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_file_written_by_hand_is_driven_as_it_says(tmp_path):
-    """Longer intervals, times between two ticks, and deeds after the interval in which they happen."""
+    """Longer intervals, times between two ticks, and actions after the interval in which they happen."""
     text = (
         "sim: {sensors: clean}\ninputs:\n- {begin: 0.5, end: 2.51, v: 0.1}\n"
         "- {at: 1.01, do: record, name: a}\n- {at: 3, do: end}\n"
@@ -186,7 +186,7 @@ def test_a_file_written_by_hand_is_driven_as_it_says(tmp_path):
     assert (taken[0], taken[-1], log.t_ns[-1]) == (stamp_of(15), stamp_of(75), stamp_of(89))
     recorded = load_session(tmp_path / "one/session.yaml")
     assert recorded.header.sim == SimConfig(sensors="clean")
-    assert [(stamp, deed.do) for stamp, deed in recorded.deeds] == [
+    assert [(stamp, action.do) for stamp, action in recorded.actions] == [
         (stamp_of(31), "record"),
         (3 * 10**9, "end"),
     ]

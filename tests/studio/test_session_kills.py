@@ -90,7 +90,7 @@ def test_what_is_left_of_a_session_is_set_aside_by_the_next(tmp_path, caplog):
     with studio_output(StudioSetup("empty"), tmp_path / "live", say=silent):
         pass
     aside = tmp_path / "live.unfinished"
-    assert load_session(aside / "session.yaml").deeds[0][1].do == "record"
+    assert load_session(aside / "session.yaml").actions[0][1].do == "record"
     assert f"an unfinished session is now {aside}; " in caplog.text
     assert (tmp_path / "live/manifest.json").exists()
 
@@ -113,7 +113,7 @@ def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path):
     assert process.wait(60) == 130
     assert read_commands(tmp_path / "out/bags/drive")[0][-1] > 1e9
     recorded = load_session(tmp_path / "out/session.yaml")
-    assert recorded.deeds[-1][1].do == "end"
+    assert recorded.actions[-1][1].do == "end"
     assert replay(tmp_path / "out/session.yaml", tmp_path / "again", say=silent) == 0
     assert differences(tmp_path / "out", tmp_path / "again") == []
 

@@ -6,10 +6,10 @@ from studio_walk import Person, at_the_studio
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
-from turtlebag.pipeline.studio.onlooker import MOST_EVENTS, MOST_POINTS, EventLog, Trail
 from turtlebag.pipeline.studio.session import Session
 from turtlebag.pipeline.studio.setup import StudioSetup
 from turtlebag.pipeline.studio.view import CostLayer, MapLayer
+from turtlebag.pipeline.studio.visuals import MOST_EVENTS, MOST_POINTS, EventLog, Trail
 from turtlebag.planners.costmap import Costmap
 
 

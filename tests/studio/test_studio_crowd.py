@@ -29,7 +29,7 @@ def test_two_hundred_connections_and_sixteen_of_them_watch(served):
         idle = []
         for _ in range(200):
             stream = IOStream(socket.socket())
-            await stream.connect(("127.0.0.1", served.guard.port))
+            await stream.connect(("127.0.0.1", served.access.port))
             idle.append(stream)
         clients = await asyncio.gather(*(connect(served.url) for _ in range(200)))
 
@@ -52,10 +52,10 @@ def test_two_hundred_connections_and_sixteen_of_them_watch(served):
 
 def deaf(served):
     """A socket that is opened and then never read."""
-    one = socket.create_connection(("127.0.0.1", served.guard.port))
+    one = socket.create_connection(("127.0.0.1", served.access.port))
     one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     one.sendall(
-        f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
+        f"GET /socket?token={served.access.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.access.port}\r\n"
         "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
     )

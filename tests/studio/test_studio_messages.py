@@ -8,7 +8,7 @@ import pytest
 from studio_fakes import FakeSession, Served, answers, connect, run
 from tornado.iostream import IOStream
 
-from turtlebag.pipeline.studio.guard import Rate
+from turtlebag.pipeline.studio.access import Rate
 
 
 @pytest.fixture(scope="module")
@@ -106,10 +106,11 @@ def test_random_bytes_end_the_connection_they_come_by(served):
     async def attempt(seed, opened):
         noise = np.random.default_rng(seed).bytes(20_000)
         stream = IOStream(socket.socket())
-        await stream.connect(("127.0.0.1", served.guard.port))
+        await stream.connect(("127.0.0.1", served.access.port))
         if opened:
             await stream.write(
-                f"GET /socket?token={served.guard.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.guard.port}\r\n"
+                f"GET /socket?token={served.access.token} HTTP/1.1\r\n"
+                f"Host: 127.0.0.1:{served.access.port}\r\n"
                 "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
                 "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
             )

@@ -58,18 +58,31 @@ class TemporaryFolder:
 
 @dataclass
 class Step:
-    """One step under way: where it writes, what must live as long as its result, and its warnings so far."""
+    """One step under way: its command, what must live as long as its result, and its warnings so far."""
 
+    verb: str
     out: Path
+    force: bool
     kept: list[object] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def run(self, *inputs: PathLike, **options: Any) -> None:
+        """Run the command, as its module does; KeyboardInterrupt when one that keeps what it has was
+        interrupted."""
+        from turtlebag.pipeline.cli.main import build_parser
+
+        words = command_line(self.verb, *inputs, **options, out=self.out)
+        args = build_parser(self.verb).parse_args(words[1:])
+        args.force, args.command_line, args.verbosity = self.force, words, -1
+        if args.run(args) >= 128:
+            raise KeyboardInterrupt
 
 
 @contextmanager
 def step(
     verb: str, out: PathLike | None, *, force: bool = False, inputs: Mapping[str, PathLike | None]
 ) -> Iterator[Step]:
-    """Run a stage in here: into `out`, or where that is None into a folder as short-lived as the result.
+    """Make an output in here: at `out`, or where that is None in a folder as short-lived as the result.
 
     What is wrong is an InputError in terms of Python, not of the command line. Inputs, by the names of their
     arguments, must not change, and live as long as the result where they are objects.
@@ -77,7 +90,7 @@ def step(
     read = [path_of(one, what) for what, one in inputs.items() if one is not None]
     folder = None if out is not None else TemporaryFolder()
     place = path_if(out, "out") or folder.path / verb  # type: ignore[union-attr]
-    now = Step(place, [folder, *inputs.values()])
+    now = Step(verb, place, force, [folder, *inputs.values()])
     with in_python(), _heard(now.notes), claimed(now.out, force=force, inputs=read):
         yield now
 
@@ -88,9 +101,8 @@ def in_python() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(
-            re.sub(r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)", _argument, str(error))
-        ) from error.__cause__
+        said = re.sub(r"^\w+: argument (.*) \(see turtlebag \w+ --help\)$", r"\1", str(error))
+        raise InputError(re.sub(r"(?<![\w./-])--([a-z]+(?:-[a-z]+)*)", _argument, said)) from error.__cause__
 
 
 def _argument(option: re.Match[str]) -> str:
@@ -115,15 +127,10 @@ def _heard(notes: list[str]) -> Iterator[None]:
         log.removeHandler(listener)
 
 
-def require_finished(code: int) -> None:
-    """KeyboardInterrupt when a stage that keeps what it has was interrupted."""
-    if code >= 128:
-        raise KeyboardInterrupt
-
-
 def command_line(verb: str, *inputs: PathLike, **options: Any) -> list[str]:
     """The command that does the same, for the manifest; options that are None or False are left out."""
-    words = ["turtlebag", verb, *(os.fspath(one) for one in inputs)]
+    named = [os.fspath(one) for one in inputs]
+    words = ["turtlebag", verb, *(f"./{path}" if path.startswith("-") else path for path in named)]
     for name, value in options.items():
         option = f"--{name.replace('_', '-')}"
         for one in value if isinstance(value, (list, tuple)) else [value]:
@@ -163,6 +170,15 @@ def pose_of(value: Pose, what: str) -> SE2:
 def pose_text(pose: SE2) -> str:
     """A pose as the command line takes it, every digit kept."""
     return ",".join(repr(float(number)) for number in pose.xyt)
+
+
+def laser_text(laser: Pose | None, upside_down: bool) -> str | None:
+    """The pose of a laser as the command line takes it; InputError for what is none."""
+    if laser is not None:
+        return pose_text(pose_of(laser, "laser")) + (",upside-down" if upside_down else "")
+    if upside_down:
+        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
+    return None
 
 
 def text_of(value: PathLike, what: str, kind: str = "a name or a path") -> str:

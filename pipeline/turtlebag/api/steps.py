@@ -14,23 +14,23 @@ from typing import Any, Literal
 from turtlebag.api.making import (
     PathLike,
     Pose,
+    TemporaryFolder,
     command_line,
+    laser_text,
     list_of,
     part_name,
-    path_if,
     path_of,
     pose_of,
-    pose_text,
-    require_finished,
     require_seed,
     setting_words,
     step,
     text_of,
 )
 from turtlebag.api.outputs import Bag, Map, as_map
+from turtlebag.api.requests import keepout_option, task_options, told_pose
 from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
 from turtlebag.api.rivals import Rivals, rival_files, rival_options
-from turtlebag.api.tasks import Task
+from turtlebag.api.tasks import Avoid, Explore, Patrol, Task
 from turtlebag.datasets.errors import InputError
 
 Settings = Mapping[str, Any]
@@ -54,27 +54,16 @@ def record(
     script, or a bag whose commands are driven again; `start` is the true pose in the world. A drive that
     got stuck is kept, and its `notes` say so. InputError for unknown names and a start in an obstacle.
     """
-    from turtlebag.pipeline.stages.record import RecordOptions
-    from turtlebag.pipeline.stages.record import record as stage
-    from turtlebag.pipeline.stages.settings import load_config
-
-    words, scene = setting_words(settings), text_of(part_name(world), "world")
-    by, drive = None if robot is None else text_of(robot, "robot"), text_of(teleop, "teleop")
-    T_start = None if start is None else pose_of(start, "start")
-    given = {"world": scene, "robot": by, "teleop": drive, "seed": seed, "start": T_start}
+    given = {
+        "world": text_of(part_name(world), "world"),
+        "robot": None if robot is None else text_of(robot, "robot"),
+        "teleop": text_of(teleop, "teleop"),
+        "seed": require_seed(seed),
+        "start": None if start is None else pose_of(start, "start"),
+    }
+    words = setting_words(settings)
     with step("record", out, force=force, inputs={"teleop": teleop, "config": config}) as now:
-        code = stage(
-            scene,
-            by,
-            drive,
-            require_seed(seed),
-            now.out,
-            sim=load_config(RecordOptions, path_if(config, "config"), words).sim,
-            start=T_start,
-            force=force,
-            command=command_line("record", **given, config=config, set=words, out=now.out),
-        )
-        require_finished(code)
+        now.run(**given, config=config, set=words)
         return Bag.of(now)
 
 
@@ -103,37 +92,15 @@ def map(
     recordings of the same place, `continued` an earlier map that the recording is added to. `laser` and
     `upside_down` override how the laser sits on the robot. InputError for what cannot be mapped.
     """
-    from turtlebag.pipeline.stages.map import build_map
-
-    words, at = setting_words(settings, front_end=front_end), path_of(source, "source")
+    words, placed = setting_words(settings, front_end=front_end), laser_text(laser, upside_down)
     heard = None if topic is None else text_of(topic, "topic", "a name")
     later = {f"also {number}": one for number, one in enumerate(list_of(also, "also"), start=1)}
-    T_base_lidar = None if laser is None else pose_of(laser, "laser")
-    if upside_down and T_base_lidar is None:
-        raise InputError("upside_down: give laser, the pose of the laser on the robot, with it")
     files = {"truth": truth, "relations": relations, "config": config, "edits": edits}
     given: dict[str, Any] = {**files, "also": [*later.values()], "continue": continued}
-    given |= {"topic": heard, "set": words, "explain": explain}
-    laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
+    given |= {"topic": heard, "set": words, "explain": explain, "laser": placed}
     inputs = {"source": source, **files, **later, "continued": continued}
     with step("map", out, force=force, inputs=inputs) as now:
-        build_map(
-            at,
-            now.out,
-            truth=path_if(truth, "truth"),
-            relations=path_if(relations, "relations"),
-            config=path_if(config, "config"),
-            settings=words,
-            laser=T_base_lidar,
-            upside_down=upside_down,
-            also=[path_of(one, what) for what, one in later.items()],
-            continued=path_if(continued, "continued"),
-            topic=heard,
-            edits=path_if(edits, "edits"),
-            explain=explain,
-            force=force,
-            command=command_line("map", source, **given, laser=laser_text, out=now.out),
-        )
+        now.run(path_of(source, "source"), **given)
         return Map.of(now)
 
 
@@ -157,30 +124,17 @@ def localise(
     result is rejected. `truth` is a recording; it only adds errors to the metrics. InputError for a recording
     without odometry or a map without walls.
     """
-    from turtlebag.api.requests import told_pose
-    from turtlebag.pipeline.stages.localise import load_localise_config
-    from turtlebag.pipeline.stages.localise import localise as stage
-
-    words, at, on = setting_words(settings), path_of(source, "source"), as_map(map).yaml
-    told = told_pose(initial_pose, "global")
-    T_base_lidar = None if laser is None else pose_of(laser, "laser")
-    laser_text = T_base_lidar and pose_text(T_base_lidar) + (",upside-down" if upside_down else "")
-    given = {"map": on, "initial_pose": told, "laser": laser_text, "truth": truth, "seed": seed}
+    given = {
+        "map": as_map(map).yaml,
+        "initial_pose": told_pose(initial_pose, "global"),
+        "laser": laser_text(laser, upside_down),
+        "truth": truth,
+        "seed": require_seed(seed),
+    }
+    words = setting_words(settings)
     inputs = {"source": source, "map": map, "truth": truth, "config": config}
     with step("localise", out, force=force, inputs=inputs) as now:
-        stage(
-            at,
-            on,
-            now.out,
-            initial_pose=told,
-            T_base_lidar=T_base_lidar,
-            upside_down=upside_down,
-            truth=path_if(truth, "truth"),
-            config=load_localise_config(path_if(config, "config"), words),
-            seed=require_seed(seed),
-            force=force,
-            command=command_line("localise", source, **given, config=config, set=words, out=now.out),
-        )
+        now.run(path_of(source, "source"), **given, config=config, set=words)
         return Localisation.of(now)
 
 
@@ -204,38 +158,19 @@ def plan(
     or a class; `compare` asks all of OMPL's. Where there is no path, `success` is False and the verdict
     says why. InputError for a start or goal off the map or in an obstacle.
     """
-    from turtlebag.pipeline.stages.plan import PlanStageConfig, planner_settings
-    from turtlebag.pipeline.stages.plan import plan as stage
-    from turtlebag.pipeline.stages.settings import load_config
-
-    words, on = setting_words(settings), as_map(map)
-    by = None if planner is None else text_of(part_name(planner), "planner", "a name or a class")
-    T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
-    name = text_of(on.robot or "burger" if robot is None else robot, "robot")
+    on = as_map(map)
     given = {
         "map": on.yaml,
-        "robot": name,
-        "start": T_start,
-        "goal": T_goal,
-        "planner": by,
+        "robot": text_of(on.robot or "burger" if robot is None else robot, "robot"),
+        "start": pose_of(start, "start"),
+        "goal": pose_of(goal, "goal"),
+        "planner": None if planner is None else text_of(part_name(planner), "planner", "a name or a class"),
         "compare": compare,
-        "seed": seed,
-        "config": config,
-        "set": words,
+        "seed": require_seed(seed),
     }
+    words = setting_words(settings)
     with step("plan", out, force=force, inputs={"map": map, "config": config}) as now:
-        stage(
-            on.yaml,
-            name,
-            T_start,
-            T_goal,
-            now.out,
-            seed=require_seed(seed),
-            config=load_config(PlanStageConfig, path_if(config, "config"), [*words, *planner_settings(by)]),
-            compare=compare,
-            force=force,
-            command_line=command_line("plan", **given, out=now.out),
-        )
+        now.run(**given, config=config, set=words)
         return Plan.of(now)
 
 
@@ -335,39 +270,33 @@ def navigate(
 
     A task that fails is a result, too: see `success` and `goals`. InputError for a bad goal, map or name.
     """
-    from turtlebag.api.requests import asked_for
-    from turtlebag.pipeline.navigation.config import NavigateConfig
-    from turtlebag.pipeline.stages.navigate import navigate as stage
-    from turtlebag.pipeline.stages.settings import load_config
-
-    words = setting_words(settings)
-    with step(
-        "navigate", out, force=force, inputs={"map": map, "takeover": takeover, "config": config}
-    ) as now:
-        asked = asked_for(
-            map,
-            part_name(task),
-            world=part_name(world),
-            robot=robot,
-            seed=seed,
-            start=start,
-            initial_pose=initial_pose,
+    words, name = setting_words(settings), part_name(task)
+    inputs = {"map": map, "takeover": takeover, "config": config}
+    with step("navigate", out, force=force, inputs=inputs) as now:
+        on, files = None if map is None else as_map(map), TemporaryFolder()
+        now.kept.append(files)
+        told = task_options(name, files.path)
+        if on is None and isinstance(task, Patrol):
+            raise InputError("map: a patrol needs one; give the map to drive by")
+        if isinstance(task, Avoid | Explore) and (on is not None or wiggle or keepout is not None):
+            raise InputError(f"{told['task']}: works without map, wiggle and keepout; leave them out")
+        scene = part_name(world) if world is not None or on is None else on.world
+        if scene is None:
+            raise InputError("world: name the world to drive in; this map does not tell where it was made")
+        by = robot if robot is not None or on is None else on.robot
+        now.run(
+            world=text_of(scene, "world"),
+            robot=None if by is None else text_of(by, "robot"),
+            task=told.pop("task"),
+            map=None if on is None else on.yaml,
+            start=None if start is None else pose_of(start, "start"),
+            initial_pose=None if on is None else told_pose(initial_pose, "start", "global"),
+            seed=require_seed(seed),
+            **told,
             wiggle=wiggle,
             takeover=takeover,
-            keepout=keepout,
+            keepout=keepout_option(keepout, files.path),
+            config=config,
+            set=words,
         )
-        now.kept.append(asked.files)
-        options = {**asked.options, "config": config, "set": words, "out": now.out}
-        code = stage(
-            asked.world,
-            asked.request,
-            now.out,
-            robot=asked.robot,
-            config=load_config(NavigateConfig, path_if(config, "config"), [*words, *asked.settings]),
-            force=force,
-            command_line=command_line("navigate", **options),
-            say=lambda line: None,
-            files={} if config is None else {"config": path_of(config, "config")},
-        )
-        require_finished(code)
         return Run.of(now)

@@ -47,7 +47,7 @@ HEADERS = {
 
 
 @dataclass(frozen=True)
-class Guard:
+class Access:
     """What is let in: requests to `host` and `port`, which are listened at, with the token."""
 
     token: str
@@ -118,8 +118,8 @@ def listen(host: str, port: int) -> list[socket.socket]:
         raise InputError(f"--host {host}: {error.strerror}; give an address of this machine") from None
 
 
-class Guarded(RequestHandler):
-    """A request that is answered only when the guard, in the application's settings, lets it in."""
+class CheckedHandler(RequestHandler):
+    """A request that is answered only when `access` of the application's settings lets it in."""
 
     needs_token = True
 
@@ -127,18 +127,18 @@ class Guarded(RequestHandler):
         """What every answer bears, refusals included."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
-        ours = self._guard.is_ours(self.request.host)
+        ours = self._access.is_ours(self.request.host)
         self.set_header("Content-Security-Policy", POLICY.format(host=self.request.host if ours else "none"))
         self.clear_header("Server")
 
     def prepare(self) -> None:
         """403 for a host, an origin or a token that is not ours."""
         host, origin = self.request.host, self.request.headers.get("Origin")
-        if not self._guard.is_ours(host):
+        if not self._access.is_ours(host):
             raise HTTPError(403, reason="Not a host of this studio")
         if origin is not None and origin != f"http://{host}":
             raise HTTPError(403, reason="A page of another site")
-        if self.needs_token and not self._guard.knows(self.get_query_argument("token", "")):
+        if self.needs_token and not self._access.knows(self.get_query_argument("token", "")):
             raise HTTPError(403, reason="Wrong token: open the address that turtlebag studio printed")
 
     def write_error(self, status_code: int, **kwargs: object) -> None:
@@ -152,12 +152,12 @@ class Guarded(RequestHandler):
             super().log_exception(kind, error, trace)
 
     @property
-    def _guard(self) -> Guard:
-        guard: Guard = self.settings["guard"]
-        return guard
+    def _access(self) -> Access:
+        access: Access = self.settings["access"]
+        return access
 
 
-class Page(Guarded):
+class Page(CheckedHandler):
     """The page itself, to which the token is the key."""
 
     def get(self) -> None:
@@ -165,7 +165,7 @@ class Page(Guarded):
         send_file(self, "index.html")
 
 
-class Part(Guarded):
+class Part(CheckedHandler):
     """Scripts and styles, by name. They are the same for everybody and public: no token is needed."""
 
     needs_token = False

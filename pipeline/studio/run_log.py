@@ -24,7 +24,7 @@ CHUNK_ROWS = 300
 """Rows that are held back before they are written."""
 
 
-class Diary(RunRecorder):
+class RunLogWriter(RunRecorder):
     """Keeps the rows of the task under way, for its metrics; everything else is on the disk only."""
 
     def __init__(self, folder: Path, simulator: Simulator, bag: BagWriter) -> None:

@@ -112,7 +112,7 @@ def _same(a: object, b: object) -> bool:
     return isinstance(a, (int, str, float)) and isinstance(b, (int, str, float)) and a == b
 
 
-class Onlooker:
+class Visuals:
     """Looks at the robot's side of a session."""
 
     def __init__(self, pilot: Pilot) -> None:

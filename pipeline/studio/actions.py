@@ -14,15 +14,15 @@ from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
 from turtlebag.pipeline.navigation.setup import require_floor
 from turtlebag.pipeline.studio import inputs, tasks
+from turtlebag.pipeline.studio.library import outlines_of
 from turtlebag.pipeline.studio.run import Run
-from turtlebag.pipeline.studio.shelf import outlines_of
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
 from turtlebag.sim.shapes import box
 
 BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
 
 
-def map_start(run: Run, deed: inputs.MapStart) -> str:
+def map_start(run: Run, action: inputs.MapStart) -> str:
     """Begin a new map; one that is loaded is put away."""
     if run.pilot.mapping:
         raise InputError("map_start: a map is being made already; stop it first")
@@ -31,7 +31,7 @@ def map_start(run: Run, deed: inputs.MapStart) -> str:
     return "mapping"
 
 
-def map_stop(run: Run, deed: inputs.MapStop) -> str:
+def map_stop(run: Run, action: inputs.MapStop) -> str:
     """Add nothing more to the map, which can still be saved."""
     if not run.pilot.mapping:
         raise InputError("map_stop: no map is being made")
@@ -41,46 +41,46 @@ def map_stop(run: Run, deed: inputs.MapStop) -> str:
     return "mapping stopped"
 
 
-def map_save(run: Run, deed: inputs.MapSave) -> str:
+def map_save(run: Run, action: inputs.MapSave) -> str:
     """Save the map made here, finished; else the one that is loaded, with what to keep out of."""
-    shelf, mapper, grid = run.room.shelf, run.pilot.mapper, run.grid
-    shelf.check_name(deed.name)
+    library, mapper, grid = run.room.library, run.pilot.mapper, run.grid
+    library.check_name(action.name)
     if mapper is not None:
         if not mapper.ready:
             raise InputError("map_save: too little was mapped so far; drive on a little")
         grid = mapper.finish()
     if grid is None:
         raise InputError("map_save: there is no map; start mapping and drive, or load one")
-    shelf.save_map(deed.name, grid, run.keepout)
+    library.save_map(action.name, grid, run.keepout)
     if mapper is not None:
-        run.room.tee.map(run.stamp_ns, grid)
-    return f"map {deed.name} saved"
+        run.room.publisher.map(run.stamp_ns, grid)
+    return f"map {action.name} saved"
 
 
-def map_load(run: Run, deed: inputs.MapLoad) -> str:
+def map_load(run: Run, action: inputs.MapLoad) -> str:
     """Go by a map; the robot does not know yet where on it it is."""
-    path, grid, saved = run.room.shelf.load_map(deed.name)
+    path, grid, saved = run.room.library.load_map(action.name)
     keepout = run.room.setup.arena.keepout if saved is None else saved
     costmap = _costmap(run, grid, keepout)
     run.end_task("ended: a map was loaded")
-    run.grid, run.map_name, run.map_path, run.keepout = grid, deed.name, path, keepout
+    run.grid, run.map_name, run.map_path, run.keepout = grid, action.name, path, keepout
     run.pilot.load(grid, costmap, run.stamp_ns)
     run.frame_changed()
-    return f"map {deed.name or path.stem} loaded"
+    return f"map {action.name or path.stem} loaded"
 
 
-def pose_estimate(run: Run, deed: inputs.PoseEstimate) -> str:
+def pose_estimate(run: Run, action: inputs.PoseEstimate) -> str:
     """Tell the robot where it is."""
     navigation, _ = _on_map(run, "pose_estimate")
-    pose = SE2.from_xyt(*deed.pose)
+    pose = SE2.from_xyt(*action.pose)
     require_on_map("pose_estimate", pose, navigation.tools.live.static, run.map_path)
     navigation.told(pose, run.observation.odometry.T_odom_base)
     run.frame_changed()
-    x, y, yaw = deed.pose
+    x, y, yaw = action.pose
     return f"initial pose {x:.2f}, {y:.2f}, {yaw:.2f}"
 
 
-def localise_global(run: Run, deed: inputs.LocaliseGlobal) -> str:
+def localise_global(run: Run, action: inputs.LocaliseGlobal) -> str:
     """Let the robot find out where it is: it may be anywhere."""
     navigation, grid = _on_map(run, "localise_global")
     require_floor(grid, run.map_path)
@@ -89,35 +89,35 @@ def localise_global(run: Run, deed: inputs.LocaliseGlobal) -> str:
     return "global localisation: the robot may be anywhere on the map"
 
 
-def goal(run: Run, deed: inputs.SetGoal) -> str:
+def goal(run: Run, action: inputs.SetGoal) -> str:
     """Go there: on the map if there is one, else by what is seen."""
     pilot = run.pilot
     if pilot.navigation is None:
         run.end_task("ended: another goal was set")
-        task = tasks.mapless_goal_task(pilot.kit, pilot.T_map_odom, run.observation, deed.pose)
+        task = tasks.mapless_goal_task(pilot.kit, pilot.T_map_odom, run.observation, action.pose)
         return _begin(run, task)
     navigation = _localised(run, "goal")
     costmap = navigation.tools.live.static
-    require_free("goal", SE2.from_xyt(*deed.pose), costmap, pilot.kit.robot.model, run.map_path)
+    require_free("goal", SE2.from_xyt(*action.pose), costmap, pilot.kit.robot.model, run.map_path)
     run.end_task("ended: another goal was set")
-    return _begin(run, tasks.goal_task(pilot.kit, navigation, deed.pose, run.stamp_ns))
+    return _begin(run, tasks.goal_task(pilot.kit, navigation, action.pose, run.stamp_ns))
 
 
-def patrol(run: Run, deed: inputs.Patrol) -> str:
+def patrol(run: Run, action: inputs.Patrol) -> str:
     """Go to one place after the other."""
     navigation = _localised(run, "patrol")
     run.end_task("ended: a patrol was started")
-    stopovers, now = deed.waypoints, run.stamp_ns
-    return _begin(run, tasks.patrol_task(run.pilot.kit, navigation, stopovers, deed.laps, now))
+    stopovers, now = action.waypoints, run.stamp_ns
+    return _begin(run, tasks.patrol_task(run.pilot.kit, navigation, stopovers, action.laps, now))
 
 
-def avoid(run: Run, deed: inputs.Avoid) -> str:
+def avoid(run: Run, action: inputs.Avoid) -> str:
     """Drive about."""
     run.end_task("ended: avoid was started")
     return _begin(run, tasks.avoid_task(run.pilot.kit, run.say, run.stamp_ns))
 
 
-def explore(run: Run, deed: inputs.Explore) -> str:
+def explore(run: Run, action: inputs.Explore) -> str:
     """Map what can be reached: the map that is being made is gone on with."""
     run.end_task("ended: explore was started")
     if not run.pilot.mapping:
@@ -126,7 +126,7 @@ def explore(run: Run, deed: inputs.Explore) -> str:
     return _begin(run, tasks.explore_task(run.pilot.kit, run.pilot.mapper, run.stamp_ns))
 
 
-def wiggle(run: Run, deed: inputs.TurnToAndFro) -> str:
+def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
     """Turn to and fro."""
     _localised(run, "wiggle")
     run.end_task("ended: to turn to and fro")
@@ -134,7 +134,7 @@ def wiggle(run: Run, deed: inputs.TurnToAndFro) -> str:
     return _begin(run, tasks.wiggle_task(run.pilot.kit, run.pilot.localiser, run.stamp_ns))
 
 
-def cancel(run: Run, deed: inputs.Cancel) -> str:
+def cancel(run: Run, action: inputs.Cancel) -> str:
     """End the task."""
     if run.pilot.task is None:
         raise InputError("cancel: nothing is being done")
@@ -142,39 +142,39 @@ def cancel(run: Run, deed: inputs.Cancel) -> str:
     return ""
 
 
-def waypoints_save(run: Run, deed: inputs.WaypointsSave) -> str:
+def waypoints_save(run: Run, action: inputs.WaypointsSave) -> str:
     """Save waypoints."""
-    run.room.shelf.save_waypoints(deed.name, deed.waypoints)
-    return f"waypoints {deed.name} saved"
+    run.room.library.save_waypoints(action.name, action.waypoints)
+    return f"waypoints {action.name} saved"
 
 
-def waypoints_load(run: Run, deed: inputs.WaypointsLoad) -> str:
+def waypoints_load(run: Run, action: inputs.WaypointsLoad) -> str:
     """Show waypoints."""
-    loaded = run.room.shelf.load_waypoints(deed.name)
+    loaded = run.room.library.load_waypoints(action.name)
     run.waypoints = tuple((*waypoint.written, waypoint.wait) for waypoint in loaded)
-    return f"waypoints {deed.name or 'of the tutorial'} loaded"
+    return f"waypoints {action.name or 'of the tutorial'} loaded"
 
 
-def kidnap(run: Run, deed: inputs.Kidnap) -> str:
+def kidnap(run: Run, action: inputs.Kidnap) -> str:
     """Carry the robot elsewhere."""
-    run.room.simulator.carry(SE2.from_xyt(*deed.pose))
-    x, y, yaw = deed.pose
+    run.room.simulator.carry(SE2.from_xyt(*action.pose))
+    x, y, yaw = action.pose
     return f"kidnapped to {x:.2f}, {y:.2f}, {yaw:.2f}"
 
 
-def drop_box(run: Run, deed: inputs.DropBox) -> str:
+def drop_box(run: Run, action: inputs.DropBox) -> str:
     """Drop a box."""
     if len(run.boxes) >= MOST_BOXES:
         raise InputError(f"box: there are {MOST_BOXES} already")
-    x, y = deed.xy
-    run.room.simulator.drop(box("box", (x, y), (deed.size, deed.size), 0.0, (0.0, BOX_HEIGHT_M)))
-    run.boxes = np.vstack([run.boxes, [x, y, deed.size, deed.size]])
+    x, y = action.xy
+    run.room.simulator.drop(box("box", (x, y), (action.size, action.size), 0.0, (0.0, BOX_HEIGHT_M)))
+    run.boxes = np.vstack([run.boxes, [x, y, action.size, action.size]])
     return f"box dropped at {x:.2f}, {y:.2f}"
 
 
-def keep_out(run: Run, deed: inputs.Keepout) -> str:
+def keep_out(run: Run, action: inputs.Keepout) -> str:
     """Keep out of these places, and of no others."""
-    keepout = outlines_of(deed.outlines)
+    keepout = outlines_of(action.outlines)
     if run.grid is not None:
         costmap = _costmap(run, run.grid, keepout)
         for number, outline in enumerate(keepout, start=1):
@@ -185,7 +185,7 @@ def keep_out(run: Run, deed: inputs.Keepout) -> str:
     return f"{len(keepout)} {'place' if len(keepout) == 1 else 'places'} to keep out of"
 
 
-DEEDS: dict[type[Any], Callable[[Run, Any], str]] = {
+ACTIONS: dict[type[Any], Callable[[Run, Any], str]] = {
     inputs.MapStart: map_start,
     inputs.MapStop: map_stop,
     inputs.MapSave: map_save,
@@ -213,7 +213,7 @@ def _begin(run: Run, task: tasks.Task) -> str:
 
 
 def _new_map(run: Run) -> None:
-    run.grid = run.map_name = run.room.tee.grid = None
+    run.grid = run.map_name = run.room.publisher.grid = None
     run.pilot.start_mapping()
     run.frame_changed()
 

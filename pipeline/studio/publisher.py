@@ -17,11 +17,11 @@ class _Passed:
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
-    def __get__(self, tee: Tee, owner: type) -> Any:
-        return getattr(tee.bag, self._name)
+    def __get__(self, publisher: Publisher, owner: type) -> Any:
+        return getattr(publisher.bag, self._name)
 
 
-class Tee(BagWriter):
+class Publisher(BagWriter):
     """Passes everything on to `bag`, and remembers the newest map and plan."""
 
     static_transforms = _Passed()

@@ -21,7 +21,7 @@ from turtlebag.planners.tasks.waypoints import Waypoint, load_waypoints, parse_p
 KEEPOUT = "-keepout"
 
 
-class Shelf:
+class Library:
     """The folders `maps` and `waypoints` of a session, and the map that it was started with."""
 
     def __init__(self, folder: Path, given: Path | None) -> None:

@@ -11,7 +11,7 @@ from tornado.iostream import IOStream
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio import server
-from turtlebag.pipeline.studio.guard import Guard, is_loopback, listen
+from turtlebag.pipeline.studio.access import Access, is_loopback, listen
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
         assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
         assert "frame-ancestors 'none'" in policy
         assert "unsafe" not in policy
-        assert f"connect-src 'self' ws://127.0.0.1:{served.guard.port};" in policy
+        assert f"connect-src 'self' ws://127.0.0.1:{served.access.port};" in policy
         assert page.headers["X-Content-Type-Options"] == "nosniff"
         assert page.headers["Cache-Control"] == "no-store"
         assert page.headers["Referrer-Policy"] == "no-referrer"
@@ -61,10 +61,10 @@ def test_the_page_comes_with_the_token_and_headers_that_keep_others_out(served):
 )
 def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplog):
     async def attempt():
-        query_ = query.format(served.guard.token)
+        query_ = query.format(served.access.token)
         page = await fetch(f"{served.place}/{query_}")
         assert page.code in (400, 403)
-        assert served.guard.token.encode() not in page.body
+        assert served.access.token.encode() not in page.body
         with pytest.raises(HTTPClientError, match=r"40[03]"):
             await connect(f"{served.place}/{query_}")
 
@@ -78,7 +78,7 @@ def test_without_the_token_there_is_neither_page_nor_socket(served, query, caplo
 )
 def test_a_name_that_was_made_to_point_here_is_no_host(served, host):
     async def attempt():
-        name = host.format(served.guard.port)
+        name = host.format(served.access.port)
         for place in (served.url, f"{served.place}/parts/main.js", f"{served.place}/nothing"):
             assert (await fetch(place, Host=name)).code in (400, 403)
         with pytest.raises(HTTPClientError, match=r"40[03]"):
@@ -89,7 +89,7 @@ def test_a_name_that_was_made_to_point_here_is_no_host(served, host):
 
 @pytest.mark.parametrize("host", ["localhost:{}", "LOCALHOST:{}", "[::1]:{}", "127.0.0.1:{}"])
 def test_this_machine_has_several_names(served, host):
-    assert run(fetch(served.url, Host=host.format(served.guard.port))).code == 200
+    assert run(fetch(served.url, Host=host.format(served.access.port))).code == 200
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_this_machine_has_several_names(served, host):
 )
 def test_another_page_s_script_has_another_origin(served, origin):
     async def attempt():
-        name = origin.format(served.guard.port)
+        name = origin.format(served.access.port)
         assert (await fetch(served.url, Origin=name)).code == 403
         with pytest.raises(HTTPClientError, match="403"):
             await connect(served.url, Origin=name)
@@ -128,8 +128,8 @@ def test_no_path_leaves_the_page_s_folder(served, path):
 
     async def ask():
         stream = IOStream(socket.socket())
-        await stream.connect(("127.0.0.1", served.guard.port))
-        host = f"127.0.0.1:{served.guard.port}"
+        await stream.connect(("127.0.0.1", served.access.port))
+        host = f"127.0.0.1:{served.access.port}"
         await stream.write(f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
         return await stream.read_until_close()
 
@@ -151,17 +151,17 @@ def test_there_is_nothing_to_be_sent_but_by_the_socket(served, method):
 
 
 def test_hosts_that_are_listened_at():
-    some = Guard("t", "192.168.1.5", 8000)
+    some = Access("t", "192.168.1.5", 8000)
     assert some.is_ours("192.168.1.5:8000")
     assert not some.is_ours("192.168.1.6:8000")
     assert some.url == "http://192.168.1.5:8000/?token=t"
-    every = Guard("t", "0.0.0.0", 8000)
+    every = Access("t", "0.0.0.0", 8000)
     assert every.is_ours("192.168.1.5:8000")
     assert every.is_ours("[fe80::1]:8000")
     assert every.is_ours(f"{socket.gethostname()}:8000")
     assert not every.is_ours("evil.example:8000")
     assert every.url == "http://127.0.0.1:8000/?token=t"
-    assert Guard("t", "::1", 8000).url == "http://[::1]:8000/?token=t"
+    assert Access("t", "::1", 8000).url == "http://[::1]:8000/?token=t"
     assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "10.0.0.1", "pi")] == [
         True, True, True, False, False, False,
     ]  # fmt: skip
@@ -180,5 +180,5 @@ def test_a_port_or_host_that_cannot_be_had_is_one_line():
 
 
 def test_a_token_is_long_and_new(served):
-    assert len(served.guard.token) >= 43
-    assert os.path.basename(served.url) == f"?token={served.guard.token}"
+    assert len(served.access.token) >= 43
+    assert os.path.basename(served.url) == f"?token={served.access.token}"
