@@ -90,8 +90,9 @@ class OdometryTrust:
     def judge(self, odometry_step: Array, T_map_base: Array, seen: Array) -> None:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
-        A lie, about the way ahead, is one of the last steps together, and of the last of them: a jump is over at
-        once. Wheels at rest confirm nothing. A turn that scans deny says little of the way: it may be told late.
+        A lie, about the way ahead, is one of the last steps together, and of the last of them: a jump is over
+        at once. Wheels at rest confirm nothing. A turn that scans deny says little of the way: it may be told
+        late.
         """
         floor, share = self._noise.floor, self._noise.share
         self._held, self._lies = _judged(

@@ -3,8 +3,9 @@
 A lidar that measures by triangulation sees the spot of its beam a little aside, always by as much: its ranges
 are off by an offset and by the square of the range (the LDS-01's data sheet allows 15 mm near by, and 5 % at
 3.5 m). Two scans that see one wall from two ranges tell both, whatever their poses: the relative pose of each
-pair is eliminated, with the share that the ranges of one turn of the head are longer by than those of the other,
-and the equations of all pairs are summed. A factor common to all ranges cannot be told from a smaller world.
+pair is eliminated, with the share that the ranges of one turn of the head are longer by than those of the
+other, and the equations of all pairs are summed. A factor common to all ranges cannot be told from a smaller
+world.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces that are met at a smaller sine than this say little of ranges.
 GRAZING_SINE = 0.25
-# The pairs of a lidar that is right tell so much of an error but once in twenty times. What 16 simulated drives
-# tell beyond the errors their lidars really have is chi squared with two degrees of freedom times 0.3: points
-# share less of their errors than STEP_INFLATION says where what a whole turn is off by is taken out.
+# The pairs of a lidar that is right tell so much of an error but once in twenty times. What 16 simulated
+# drives tell beyond the errors their lidars really have is chi squared with two degrees of freedom times 0.3:
+# points share less of their errors than STEP_INFLATION says once what a whole turn is off by is taken out.
 CHANCE = 1.8
 
 

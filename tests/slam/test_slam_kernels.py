@@ -360,7 +360,8 @@ def judged_plainly(steps, poses, seen, noise):
                 lies = 0
             along = np.zeros((3, 3))
             along[0, 0] = noise.information(told[first])[0, 0]
-            gross = abs(error[first][0]) > GROSS * max(abs(told[first][0]), abs(told[first][0] + error[first][0]))
+            longer = max(abs(told[first][0]), abs(told[first][0] + error[first][0]))
+            gross = abs(error[first][0]) > GROSS * longer
             apart = contradiction(error[first], along, seen[k]) > LIE_SIGMAS**2
             lies += bool(surprising and gross and apart)
         said.append(lies < SEVERAL)

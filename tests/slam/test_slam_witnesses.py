@@ -41,7 +41,7 @@ def test_wheels_are_no_liars_for_what_nobody_saw_nor_for_a_start_told_late():
 
 
 def test_a_turn_that_comes_late_says_nothing_of_the_way():
-    """The robot drives 0.1 m a step in a circle that the scans see; the odometry has its turns two steps late."""
+    """The robot winds along, and the scans see it; the odometry has its turns two steps late."""
     wheels, pose, turns = OdometryTrust(OdometryNoise()), np.zeros(3), [0.0, 0.0, *[0.2, -0.2, -0.2, 0.2] * 4]
     for late, turn in zip(turns, turns[2:], strict=False):
         pose = compose(pose, np.array([0.1, 0.0, turn]))
