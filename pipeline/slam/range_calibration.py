@@ -46,10 +46,9 @@ ROUNDS = 5
 BESIDE = 6
 # Surfaces that are met at a smaller sine than this say little of ranges.
 GRAZING_SINE = 0.25
-# The pairs of a lidar that is right tell so much of an error but once in twenty times. What 16 simulated
-# drives tell beyond the errors their lidars really have is chi squared with two degrees of freedom times 0.3:
-# points share less of their errors than STEP_INFLATION says once what a whole turn is off by is taken out.
-CHANCE = 1.8
+# The pairs of a lidar that is right tell so much of an error but once in twenty times: chi squared with two
+# degrees of freedom.
+CHANCE = 5.99
 
 
 @dataclass(frozen=True)
