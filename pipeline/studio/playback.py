@@ -95,7 +95,7 @@ class Playback:
         """Do what is asked for; a line for the event log. InputError, with nothing changed, when refused."""
         if self.ended:
             raise InputError(f"{entry.do}: the session is over")
-        done = self._deeds.get(type(entry))
+        done = self._actions.get(type(entry))
         if isinstance(entry, inputs.Stop | inputs.Release):
             return ""
         if done is None:
@@ -148,7 +148,7 @@ class Playback:
         self._journal.close()
 
     @cached_property
-    def _deeds(self) -> dict[type, Callable[[Any], str]]:
+    def _actions(self) -> dict[type, Callable[[Any], str]]:
         return {
             inputs.Seek: self._seek,
             inputs.MapStart: self._map_start,
