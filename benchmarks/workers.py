@@ -3,52 +3,89 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
-import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from typing import Any
 
 from benchmarks.rows import Case, Row
 
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def worker() -> ProcessPoolExecutor:
-    """A process that measures one case after the other. Ctrl-C is for the process that has started it."""
-    return ProcessPoolExecutor(1, SPAWN, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+class Worker:
+    """A process that measures one case after the other; where a case has ended it, the next has a new one."""
+
+    def __init__(self) -> None:
+        self._process: Any = None
+
+    def measure(self, case: Case, limit_s: float) -> Row:
+        """The row of a case, or one that says why there is none: it may take so long [s]."""
+        if self._process is None:
+            self._pipe, theirs = SPAWN.Pipe()
+            self._process = SPAWN.Process(target=serve, args=(theirs,))
+            self._process.start()
+            theirs.close()
+        try:
+            self._pipe.send(case)
+            if self._pipe.poll(limit_s):
+                return dict(self._pipe.recv())
+            why = f"took more than {limit_s:.0f} s"
+        except (EOFError, ConnectionError):
+            why = "its process died"
+        self.kill()
+        self._process.join()
+        self._process = None
+        return failed(case, why)
+
+    def kill(self) -> None:
+        """End the process, whatever it is doing."""
+        if self._process is not None:
+            self._process.kill()
 
 
-def measured(case: Case, limit_s: float) -> Row:
-    """The row of a case; one that raises has a row that says so, one that takes longer ends its process."""
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
+def serve(pipe: Connection) -> None:
+    """Measure what comes until the other end is gone."""
+    try:
+        while True:
+            pipe.send(measured(pipe.recv()))
+    except (EOFError, BrokenPipeError, KeyboardInterrupt):
+        return
+
+
+def measured(case: Case) -> Row:
+    """The row of a case; one that raises has a row that says so."""
     try:
         return {**case.about, **case.measure()}
     except Exception as error:
-        return {**case.about, "error": f"{type(error).__name__}: {error}"}
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        return failed(case, f"{type(error).__name__}: {error}")
+
+
+def failed(case: Case, why: str) -> Row:
+    """The row of a case without a result."""
+    return {**case.about, "error": why}
 
 
 def in_processes(cases: Sequence[Case], count: int, limit_s: float) -> Iterator[tuple[Case, Row]]:
     """Cases and their rows as they come, from `count` processes; none takes longer than `limit_s` [s]."""
-    waiting, idle = list(reversed(cases)), [worker() for _ in range(count)]
-    going: dict[Future[Row], tuple[Case, ProcessPoolExecutor, float]] = {}
-    try:
-        while waiting or going:
-            while waiting and idle:
-                case, process = waiting.pop(), idle.pop()
-                going[process.submit(measured, case, limit_s)] = case, process, time.monotonic()
-            for future in wait(going, return_when=FIRST_COMPLETED).done:
-                case, process, begun = going.pop(future)
-                try:
-                    row = future.result()
-                except BrokenProcessPool:
-                    late, process = time.monotonic() - begun >= limit_s, worker()
-                    why = f"took more than {limit_s:.0f} s" if late else "its process died"
-                    row = {**case.about, "error": why}
-                idle.append(process)
-                yield case, row
-    finally:  # also when nobody wants the rest any more
-        for child in multiprocessing.active_children():
-            child.kill()
+    workers = [Worker() for _ in range(count)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def measure(case: Case) -> tuple[Case, Row]:
+        worker = idle.get()
+        try:
+            return case, worker.measure(case, limit_s)
+        finally:
+            idle.put(worker)
+
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            for done in as_completed([pool.submit(measure, case) for case in cases]):
+                yield done.result()
+        finally:  # also when nobody wants the rest any more
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.kill()

@@ -48,7 +48,10 @@ SYSTEMS: tuple[Section, ...] = (
     section(
         "Drift",
         "Relative pose error. Numbers per frame compare only systems of one rate.",
-        shared("rpe.trans_m", "Over each metre of the reference's path, wherever it starts; RMSE."),
+        replace(
+            shared("rpe.trans_m", "Over each metre of the reference's path, wherever it starts; RMSE."),
+            trusted=True,
+        ),
         shared("rpe.rot_rad"),
         Spec("rpe_metre.trans_m.rmse", "RPE, 1 m, RMSE", "cm", "Over pairs a metre of its own path apart."),
         Spec("rpe_metre.rot_deg.rmse", "RPE, 1 m, angle, RMSE", "deg1", "The same for the angle."),

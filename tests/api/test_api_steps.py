@@ -12,6 +12,7 @@ import pytest
 
 import turtlebag as tb
 from turtlebag.api.making import laser_text
+from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.arguments import laser
@@ -244,6 +245,11 @@ def test_what_is_wrong_is_said_in_a_line_in_the_words_of_python(name, chain):
         call(chain)
     assert "\n" not in str(error.value)
     assert "--" not in str(error.value).replace("my--map", "")
+
+
+def test_a_takeover_is_a_file_whatever_it_is_called():
+    with pytest.raises(InputError, match="keyboard: no such file"):
+        tb.navigate(world="empty", task=tb.Avoid(duration=1.0), takeover="keyboard")
 
 
 def test_a_laser_is_told_as_the_command_line_reads_it():

@@ -294,7 +294,8 @@ def navigate(
             seed=require_seed(seed),
             **told,
             wiggle=wiggle,
-            takeover=takeover,
+            # the command line's word for the keys of the terminal is a file's name here, as any other
+            takeover="./keyboard" if takeover == "keyboard" else takeover,
             keepout=keepout_option(keepout, files.path),
             config=config,
             set=words,
