@@ -79,7 +79,6 @@ def _ways(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> N
     """Where a stretch ends seen from its begin, by the scans alone and by the odometry, x + iy [m]."""
     T_odom = recording.T_odom_base
     assert T_odom is not None
-    # driven straight on, sweeps are all bent alike: they are left as they are
     track = tracked_alone(recording, rows, noise).T_track_base
     return np.array([_way(track[0], track[-1]), _way(T_odom[rows[0]], T_odom[rows[-1]])])
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.bags.scans import turned_over
-from turtlebag.datasets.se2 import SE2, Array, wrap
+from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, make_clouds, sweep_motion
@@ -242,11 +242,8 @@ def _turns(scans: Recording, late_s: float, noise: RangeNoise) -> _Turns:
 
 def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: RangeNoise) -> Array:
     """Begin and end [s] since the first scan, and turn [rad] by the scans alone, over each span, (n, 3)."""
-    stamps_ns = scans.stamps_ns[rows]
-    late = replace(scans, stamps_ns=stamps_ns + round(late_s * 1e9))
-    motion = sweep_motion(late) if scans.lidar.time_increment != 0.0 else None
-    track = tracked_alone(scans, rows, noise, motion)
-    seconds = (stamps_ns - scans.stamps_ns[0]) * 1e-9
+    track = tracked_alone(scans, rows, noise, late_s)
+    seconds = (scans.stamps_ns[rows] - scans.stamps_ns[0]) * 1e-9
     waits = np.diff(seconds)
     known = np.convolve((waits > 0.0) & (waits < GAP_S) & track.usable[1:], np.ones(SPAN), "valid")
     yaw = np.unwrap(track.T_track_base.yaw)
@@ -254,12 +251,15 @@ def _turned(scans: Recording, late_s: float, rows: NDArray[np.int64], noise: Ran
 
 
 def tracked_alone(
-    recording: Recording, rows: NDArray[np.int64], noise: RangeNoise, motion: SE2 | None = None
+    recording: Recording, rows: NDArray[np.int64], noise: RangeNoise, late_s: float = 0.0
 ) -> Track:
-    """Some scans (n,) tracked by themselves, each sweep undone by `motion` (n, KNOTS), or not."""
+    """Some scans (n,) tracked by themselves, each sweep undone by an odometry so much late."""
+    stamps_ns = recording.stamps_ns[rows]
+    late = replace(recording, stamps_ns=stamps_ns + round(late_s * 1e9))
+    motion = sweep_motion(late) if recording.lidar.time_increment != 0.0 else None
     alone = replace(
         recording,
-        stamps_ns=recording.stamps_ns[rows],
+        stamps_ns=stamps_ns,
         ranges=recording.ranges[rows],
         T_odom_base=None,
         odometry=None,

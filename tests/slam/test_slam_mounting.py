@@ -7,12 +7,16 @@ import pytest
 
 from benchmarks.disturb import KINDS
 from benchmarks.known import Known
-from benchmarks.slam_logs import arena
+from benchmarks.slam_drives import Drive, make_log
+from benchmarks.slam_logs import arena, burger_lidar
+from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.pipeline.slam import mounting
+from turtlebag.pipeline.slam.clouds import USABLE_M
 from turtlebag.pipeline.slam.mounting import facing, turned_by_deg
+from turtlebag.pipeline.slam.range_noise import range_noise
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 
 
@@ -55,6 +59,18 @@ def test_few_stretches_that_went_wrong_turn_no_laser(log, monkeypatch, wrong, de
     monkeypatch.setattr(mounting, "_stretches", lambda _: range(20))
     monkeypatch.setattr(mounting, "_ways", lambda *_: next(ways))
     assert turned_by_deg(log.recording) == degrees
+
+
+def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
+    """Each sweep is bent by a turn of its own, up to 9 degrees of direction over a stretch."""
+    plan, x = FloorPlan(8.0, 4.0), np.linspace(1.5, 6.5, 800)
+    plan.carve(0.5, 0.5, 7.5, 3.5)
+    winding = np.column_stack([x, 2.0 + 0.12 * np.sin(4.0 * np.pi * x)])
+    drive = Drive(v=0.18, w=2.0, dv=2.0, dw=10.0, ahead=0.06)
+    recording = make_log("winding", plan, winding, burger_lidar(), drive=drive).recording
+    noise = range_noise(recording, USABLE_M)
+    seen, told = np.array([mounting._ways(recording, one, noise) for one in mounting._stretches(recording)]).T
+    assert np.quantile(np.abs(np.angle(told / seen, deg=True)), 0.9) < 3.0
 
 
 def test_without_odometry_or_way_nothing_tells(log):
