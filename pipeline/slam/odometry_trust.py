@@ -91,8 +91,8 @@ class OdometryTrust:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie, about the way ahead, is one of the last steps together, and of the last of them: a jump is over
-        at once. Wheels at rest confirm nothing. A turn that scans deny says little of the way: it may be told
-        late.
+        at once. Wheels that drive no way, as in a turn on the spot, confirm nothing. A turn that scans deny
+        says little of the way: it may be told late.
         """
         floor, share = self._noise.floor, self._noise.share
         self._held, self._lies = _judged(
@@ -127,7 +127,7 @@ def _judged(
     limit = LIE_SIGMAS * LIE_SIGMAS
     told, error = _apart(last[-2], last[-1])
     surprising = (error[0] / _sigma(told, floor, share)) ** 2 > limit
-    moved = max(math.hypot(step[0], step[1]), abs(step[2])) > 2.0 * floor
+    moved = math.hypot(step[0], step[1]) > 2.0 * floor
     if independent and moved and not surprising:
         lies = 0
     told, error = _apart(last[-held], last[-1])

@@ -36,8 +36,10 @@ TRIANGULATES_M = 12.0
 # and such a share of the farthest usable range there, growing with the square of the range.
 OFFSET_M, SHARE = 0.01, 0.01
 # All ranges of one turn of the head are longer than those of another by such a share, a standard deviation.
+# A guess, but hardly asked: with 0.0067, and with no bound at all, the ranges of 16 simulated drives came out
+# 4.1 and 4.6 mm off, without the share 5.1.
 TURN_SHARE = 0.005
-# So many key scans are asked.
+# So many key scans are asked, all of a house: with all of an office, twice as many, it came to the same.
 FIRST_KEYS = 400
 # Their equations are solved so often, from where the solution before has moved the points.
 ROUNDS = 5

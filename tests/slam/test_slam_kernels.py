@@ -356,7 +356,7 @@ def judged_plainly(steps, poses, seen, noise):
             first, last = max(k - RECENT, 0), k - 1
             sigma = noise.information(told[last])[0, 0] ** -0.5
             surprising = abs(error[last][0]) > LIE_SIGMAS * sigma
-            if max(np.hypot(*step[:2]), abs(step[2])) > 2.0 * noise.floor and not surprising:
+            if np.hypot(*step[:2]) > 2.0 * noise.floor and not surprising:
                 lies = 0
             along = np.zeros((3, 3))
             along[0, 0] = noise.information(told[first])[0, 0]

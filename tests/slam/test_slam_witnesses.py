@@ -49,6 +49,16 @@ def test_a_turn_that_comes_late_says_nothing_of_the_way():
         assert wheels.believed
 
 
+def test_a_turn_on_the_spot_gives_no_trust_in_the_way_back():
+    wheels, pose = OdometryTrust(OdometryNoise()), np.zeros(3)
+    for _ in range(5):
+        pose = compose(pose, np.array([0.1, 0.0, 0.0]))
+        wheels.judge(np.zeros(3), pose, SEES)
+    for _ in range(2):
+        wheels.judge(np.array([0.0, 0.0, 0.15]), pose, SEES)
+        assert not wheels.believed
+
+
 def test_encoders_that_freeze_are_found_out():
     assert not believed((0.1, SEES), *[(0.0, SEES)] * 6)[-1]
 
