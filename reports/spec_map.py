@@ -118,7 +118,7 @@ MAP = (
             "Pairs of key scans taken at the same place at different times.",
         ),
         Spec(
-            "self_check.denied_mean",
+            "self_check.mean_violation",
             "free-space violations",
             "percent",
             "Mean share of the wall points of one visit that lie where the other visit saw free "

@@ -22,8 +22,8 @@ from turtlebag.pipeline.slam.drift import SIGMAS, Drift, covariances, reach, rea
 class Recognised:
     """Key i recognised at key j's place: `T_j_i` (3,), how well the scans fit there, and what became of it.
 
-    `score` is of the coarse correlation, `overlap` the share of points that fit, `denied` the share of
-    points that one saw through and the other as a wall.
+    `score` is of the coarse correlation, `overlap` the share of points that fit, `violation` that of points
+    that violate the other's free space.
     """
 
     i: int
@@ -31,7 +31,7 @@ class Recognised:
     T_j_i: Array
     score: float
     overlap: float
-    denied: float
+    violation: float
     rmse: float
     information: Array
     verdict: str = "candidate"

@@ -33,13 +33,13 @@ def loop_record(result: SlamResult) -> dict[str, Any]:
         "loops": [candidate(loop, result.T_map_keys) for loop in result.loops],
         "recognised": [candidate(place, result.T_map_keys) for place in result.recognised],
         "breaks": [
-            {"after_scan": before, "before_scan": after, "mended": _mended(session, after)}
+            {"after_scan": before, "before_scan": after, "bridged": _bridged(session, after)}
             for before, after in session.breaks.gaps.tolist()
         ],
     }
 
 
-def _mended(session: Session, scan: int) -> bool:
+def _bridged(session: Session, scan: int) -> bool:
     step = int(np.searchsorted(session.track.keys, scan)) - 1
     return not bool(session.graph.unbridged[step])
 
@@ -53,7 +53,7 @@ def candidate(found: Loop | Recognised, T_map_keys: SE2 | Array) -> dict[str, An
         **({"gate_m": found.gate_m} if isinstance(found, Loop) else {}),
         "score": found.score,
         "overlap": found.overlap,
-        **({"denied": found.denied} if isinstance(found, Recognised) else {}),
+        **({"violation": found.violation} if isinstance(found, Recognised) else {}),
         "rmse_m": found.rmse,
         "verdict": found.verdict,
         **_residual(found, T_map_keys),
@@ -111,11 +111,11 @@ def worst_edges(T_map_keys: SE2 | Array, constraints: Sequence[Constraint]) -> l
 
 
 def _contradictions(result: SlamResult) -> list[dict[str, Any]]:
-    denied = result.check.denied
-    order = np.argsort(-denied[:, 2], kind="stable")[:WORST]
+    violations = result.check.violations
+    order = np.argsort(-violations[:, 2], kind="stable")[:WORST]
     return [
-        {"i": int(i), "j": int(j), "denied": float(share), "xy": result.T_map_keys.xy[int(i)]}
-        for i, j, share in denied[order]
+        {"i": int(i), "j": int(j), "violation": float(share), "xy": result.T_map_keys.xy[int(i)]}
+        for i, j, share in violations[order]
     ]
 
 

@@ -27,11 +27,11 @@ from turtlebag.pipeline.slam.correlative import best_pose, make_field
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM
-from turtlebag.pipeline.slam.selfcheck import free_space_violations
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}
 """What `loops.match` may be; see `turtlebag.pipeline.slam.loop_match`."""
@@ -128,9 +128,6 @@ BATCH = 48
 PLACES = 3
 # Cells and turns of the coarse search.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
-# A loop that lets the two visits see through each other's walls by a larger share is none: true ones do so
-# by up to 0.04 (CSAIL, belgioioso), those that fold mazes of cells alike by 0.07 to 0.19.
-DENIED = 0.05
 # An alignment that ends farther from what the search found [m], [rad] went to another place.
 PEAK = 0.15
 
@@ -277,20 +274,19 @@ class LoopFinder(LoopSearch):
             verdict = "alignment left the peak"
         elif not confirmed(self.matcher, self.clouds, query, place, found.T_map_base.xyt):
             verdict = "open3d disagrees"
-        elif self._denied(query, place, found.T_map_base.xyt) > DENIED:
+        elif self._violation(query, place, found.T_map_base.xyt) > MOST_VIOLATIONS:
             verdict = "free-space violations"
         return Loop(
             i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )
 
-    def _denied(self, query: Stretch, place: Stretch, T_j_i: Array) -> float:
+    def _violation(self, query: Stretch, place: Stretch, T_j_i: Array) -> float:
         """Mean share of free-space violations between two stretches, `query` at a pose (3,) in `place`."""
         scans = np.concatenate([query.scans, place.scans])
         poses = np.vstack([(SE2(T_j_i) @ SE2(query.T_about_scans)).xyt, place.T_about_scans])
         a, b = np.arange(len(query.scans)), len(query.scans) + np.arange(len(place.scans))
         pairs = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
-        shares = free_space_violations(self.clouds, scans, poses, pairs)
-        return float(shares.mean()) if len(shares) else 0.0
+        return mean_violation(self.clouds, scans, poses, pairs, 0.0)
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
         """Some keys as seen from one."""

@@ -91,8 +91,8 @@ class OdometryTrust:
         """A step (3,), the pose of the scan that ends it (3,), and what that scan saw (3, 3).
 
         A lie, about the way ahead, is one of the last steps together, and of the last of them: a jump is over
-        at once. Wheels that drive no way, as in a turn on the spot, confirm nothing. A turn that scans deny
-        says little of the way: it may be told late.
+        at once. Wheels that drive no way, as in a turn on the spot, confirm nothing. A turn that scans
+        contradict says little of the way: it may be told late.
         """
         floor, share = self._noise.floor, self._noise.share
         self._held, self._lies = _judged(

@@ -13,6 +13,8 @@ from turtlebag.pipeline.slam.clouds import Clouds, point_information
 from turtlebag.pipeline.slam.loop_match import Limits, Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
 
+# Points farther apart than this [m] do not match; a loop of which fewer match, or that ICP on them moves
+# farther than this [m], [rad], is not confirmed.
 CORRESPONDENCE_M = 0.15
 MIN_FITNESS = 0.6
 MAX_SHIFT_M, MAX_TURN_RAD = 0.08, 0.03

@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency, support
 from turtlebag.pipeline.slam.drift import Drift, drift_of, reach, read_at
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, THROUGH_M, mean_violation
 from turtlebag.pipeline.slam.loop_match import (
     ROUGH,
     Limits,
@@ -33,12 +34,7 @@ from turtlebag.pipeline.slam.loop_match import (
     require_alignment,
 )
 from turtlebag.pipeline.slam.loop_search import LoopClosing, LoopConfig
-from turtlebag.pipeline.slam.selfcheck import (
-    MOST_PAIRS,
-    NEAR_M,
-    THROUGH_M,
-    free_space_violations,
-)
+from turtlebag.pipeline.slam.selfcheck import MOST_PAIRS, NEAR_M
 from turtlebag.pipeline.slam.submaps import (
     MOST_SHIFT,
     RESOLUTION_M,
@@ -51,11 +47,11 @@ from turtlebag.pipeline.slam.submaps import (
 from turtlebag.pipeline.slam.track import blind
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 
-# Another place rivals when no more than this many times as many points deny it (places that only look alike:
-# from 6 % up, rooms alike to the centimetre 1 to 3 %). A true place is denied no more than this many times
-# what is usual in the log: simulated logs 0 to 1 % (0 is usual), CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9
-# (3), a hospital 5 (9).
-RIVAL_FACTOR, RIVAL_FLOOR = 2.5, 0.01
+# Another place may be the true one when it has no more than this many times as many free-space violations
+# (places that only look alike: from 6 % up, rooms alike to the centimetre 1 to 3 %). A true place has no more
+# than this many times what is usual in the log: simulated logs 0 to 1 % (0 is usual), CSAIL 1 (1), acapulco
+# 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
+ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps looked at from one place are one while their headings differ by less than this cosine says.
 SAME_WAY = 0.7
 
@@ -68,13 +64,8 @@ class PlaceRecognitionConfig(BaseModel):
     candidates: int = Field(default=12, gt=0, description="most similar submaps compared with a query")
     min_overlap: float = Field(default=0.6, gt=0.0, le=1.0)
     min_support: int = Field(default=3, gt=0, description="submaps that must agree on a place")
-    rival_share: float = Field(
+    ambiguous_share: float = Field(
         default=0.35, gt=0.0, description="of the support for another place: the place is ambiguous"
-    )
-    max_denied: float = Field(
-        default=0.05,
-        ge=0.0,
-        description="share of points that visits may deny each other at the place, beyond what is usual",
     )
 
 
@@ -203,12 +194,11 @@ def _settled(
             return _low_overlap(query, other, score, replace(result, overlap=overlap))
     both = np.vstack([at, at_place[::2]])
     pairs = np.array([(a, len(at) + b) for a in range(len(at)) for b in range(len(at_place[::2]))])
-    denied = free_space_violations(clouds, np.concatenate([keys[few], place[::2]]), both, pairs)
+    violation = mean_violation(clouds, np.concatenate([keys[few], place[::2]]), both, pairs, 1.0)
     information = result.information
     place_found = Recognised(
-        query.middle, other.middle, pose, score, float(overlap),
-        float(denied.mean()) if len(denied) else 1.0, result.rmse, information,
-    )  # fmt: skip
+        query.middle, other.middle, pose, score, float(overlap), violation, result.rmse, information
+    )
     if blind(information):
         return place_found.judged("blind in one direction")
     if not confirmed(matcher, clouds, middle, there, pose):
@@ -241,28 +231,27 @@ def _believed(
         return [], list(found)
     comparable, agree = consistency(places, drift, by_distance.reach_m, by_distance.inflation)
     verdicts = ["too few agree"] * len(places)
-    most = RIVAL_FACTOR * _usually_denied(scans, drift) + config.max_denied
+    most = ALIKE_FACTOR * _usual_violation(scans, drift) + MOST_VIOLATIONS
     feasible: list[tuple[list[int], int, float]] = []
     for members in agreeing_sets(places, agree & comparable):
         supporters = support(places, members)
         if supporters < config.min_support - 1:
             continue
-        denied = _laid_out(scans, [places[k] for k in members], drift)
-        mean = float(denied.mean()) if len(denied) else 1.0
+        mean = _stretch_violation(scans, [places[k] for k in members], drift)
         if mean > most:
             _mark(verdicts, members, "the stretch contradicts the place")
         else:
             feasible.append((members, supporters, mean))
     believed = []
     for members, supporters, mean in feasible:
-        rival = any(
+        ambiguous = any(
             competing(members, other, comparable, agree)
-            and theirs >= config.rival_share * supporters
-            and their_mean <= RIVAL_FACTOR * mean + RIVAL_FLOOR
+            and theirs >= config.ambiguous_share * supporters
+            and their_mean <= ALIKE_FACTOR * mean + ALIKE_FLOOR
             for other, theirs, their_mean in feasible
             if other is not members
         )
-        if rival:
+        if ambiguous:
             _mark(verdicts, members, "ambiguous: another place fits as well")
         elif supporters >= config.min_support:
             _mark(verdicts, members, "accepted")
@@ -278,8 +267,8 @@ def _mark(verdicts: list[str], members: list[int], verdict: str) -> None:
         verdicts[k] = verdict
 
 
-def _laid_out(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> Array:
-    """Share of points denied in each revisit, with the whole stretch laid at its place.
+def _stretch_violation(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> float:
+    """Mean free-space violation of the revisits, with the whole stretch laid at its place; 1 without any.
 
     Keys are carried by the nearest recognised one, as far as drift cannot make a wall seem seen through.
     """
@@ -295,24 +284,22 @@ def _laid_out(scans: KeyScans, stretch: list[Recognised], drift: Drift) -> Array
         moved[k] = (at_place @ (SE2(poses[place.i]).inverse() @ SE2(poses[k]))).xyt
     near = scipy.spatial.cKDTree(moved[older, :2]).query_ball_point(moved[newer, :2], NEAR_M)
     pairs = np.array([(newer[a], older[b]) for a, bs in enumerate(near) for b in sorted(bs)], dtype=np.int64)
-    return _denied(scans, moved, pairs.reshape(-1, 2))
+    return _violation(scans, moved, pairs.reshape(-1, 2), 1.0)
 
 
-def _usually_denied(scans: KeyScans, drift: Drift) -> float:
-    """Share of points that visits deny each other which drift cannot have parted: people, glass."""
+def _usual_violation(scans: KeyScans, drift: Drift) -> float:
+    """Mean free-space violation of visits which drift cannot have parted: people, glass."""
     poses = drift.T_map_keys
     pairs = scipy.spatial.cKDTree(poses[:, :2]).query_pairs(NEAR_M, output_type="ndarray").astype(np.int64)
     # of those far apart in time drift leaves none; a sample holds enough of the others
     pairs = pairs[np.lexsort(pairs.T[::-1])][:: max(1, len(pairs) // (10 * MOST_PAIRS))]
     off = reach(read_at(drift.along(*pairs.T), poses[pairs[:, 0]]))[0]
-    denied = _denied(scans, poses, pairs[off < THROUGH_M])
-    return float(denied.mean()) if len(denied) else 0.0
+    return _violation(scans, poses, pairs[off < THROUGH_M], 0.0)
 
 
-def _denied(scans: KeyScans, poses: Array, pairs: NDArray[np.int64]) -> Array:
-    """Share of points denied in each of some pairs (n, 2) of keys, of many in every second, third, ..."""
-    some = np.ascontiguousarray(pairs[:: max(1, len(pairs) // MOST_PAIRS)])
-    return free_space_violations(*scans, poses, some) if len(some) else np.zeros(0)
+def _violation(scans: KeyScans, poses: Array, pairs: NDArray[np.int64], unknown: float) -> float:
+    """Mean free-space violation of pairs (n, 2) of keys, of many in every second, third, ..."""
+    return mean_violation(*scans, poses, pairs[:: max(1, len(pairs) // MOST_PAIRS)], unknown)
 
 
 def _off(drift: Drift, keys: NDArray[np.int64], other: int) -> Array:

@@ -26,6 +26,7 @@ from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track
 
+# Gauss-Newton steps of one scan.
 ITERATIONS = 5
 NO_GAPS = np.zeros((0, 2), dtype=np.int64)
 # Standard deviation of a pose carried by the key scans [m]; of its yaw half as much [rad].

@@ -7,7 +7,6 @@ are. Lost scans: where neither the walls nor the odometry held the pose.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,28 +15,24 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S, Clouds
 from turtlebag.pipeline.slam.factors import Constraint
+from turtlebag.pipeline.slam.free_space import free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
-from turtlebag.pipeline.slam.partners import relative_pose
-from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
 from turtlebag.pipeline.slam.verdict import Verdict
 
-# A point this near a wall confirms it; a wall that is seen through by so much is denied [m].
-WALL_M, THROUGH_M = 0.15, 0.4
 # Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
-# denied points marks a place as bad.
+# free-space violations marks a place as bad.
 NEAR_M, APART_KEYS, MOST_PAIRS, BAD_SHARE = 1.5, 30, 3000, 0.35
 # No larger share of the places, or of the scans, than this may be wrong; nor may more key scans than this,
-# however long the log, be denied by most of their revisits.
-MOST_WRONG, MOST_DENIED = 0.05, 4
+# however long the log, contradict most of their revisits.
+MOST_WRONG, MOST_CONTRADICTED = 0.05, 4
 # Where the graph knows the places of some scans no better than this [m], one standard deviation, the worst of
 # them may be 0.2 m off: it was off by 1.4 to 6 of these (ten logs of 20 m to 2 km with known poses).
 LEAST_SURE_M = 0.1
@@ -45,13 +40,14 @@ LEAST_SURE_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SelfCheck(Verdict):
-    """Numbers of the check and what is wrong, in words; `denied` is (n, 3): key i, key j, share."""
+    """Numbers of the check and what is wrong, in words; `violations` is (n, 3): key i,
+    key j, the share of points that violate the other's free space."""
 
     revisits: int
-    denied_mean: float
+    mean_violation: float
     bad_places: float
     lost_scans: int
-    denied: Array
+    violations: Array
     position_sigma_m: float
     certainty: Certainty
     reasons: tuple[str, ...]
@@ -61,7 +57,7 @@ class SelfCheck(Verdict):
         """Of the places seen twice, the scans and the cells."""
         return {
             "revisits": self.revisits,
-            "denied_mean": self.denied_mean,
+            "mean_violation": self.mean_violation,
             "bad_places": self.bad_places,
             "lost_scans": self.lost_scans,
             "position_sigma_m": self.position_sigma_m,
@@ -89,13 +85,7 @@ def check_map(
     joins to the rest, `borders` the first scans of later recordings; `certainty` is the grid's.
     """
     pairs = _revisits(T_map_keys)
-    # Either visit may be the one that saw through the other's walls.
-    both_ways = np.concatenate([pairs, pairs[:, ::-1]])
-    found = in_parts(
-        lambda part: denied_shares(clouds, track.keys, T_map_keys.xyt, both_ways[part], WALL_M, THROUGH_M),
-        len(both_ways),
-    )
-    share = np.fmax(*np.concatenate(found).reshape(2, -1))
+    share = free_space_violations(clouds, track.keys, T_map_keys.xyt, pairs)
     known = np.isfinite(share)
     pairs, share = pairs[known], share[known]
     mean = float(share.mean()) if len(share) else 0.0
@@ -103,7 +93,7 @@ def check_map(
     lost = np.flatnonzero(track.usable & (track.overlap < LEAST_OVERLAP))
     reasons = []
     alone = contradicted_keys(pairs, share, BAD_SHARE)
-    if bad > MOST_WRONG or len(alone) > MOST_DENIED:
+    if bad > MOST_WRONG or len(alone) > MOST_CONTRADICTED:
         worst = pairs[int(np.argmax(share))]
         x, y = T_map_keys.xy[worst[0]]
         reasons.append(
@@ -136,8 +126,8 @@ def check_map(
             f"the pose graph leaves the scans near x {x:.1f}, y {y:.1f} uncertain by {sigma:.2f} m (one "
             f"standard deviation): the map may be bent there{blind}"
         )
-    denied = np.column_stack([pairs, share]) if len(share) else np.zeros((0, 3))
-    return SelfCheck(len(share), mean, bad, len(lost), denied, sigma, certainty, tuple(reasons))
+    violations = np.column_stack([pairs, share])
+    return SelfCheck(len(share), mean, bad, len(lost), violations, sigma, certainty, tuple(reasons))
 
 
 def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:
@@ -148,12 +138,12 @@ def _revisits(T_map_keys: SE2) -> NDArray[np.int64]:
 
 
 def contradicted_keys(pairs: NDArray[np.int64], share: Array, limit: float) -> NDArray[np.int64]:
-    """Keys denied (by more than `limit`) in more than half of their revisits: however few of a long log,
-    they lie where they cannot be."""
+    """Keys contradicted (by more than `limit`) in more than half of their revisits: however few of a long
+    log, they lie where they cannot be."""
     n = int(pairs.max()) + 1 if len(pairs) else 0
     visits = np.bincount(pairs.ravel(), minlength=n)
-    denials = np.bincount(pairs[share > limit].ravel(), minlength=n)
-    return np.flatnonzero(2 * denials > visits)
+    against = np.bincount(pairs[share > limit].ravel(), minlength=n)
+    return np.flatnonzero(2 * against > visits)
 
 
 def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray[np.int64]) -> list[str]:
@@ -164,59 +154,6 @@ def _jumps(recording: Recording, track: Track, T_map_base: SE2, borders: NDArray
         if len(jumped):
             return [f"{len(jumped)} jumps farther than the robot can drive (first: to scan {jumped[0]})"]
     return []
-
-
-@njit(cache=True, nogil=True)
-def denied_shares(
-    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, wall: float, through: float
-) -> Array:
-    """Per pair: of i's points that j confirms or denies, the share denied; NaN when fewer than 20."""
-    points, starts, table, origin = clouds.points, clouds.starts, clouds.table, clouds.origin
-    n_bins = table.shape[1]
-    scale = n_bins / (2.0 * math.pi)
-    out = np.full(len(pairs), np.nan)
-    for k in range(len(pairs)):
-        a, b = pairs[k, 0], pairs[k, 1]
-        tx, ty, dyaw = relative_pose(poses, b, a)
-        c, s = math.cos(dyaw), math.sin(dyaw)
-        confirmed, denied = 0, 0
-        for r in range(starts[keys[a]], starts[keys[a] + 1]):
-            x = tx + c * points[r, 0] - s * points[r, 1]
-            y = ty + s * points[r, 0] + c * points[r, 1]
-            ex, ey = x - origin[0], y - origin[1]
-            distance = math.sqrt(ex * ex + ey * ey)
-            bin_ = int((math.atan2(ey, ex) + math.pi) * scale)
-            half = min(6, int(wall / max(distance, wall) * scale) + 1)
-            nearest2, shortest2, seen = 1e9, 1e9, 0
-            for q in range(bin_ - half, bin_ + half + 1):
-                row = table[keys[b], q % n_bins]
-                if row < 0:
-                    continue
-                dx, dy = points[row, 0] - x, points[row, 1] - y
-                nearest2 = min(nearest2, dx * dx + dy * dy)
-                dx, dy = points[row, 0] - origin[0], points[row, 1] - origin[1]
-                shortest2 = min(shortest2, dx * dx + dy * dy)
-                seen += 1
-            if nearest2 < wall * wall:
-                confirmed += 1
-            elif seen >= 3 and shortest2 > (distance + through) ** 2:
-                denied += 1
-        if confirmed + denied >= 20:
-            out[k] = denied / (confirmed + denied)
-    return out
-
-
-def free_space_violations(
-    clouds: Clouds, keys: NDArray[np.int64], poses: Array, pairs: NDArray[np.int64]
-) -> Array:
-    """Share of points denied in each pair (n, 2) of scans at poses (k, 3) that sees enough of each other, the
-    worse of both ways."""
-    shares = [
-        denied_shares(clouds, keys, poses, way, WALL_M, THROUGH_M)
-        for way in (pairs, np.ascontiguousarray(pairs[:, ::-1]))
-    ]
-    share = np.fmax(*shares)
-    return np.asarray(share[np.isfinite(share)])
 
 
 def hypothesis_shares(track: Track) -> dict[str, float]:

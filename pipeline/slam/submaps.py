@@ -18,15 +18,21 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
 
+# A submap has so many keys to each side of its middle one; the middles are so many keys apart. With fewer
+# keys, or points on surfaces, it is none.
 HALF_KEYS, STRIDE = 8, 6
 LEAST_KEYS, LEAST_POINTS = 6, 200
+# It reaches so far from its middle [m]; its picture has cells of this size [m], points spread so far.
 REACH_M, RESOLUTION_M, BLUR_CELLS = 10.0, 0.25, 1
+# A picture is so wide: twice the reach, the shifts looked at and what wraps around; they go so far. [cells]
 CELLS = 128
 MOST_SHIFT = 24
+# Bins of the directions of normals, one each 3 degrees, and peaks of their correlation that are tried.
 HEADINGS = 120
 HEADING_PEAKS = 4
+# Poses worth a closer look that two submaps are given.
 CANDIDATES = 2
-"""Poses worth a closer look that two submaps are given."""
+# The signature is of so many points, paired, in bins of distance (so many, of this size [m]) and of angle.
 PAIR_SAMPLE, PAIR_BINS, PAIR_BIN_M, ANGLE_BINS = 160, 24, 0.5, 6
 
 

@@ -71,7 +71,9 @@ def graph_of(result: SlamResult) -> ShownGraph:
             loops.append(ShownLoop(loop.i, loop.j, loop.T_j_i, f"{told}, {loop.rmse * 1e3:.0f} mm off lines"))
     for place in result.recognised:
         if place.verdict == "accepted":
-            told = f"place recognised: overlap {place.overlap:.2f}, {place.denied:.1%} free-space violations"
+            told = (
+                f"place recognised: overlap {place.overlap:.2f}, {place.violation:.1%} free-space violations"
+            )
             loops.append(ShownLoop(place.i, place.j, place.T_j_i, told))
     return _shown(result.T_map_keys, result.keys, loops)
 

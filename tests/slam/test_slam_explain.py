@@ -47,7 +47,7 @@ def made():
     )  # fmt: skip
     breaks = SimpleNamespace(gaps=np.array([[3, 4], [6, 7], [10, 12]]))
     session = SimpleNamespace(track=track, breaks=breaks, graph=SimpleNamespace(unbridged=unbridged))
-    check = SimpleNamespace(denied=np.array([[0, 2, 0.1], [1, 3, 0.6], [0, 3, 0.3]]))
+    check = SimpleNamespace(violations=np.array([[0, 2, 0.1], [1, 3, 0.6], [0, 3, 0.3]]))
     return SimpleNamespace(
         session=session, keys=KEYS, T_map_keys=POSES, loops=[loop], recognised=[place], track=track,
         constraints=constraints, check=check,
@@ -66,15 +66,15 @@ def test_candidates_are_told_with_what_is_left_of_them_and_breaks_with_what_beca
         "overlap",
     )
     assert (loop["residual_m"], loop["residual_rad"]) == pytest.approx((0.05, 0.2))
-    assert "denied" not in loop
-    assert (place["denied"], place["overlap"], place["rmse_m"]) == (0.02, 0.6, 0.01)
+    assert "violation" not in loop
+    assert (place["violation"], place["overlap"], place["rmse_m"]) == (0.02, 0.6, 0.01)
     assert (place["residual_m"], place["residual_rad"]) == pytest.approx((0.5, 0.1))
     assert "gate_m" not in place
     # the steps between keys that the breaks lie in: the first, the second, the third
     assert told["breaks"] == [
-        {"after_scan": 3, "before_scan": 4, "mended": True},
-        {"after_scan": 6, "before_scan": 7, "mended": False},
-        {"after_scan": 10, "before_scan": 12, "mended": True},
+        {"after_scan": 3, "before_scan": 4, "bridged": True},
+        {"after_scan": 6, "before_scan": 7, "bridged": False},
+        {"after_scan": 10, "before_scan": 12, "bridged": True},
     ]
 
 
@@ -86,7 +86,7 @@ def test_the_worst_edges_and_places_come_first_and_the_graph_s_moves_are_measure
     monkeypatch.setattr(explain, "WORST", 2)
     assert len(worst_edges(result.T_map_keys, result.constraints)) == 2
     places = explain._contradictions(result)
-    assert [(p["i"], p["j"], p["denied"]) for p in places] == [(1, 3, 0.6), (0, 3, 0.3)]
+    assert [(p["i"], p["j"], p["violation"]) for p in places] == [(1, 3, 0.6), (0, 3, 0.3)]
     np.testing.assert_array_equal(places[0]["xy"], POSES.xy[1])
     away = np.hypot(*POSES.xy.T)
     assert explain.moved(POSES.xy) == {"mean": pytest.approx(away.mean()), "max": pytest.approx(away.max())}

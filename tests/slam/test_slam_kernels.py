@@ -25,10 +25,10 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import _grow
+from turtlebag.pipeline.slam.free_space import violation_shares
 from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
 from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs
-from turtlebag.pipeline.slam.selfcheck import denied_shares
 from turtlebag.pipeline.slam.track import OdometryNoise
 
 POSES = np.array([[1.2, 1.0, 0.0], [1.8, 1.5, 1.0], [1.4, 2.0, -1.0], [5.0, 4.6, 3.0], [1.5, 1.2, 0.3]])
@@ -291,7 +291,7 @@ def test_a_pair_is_linearised_as_both_scans_lines_say(clouds, gate, sigma):
         assert overlap[k] == max(shares)
 
 
-def test_a_point_is_confirmed_near_what_the_other_saw_and_denied_where_it_saw_through(clouds):
+def test_a_point_is_agreeing_near_what_the_other_saw_and_violating_where_it_saw_through(clouds):
     keys = np.array([0, 1, 2, 4])
     pairs = np.array([[0, 1], [1, 0], [2, 3], [3, 2], [1, 3]])
     wall, through, n_bins = 0.1, 0.25, clouds.table.shape[1]
@@ -302,7 +302,7 @@ def test_a_point_is_confirmed_near_what_the_other_saw_and_denied_where_it_saw_th
         for a, b in pairs:
             points = (SE2(poses[b]).inverse() @ SE2(poses[a])) @ clouds.of(keys[a])
             rays = points - clouds.origin
-            confirmed = denied = 0
+            agreeing = violating = 0
             for point, distance, bearing in zip(
                 points, np.linalg.norm(rays, axis=1), np.arctan2(rays[:, 1], rays[:, 0]), strict=True
             ):
@@ -311,13 +311,13 @@ def test_a_point_is_confirmed_near_what_the_other_saw_and_denied_where_it_saw_th
                 seen = clouds.table[keys[b]][np.arange(middle - half, middle + half + 1) % n_bins]
                 seen = clouds.points[seen[seen >= 0]]
                 if len(seen) and np.linalg.norm(seen - point, axis=1).min() < wall:
-                    confirmed += 1
+                    agreeing += 1
                 elif (
                     len(seen) >= 3 and np.linalg.norm(seen - clouds.origin, axis=1).min() > distance + through
                 ):
-                    denied += 1
-            expected.append(denied / (confirmed + denied) if confirmed + denied >= 20 else np.nan)
-        found = denied_shares(clouds, keys, poses, pairs, wall, through)
+                    violating += 1
+            expected.append(violating / (agreeing + violating) if agreeing + violating >= 20 else np.nan)
+        found = violation_shares(clouds, keys, poses, pairs, wall, through)
         np.testing.assert_allclose(found, expected)
     assert np.nanmax(found) > 0.1
 

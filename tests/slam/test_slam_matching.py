@@ -179,7 +179,7 @@ def test_a_scan_of_space_nobody_saw_agrees_with_what_was_seen():
     assert found.agreement > 0.95
 
 
-def test_a_scan_laid_where_others_looked_through_is_denied():
+def test_a_scan_laid_where_others_looked_through_disagrees():
     poses = np.array([[1.5, 3.0, 0.2], [1.5, 3.0, 0.4]])
     clouds = make_clouds(recording(ROOM, poses, SICK), 30.0)
     truly, aside = (

@@ -271,12 +271,12 @@ def test_a_place_passed_again_and_again_is_looked_for_once(monkeypatch):
     ("usual", "laid", "verdict"),
     [(0.0, 0.04, "accepted"), (0.0, 0.08, "the stretch contradicts the place"), (0.04, 0.08, "accepted")],
 )
-def test_a_place_is_believed_where_visits_deny_each_other_little_more_than_usual(
+def test_a_place_is_believed_where_visits_violate_free_space_little_more_than_usual(
     monkeypatch, usual, laid, verdict
 ):
     """Cells of a maze are alike: nothing that fits tells them apart, what each saw through does."""
-    monkeypatch.setattr(place_recognition, "_usually_denied", lambda *of: usual)
-    monkeypatch.setattr(place_recognition, "_laid_out", lambda *of: np.full(9, laid))
+    monkeypatch.setattr(place_recognition, "_usual_violation", lambda *of: usual)
+    monkeypatch.setattr(place_recognition, "_stretch_violation", lambda *of: laid)
     poses = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
     broken = np.arange(19) == 9
     steps = [Constraint(k, k + 1, np.array([1.0, 0.0, 0.0]), 1e4 * np.eye(3), "step") for k in range(19)]
