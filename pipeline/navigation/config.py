@@ -15,8 +15,6 @@ from turtlebag.pipeline.navigation.lost import RelocaliseConfig
 from turtlebag.pipeline.navigation.takeover import TakeoverConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.control.monitor import MonitorConfig
-from turtlebag.planners.control.pursuit import PursuitConfig
 from turtlebag.planners.costmap import CostmapConfig
 from turtlebag.planners.global_plan import PlanConfig
 from turtlebag.planners.live import LiveConfig
@@ -64,8 +62,6 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     plan: PlanConfig = PlanConfig()
     controller: ControllerName = "pursuit"
     dwa: DwaConfig = DwaConfig()
-    pursuit: PursuitConfig = PursuitConfig()
-    monitor: MonitorConfig = MonitorConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     relocalise: RelocaliseConfig = RelocaliseConfig()

@@ -60,7 +60,7 @@ class Kit:
         return Tools(
             model=model,
             controller=make_controller(self.robot, config),
-            monitor=CollisionMonitor(model, config.monitor),
+            monitor=CollisionMonitor(model),
             live=live,
             plan=config.plan,
             checker=config.goal_checker,
@@ -117,9 +117,9 @@ def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     """The local controller that the configuration names; InputError where it is not to be had."""
     period = 1.0 / CONTROL_HZ
     if config.controller == "dwa":
-        return Dwa(robot.model, config.dwa, config.pursuit, period)
+        return Dwa(robot.model, config.dwa, period)
     if config.controller == "pursuit":
-        return Pursuit(robot.model, config.pursuit, period)
+        return Pursuit(robot.model, period)
     own: Controller = find(config.controller, Controller)(robot.model, period)
     require_attributes(own, Controller)
     require_twist(own, "brake", own.brake(Twist()))

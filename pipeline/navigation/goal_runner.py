@@ -214,7 +214,7 @@ class GoalRunner:
         clearance = path_clearance(
             costmap.clearance, costmap.resolution, self.tools.samples, poses, x, y, LOOK_AHEAD_M
         )
-        return bool(clearance < self.tools.monitor.config.padding)
+        return bool(clearance < self.tools.monitor.margins.padding)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command that the collision monitor lets pass."""

@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import Sight
-from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig
+from turtlebag.planners.control.monitor import CollisionMonitor, StoppingMargins
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 
 # A command of which the monitor passes no more than this part is not worth giving.
@@ -29,14 +29,14 @@ TURN_AWAY_RAD = 1.6
 MOST_FLIPS = 3
 # After so long [s] about one place, within this [m], it turns to where most room is.
 RESTLESS_S, RESTLESS_M = 20.0, 0.4
-MONITOR = MonitorConfig(padding=0.03, reaction=0.15, braking_share=0.6)
+MARGINS = StoppingMargins(padding=0.03, reaction=0.15, braking_share=0.6)
 
 
 class Guard:
     """Decides at every sweep, and watches over every command."""
 
     def __init__(self, model: RobotModel) -> None:
-        self.monitor = CollisionMonitor(model, MONITOR)
+        self.monitor = CollisionMonitor(model, MARGINS)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
         self._turning = 0.0

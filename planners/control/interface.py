@@ -85,7 +85,13 @@ class Ramped:
     """
 
     def __init__(
-        self, model: RobotModel, period: float, *, max_v: float, max_w: float, acceleration_share: float
+        self,
+        model: RobotModel,
+        period: float,
+        *,
+        max_v: float,
+        max_w: float,
+        acceleration_share: float = ACCELERATION_SHARE,
     ) -> None:
         self.limits = SpeedLimits.of(
             model, period, max_v=max_v, max_w=max_w, max_dv=acceleration_share * model.max_dv

@@ -10,9 +10,8 @@ from planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
-from turtlebag.planners.control.dwa import Dwa, DwaConfig, resolved
+from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.interface import ramped
-from turtlebag.planners.control.pursuit import PursuitConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import footprint_free
@@ -106,8 +105,10 @@ def test_the_inner_disc_joins_what_a_wave_over_its_floor_does(seed):
     assert lattice._inscribed(BURGER.footprint - middle) == pytest.approx(radius)
 
 
-def dwa(**settings):
-    return Dwa(BURGER, DwaConfig(**settings), PursuitConfig(), 0.1)
+def dwa(**window):
+    controller = Dwa(BURGER, DwaConfig(), 0.1)
+    controller._window = controller._window._replace(**window)
+    return controller
 
 
 def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
@@ -142,7 +143,7 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         return 0.1, 0.2
 
     monkeypatch.setattr("turtlebag.planners.control.dwa.best_arc", best_arc)
-    controller = dwa(window=0.5, vx_samples=5, vth_samples=4, min_v=-0.1)
+    controller = dwa(time=0.5, vx_samples=5, vth_samples=4, min_v=-0.1)
     costmap = Costmap(np.zeros((60, 60), dtype=bool), RES, SE2.from_xyt(0.5, 0.0, 0.1))
     controller.set_path(SE2.from_xyt(np.array([1.0, 2.5]), np.array([1.0, 1.5]), np.zeros(2)))
     limits = controller.limits
@@ -159,7 +160,7 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
         np.testing.assert_allclose(args[4], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
         np.testing.assert_allclose(args[5], np.union1d(ws, [0.0]))
-        expected = resolved(controller.config, BURGER)[1]
+        expected = numbers(DwaConfig(), BURGER)[1]
         assert args[6] == expected._replace(braking=0.8 * limits.max_dv, ahead=ahead)
     near = dwa(settle_distance=0.1)
     near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))
