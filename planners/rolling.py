@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
-from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
+from turtlebag.planners.live import NEVER, LiveLayer, Marking
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.wavefront import wave
 
@@ -22,15 +22,21 @@ RIM_M = 0.8
 """Places to make for lie this far inside the window: its edge counts as an obstacle."""
 
 
+IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
+"""Nothing is known before, and there is always something new to see."""
+
+
 class RollingLayer(LiveLayer):
     """Live obstacles in a square window in the odometry frame, moved by whole cells."""
 
-    def __init__(self, centre: Array, side: float, resolution: float, shift: float, config: LiveConfig):
+    def __init__(
+        self, centre: Array, side: float, resolution: float, shift: float, marking: Marking = IN_WINDOW
+    ) -> None:
         """`side` [m] of the window; it moves when the robot is more than `shift` [m] off its centre."""
         cells = max(2, round(side / resolution))
         self._shift_cells = max(1, round(shift / resolution))
         corner = np.floor(centre / resolution) - cells // 2
-        super().__init__(_free_floor(corner, cells, resolution), config)
+        super().__init__(_free_floor(corner, cells, resolution), marking)
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
         """Move the window if need be, then take in a sweep as a live layer does."""

@@ -37,7 +37,7 @@ class Disambiguation:
 
     def __init__(self, aliasing: Aliasing, poses: Sequence[SE2], tools: Tools, now_ns: int) -> None:
         both = passable_under_all(tools.live.static, poses)
-        self.tools = dataclasses.replace(tools, live=LiveLayer(both, tools.live.config), checker=PASSING)
+        self.tools = dataclasses.replace(tools, live=LiveLayer(both, tools.live.marking), checker=PASSING)
         """With a layer of what is seen on the way, over the map under all hypotheses."""
         self._aliasing = aliasing
         self._hypotheses = PoseHypotheses(poses)

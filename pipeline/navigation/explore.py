@@ -131,7 +131,7 @@ class ExploreDriver(Driver):
             return
         self.goal_index += 1
         publisher.goal(now, goal)
-        live = LiveLayer(costmap, self.tools.live.config)
+        live = LiveLayer(costmap)
         self.tools = dataclasses.replace(self.tools, live=live)
         if self.sensing.sight is not None:
             self._see(self.sensing.sight, self.online.T_map_odom, self.tools.live)

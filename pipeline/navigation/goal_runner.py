@@ -206,7 +206,7 @@ class GoalRunner:
         live = self.tools.live
         if live.static is not route.static and route.short:
             return True
-        if not live.marked or tick.now_ns - route.planned_ns < self.tools.plan.replan_period * 1e9:
+        if not live.marked or tick.now_ns - route.planned_ns < live.marking.replan_s * 1e9:
             return False
         costmap = live.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)

@@ -81,7 +81,7 @@ class Pilot(Driver):
     def keep_out(self, costmap: Costmap) -> None:
         """The map that is loaded has other places to keep out of."""
         assert self.navigation is not None
-        self.navigation.use(self.kit.tools(LiveLayer(costmap, self.kit.config.live)))
+        self.navigation.use(self.kit.tools(LiveLayer(costmap)))
 
     def begin(self, task: Task) -> None:
         """Do this from the next step on."""

@@ -36,8 +36,6 @@ class Outer(BaseModel):
                 "relocalise.tell_apart",
                 "recovery.stuck_time",
                 "goal_checker.hold",
-                "plan.replan_period",
-                "live.decay",
                 "amcl.likelihood_max_dist",
                 "sim.faults.command_delay",
             )

@@ -9,7 +9,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
-from turtlebag.planners.live import LiveConfig, LiveLayer
+from turtlebag.planners.live import LiveLayer, Marking
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 from turtlebag.planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
 from turtlebag.sim.robots import load_robot
@@ -18,7 +18,7 @@ NOTHING = np.zeros((0, 2))
 
 
 def layer(**settings) -> LiveLayer:
-    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), LiveConfig(**settings))
+    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), Marking(**settings))
 
 
 def test_two_sweeps_mark_what_the_map_does_not_know_and_the_clearance_is_exact():
