@@ -22,7 +22,7 @@ from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
-from turtlebag.planners.lattice import Lattice, inner_disc_joins
+from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
@@ -160,15 +160,9 @@ def _disc_way(
 
 
 def _oriented_way(
-    costmap: Costmap,
-    model: RobotModel,
-    start: SE2,
-    goal: SE2,
-    config: PlanConfig,
+    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig
 ) -> SE2 | None:
     """A way of the footprint itself in the grid frame; in need with no more room than cells need."""
-    if not inner_disc_joins(costmap, model.footprint, start, goal):
-        return None
     # A lethal cell reaches half a cell beyond its centre.
     least = max(0.5 * costmap.resolution, min(config.margins))
     lattice = Lattice(costmap, model.footprint, least)
@@ -212,11 +206,9 @@ def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config
 def _plan_poses(
     costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
 ) -> Plan:
-    """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
+    """A path in position and heading; the lattice tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
         raise NoPath("the robot is in an obstacle or off the map")
-    if not inner_disc_joins(costmap, model.footprint, start, goal):
-        raise NoPath("no path leads there")
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
         raise NoPath("no path leads there in any heading")
