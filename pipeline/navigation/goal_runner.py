@@ -110,7 +110,7 @@ class _Recovery:
 
     def __init__(self, tools: Tools) -> None:
         self.ladder = Ladder(tools.recovery, tools.live.clear)
-        self.watch = ProgressWatch(tools.recovery)
+        self.watch = ProgressWatch(tools.recovery.stuck_time)
         self.manoeuvre: Manoeuvre | None = None
         self._tools = tools
         self._driven = 0.0

@@ -17,6 +17,7 @@ from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import Sight
 from turtlebag.planners.control.monitor import CollisionMonitor, StoppingMargins
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
+from turtlebag.planners.tasks.recovery import ProgressWatch
 
 # A command of which the monitor passes no more than this part is not worth giving.
 POSSIBLE = 0.15
@@ -42,13 +43,14 @@ class Guard:
         self._turning = 0.0
         self._flips = 0
         self._bumps = BumpMemory(model)
-        self._anchor: tuple[float, SE2] | None = None
+        self._progress = ProgressWatch(RESTLESS_S, RESTLESS_M, math.inf)
         self.decision = Decision("hold", Twist())
         """What was decided at the newest sweep."""
 
     def interrupted(self) -> None:
         """Someone else has driven: manoeuvres and what was being watched are over; places stay known."""
-        self._anchor, self.decision = None, Decision("hold", Twist())
+        self._progress.reset()
+        self.decision = Decision("hold", Twist())
         self._turning, self._flips = 0.0, 0
         self._bumps.interrupted()
 
@@ -83,7 +85,7 @@ class Guard:
             side = "left" if self._turning > 0.0 else "right"
             return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))
         self._turning, self._flips = 0.0, 0
-        if self._restless(sight.stamp_ns * 1e-9, T_odom_base):
+        if self._progress.stuck(sight.stamp_ns, T_odom_base):
             angle = _to_most_room(T_odom_base.inverse() @ sight.hits_odom)
             self._bumps.escape = Escape(sight.stamp_ns, T_odom_base, 0.0, angle)
             return Decision("turn away", Twist(0.0, 0.0))
@@ -117,18 +119,6 @@ class Guard:
                     self._turning = math.copysign(1.0, other.w)
                 return Decision(name, other)
         return Decision("hold", Twist())
-
-    def _restless(self, now_s: float, T_odom_base: SE2) -> bool:
-        """Whether it has been about the same place for long."""
-        restless = False
-        if self._anchor is not None:
-            t, pose = self._anchor
-            if float(np.linalg.norm(T_odom_base.xy - pose.xy)) < RESTLESS_M:
-                restless = now_s - t >= RESTLESS_S
-                if not restless:
-                    return False
-        self._anchor = (now_s, T_odom_base)
-        return restless
 
 
 def _to_most_room(points_base: Array) -> float:

@@ -83,7 +83,7 @@ def test_backing_up_ends_after_its_distance_or_its_time():
 
 
 def test_standing_still_is_noticed_and_turning_is_not_standing():
-    watch = ProgressWatch(RecoveryConfig(stuck_time=2.0))
+    watch = ProgressWatch(2.0)
     pose = SE2.from_xyt(0.0, 0.0, 0.0)
     assert not watch.stuck(0, pose)
     assert not watch.stuck(10**9, pose)
