@@ -148,10 +148,10 @@ class PoseHypotheses:
         return self.poses[0] if len(self.poses) == 1 else None
 
 
-def apart(one: SE2, other: SE2) -> bool:
-    """Whether two poses are different places."""
+def apart(one: SE2, other: SE2, reach: float = APART) -> bool:
+    """Whether two poses are different places: farther apart, or turned more, than `reach` [m, rad]."""
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return math.hypot(x, y) > APART or abs(yaw) > APART
+    return math.hypot(x, y) > reach or abs(yaw) > reach
 
 
 def within(poses: Array, centre: Array) -> NDArray[np.bool_]:

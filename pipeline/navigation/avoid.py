@@ -26,9 +26,7 @@ class AvoidDriver(Driver):
     ) -> None:
         super().__init__(sensing)
         self._guard = Guard(model) if config.mode == "guarded" else None
-        self._limits = SpeedLimits.of(
-            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
-        )
+        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
         self._duration_ns = round(duration_s * 1e9)
         self._say = say
 

@@ -73,7 +73,7 @@ def test_progress_is_a_move_or_a_turn_large_enough_within_the_time():
 
 
 def test_a_lost_robot_keeps_its_times():
-    config = RelocaliseConfig(doubts=2, settled=1.0, look=5.0, trust=15.0, roam=45.0, restarts=1)
+    config = RelocaliseConfig(look=5.0, roam=45.0, restarts=1)
     r = Lost(config)
     at = lambda s, narrow, agrees, updates: r.update(round(s * S), narrow, agrees, updates)  # noqa: E731
     assert [at(0, False, True, 1), at(1, False, True, 1), at(2, True, True, 2), at(3, False, True, 3)] == [
