@@ -9,7 +9,7 @@ import scipy
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
 
@@ -100,20 +100,20 @@ class BumpMemory:
         self.escape = None
         self._slip.reset()
 
-    def noticed(self, sight: Sight, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
+    def noticed(self, sweep: Sweep, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
         """Whether a new sweep shows that the robot pushes against something; that is remembered.
 
         An escape begins then: back, and away from it by `turn` [rad].
         """
-        if self.escape is not None or not self._slip.slipping(T_odom_base, sight.hits_odom):
+        if self.escape is not None or not self._slip.slipping(T_odom_base, sweep.hits_odom):
             return False
         xs, ys = self._footprint.T
         edge = xs.min() - BEYOND_M if last.v < 0.0 else xs.max() + BEYOND_M
         across = np.arange(ys.min(), ys.max() + SPACING_M, SPACING_M)
         line = np.stack([np.full(len(across), edge), across], axis=1)
-        self._bumps.append((sight.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
+        self._bumps.append((sweep.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
         back = BACK_OFF_M if last.v < 0.0 else -BACK_OFF_M
-        self.escape = Escape(sight.stamp_ns, T_odom_base, back, turn)
+        self.escape = Escape(sweep.stamp_ns, T_odom_base, back, turn)
         return True
 
     def escaping(self, now_ns: int, T_odom_base: SE2) -> Twist | None:

@@ -94,9 +94,9 @@ class Finder:
         """The command while it is lost: no map is used, nothing seen is touched."""
         now, state, T_odom_base = observation.stamp_ns, self.lost.state, observation.odometry.T_odom_base
         controller = self.tools.controller
-        if state is State.ROAM and sensing.sight is not None:
+        if state is State.ROAM and sensing.sweep is not None:
             new = observation.scan is not None
-            return controller.ramp(self._guard.command(sensing.sight, T_odom_base, last, new_sweep=new), last)
+            return controller.ramp(self._guard.command(sensing.sweep, T_odom_base, last, new_sweep=new), last)
         if state not in (State.WIGGLE, State.LOOK):
             return controller.brake(last)
         amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
@@ -134,11 +134,11 @@ class Finder:
     def _examine(self, now_ns: int) -> None:
         """Look for places that look like the estimate's; it is moved to a clearly better one."""
         localiser = self.localiser
-        T_map_odom, glimpses = localiser.T_map_odom, localiser.glimpses
-        if T_map_odom is None or not glimpses or localiser.amcl.lost:
+        T_map_odom, scans = localiser.T_map_odom, localiser.scans
+        if T_map_odom is None or not scans or localiser.amcl.lost:
             return
-        if self._sureness.doubtful(localiser, T_map_odom, glimpses[-1].T_odom_base):
-            found = self._aliasing.find(glimpses, T_map_odom)
+        if self._sureness.doubtful(localiser, T_map_odom, scans[-1].T_odom_base):
+            found = self._aliasing.find(scans, T_map_odom)
             if len(found) > 1:
                 self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
