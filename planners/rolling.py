@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
+from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.live import NEVER, LiveLayer, Marking
 from turtlebag.planners.planner import NoPath
-from turtlebag.planners.wavefront import wave
 
 RIM_M = 0.8
 """Places to make for lie this far inside the window: its edge counts as an obstacle."""
@@ -51,12 +50,10 @@ class RollingLayer(LiveLayer):
         if not self._beyond(goal):
             return goal
         costmap, res = self.costmap, self.costmap.resolution
-        free = costmap.clearance > radius
-        start = nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
-        if start is None:
+        ways = ways_from(costmap, pose, radius)
+        if ways is None:
             raise NoPath("the robot is too close to an obstacle")
-        ways = wave(free, *start, math.inf) * res
-        rim = _rim(len(free), round(RIM_M / res))
+        rim = _rim(len(ways), round(RIM_M / res))
         rest = np.linalg.norm((rim[:, ::-1] + 0.5) * res - costmap.T_grid_map @ goal.xy, axis=1)
         total = ways[rim[:, 0], rim[:, 1]] + rest
         best = int(np.argmin(total))
