@@ -61,48 +61,47 @@ class ArcFloor(NamedTuple):
     resolution: float
 
 
-class ArcWeights(NamedTuple):
-    """How arcs are driven in thought and what they cost; biases in metres of way for each metre."""
-
-    time: float
-    """What is looked ahead [s], in steps of `step` [s]."""
-    step: float
-    braking: float
-    goal: float
-    path: float
-    ahead: float
-    """How far before the robot its forward point lies [m]."""
-    room: float
-    """Worth of a metre of room up to `comfort` [m]; with less than `least` [m] no arc is admissible."""
-    comfort: float
-    least: float
-    back: float
-    nose: float
-    """The forward point's distance to the path."""
-    occupied: float
-    """costmap_2d's inflated cost (0..252)."""
-    least_v: float
-    least_w: float
-
-
 FORWARD_M = 0.325
 """How far before the robot its forward point lies: dwa_local_planner's own."""
+STEP_S = 0.1
+"""Arcs are looked ahead in such steps."""
+COMFORT_M = 0.3
+"""More room than this is worth nothing."""
+
+
+class ArcWeights(NamedTuple):
+    """How far arcs are driven in thought and what they cost; biases in metres of way for each metre."""
+
+    time: float = 1.2
+    """What is looked ahead [s]."""
+    braking: float = 0.0
+    goal: float = 1.0
+    path: float = 0.3
+    ahead: float = FORWARD_M
+    """How far before the robot its forward point lies [m]."""
+    room: float = 1.5
+    """Worth of a metre of room up to COMFORT_M."""
+    least: float = 0.06
+    """With less room [m] no arc is admissible."""
+    back: float = 1.5
+    """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
+    nose: float = 0.0
+    """The forward point's distance to the path."""
+    occupied: float = 0.0
+    """costmap_2d's inflated cost (0..252)."""
+    least_v: float = 0.0
+    least_w: float = 0.0
+
+
 TURNING_M, PASSAGE_M = 0.04, 0.08
 """Ways as wide as the circumscribed circle and the one are preferred, however long; narrower than the
 inscribed circle and the other they are not counted on."""
 
 
 def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
-    """Which arcs are tried, and what they cost.
-
-    A metre driven backwards counts as 1.5 metres more of way: it is slow, turning round pays.
-    """
-    own = ArcWeights(
-        time=1.2, step=0.1, braking=0.0, goal=1.0, path=0.3, ahead=FORWARD_M, room=1.5, comfort=0.3,
-        least=0.06, back=1.5, nose=0.0, occupied=0.0, least_v=0.0, least_w=0.0,
-    )  # fmt: skip
+    """Which arcs are tried, and what they cost."""
     if config.preset == "own":
-        return Window(), own
+        return Window(), ArcWeights()
     slow = model.max_v > 0.24  # waffle and waffle_pi: looked ahead for longer, turned more slowly
     # The tutorial's acc_lim_x of 2.5 m/s^2 is not taken, a burger tips above 1.3; but the speeds it opens in
     # 0.1 s are: else the least speed is out of reach from a standstill. From the settling distance on, every
@@ -111,7 +110,7 @@ def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
         max_v=0.26, min_v=-0.26, max_w=2.75, time=0.1 * 2.5 / (ACCELERATION_SHARE * model.max_dv),
         vx_samples=20, vth_samples=40, settle_distance=0.2,
     )  # fmt: skip
-    return window, own._replace(
+    return window, ArcWeights(
         time=2.0 if slow else 1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0,
         occupied=0.02, least_v=0.5 * min(model.max_v, 0.26), least_w=0.9 if slow else 1.37,
     )  # fmt: skip
@@ -225,7 +224,7 @@ def best_arc(
     inscribed, circumscribed = footprint.inscribed, footprint.circumscribed
     edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed)
     # More room than this makes no difference.
-    enough = c.comfort + resolution if c.occupied == 0.0 else np.inf
+    enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
     base = _value(floor.to_goal, resolution, x, y, 1.0e3)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
@@ -234,13 +233,13 @@ def best_arc(
             if abs(v) < c.least_v and abs(w) < c.least_w:
                 continue
             # Long enough to see the stopping distance.
-            horizon = max(c.time, abs(v) / c.braking + c.step)
-            steps = math.ceil(horizon / c.step)
-            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * c.step
+            horizon = max(c.time, abs(v) / c.braking + STEP_S)
+            steps = math.ceil(horizon / STEP_S)
+            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
             px, py, pyaw, admissible = x, y, yaw, True
             ex, ey, eyaw = x, y, yaw
             for i in range(1, steps + 1):
-                px, py, pyaw = moved(x, y, yaw, v, w, i * c.step)
+                px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
                 center = field_at(clearance, resolution, px, py)
                 if center - circumscribed > enough:
                     d = center - circumscribed
@@ -250,11 +249,11 @@ def best_arc(
                     d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
                 if d < c.least and d <= here:
                     # It stops here at the latest: what counts is where it got to.
-                    if abs(v) * (i - 1) * c.step < stop_needed or i <= 2:
+                    if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
                         admissible = False
                     break
                 room = min(room, d)
-                if i * c.step <= c.time + 1e-9:
+                if i * STEP_S <= c.time + 1e-9:
                     ex, ey, eyaw = px, py, pyaw
             if not admissible:
                 continue
@@ -264,7 +263,7 @@ def best_arc(
             nose = _value(floor.to_goal, resolution, fx, fy, far)
             off = _value(floor.to_path, resolution, ex, ey, 1.0)
             back = max(-v, 0.0) * c.time
-            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, c.comfort)
+            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
             if c.nose > 0.0:
                 cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:
