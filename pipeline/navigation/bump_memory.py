@@ -12,6 +12,7 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
+from turtlebag.planners.tasks.recovery import Move
 
 # Sweeps are compared once odometry has gone so far, or turned so much; fewer points say nothing.
 TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
@@ -65,24 +66,21 @@ class Escape:
     """Back off, then turn an angle [rad], or as much of both as a few seconds allow."""
 
     def __init__(self, now_ns: int, start: SE2, distance: float, angle: float) -> None:
-        self._now_ns, self._start = now_ns, start
-        self._distance, self._angle = distance, angle
-        self._turned_from: float | None = None
+        self._until_ns, self._angle = now_ns + ESCAPE_NS, angle
+        back = Twist(math.copysign(SLOW_V, distance), 0.0)
+        self._move = Move(start, back, abs(distance), now_ns + BACK_OFF_NS, "back off")
 
     def command(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
         """The twist of this tick; None when it is over."""
-        if now_ns - self._now_ns >= ESCAPE_NS:
-            return None
-        done = float(np.linalg.norm(T_odom_base.xy - self._start.xy))
-        backing = done < abs(self._distance) and now_ns - self._now_ns < BACK_OFF_NS
-        if self._turned_from is None and backing:
-            return Twist(math.copysign(SLOW_V, self._distance), 0.0)
-        if self._turned_from is None:
-            self._turned_from = float(T_odom_base.yaw)
-        turned = (float(T_odom_base.yaw) - self._turned_from + math.pi) % (2.0 * math.pi) - math.pi
-        if abs(turned) >= min(abs(self._angle), math.pi - 0.2):
-            return None
-        return Twist(0.0, math.copysign(TURN_W, self._angle))
+        twist = self._move.command(now_ns, T_odom_base)
+        if twist is None and self._move.twist.v:
+            turn, amount = (
+                Twist(0.0, math.copysign(TURN_W, self._angle)),
+                min(abs(self._angle), math.pi - 0.2),
+            )
+            self._move = Move(T_odom_base, turn, amount, self._until_ns, "turn away")
+            twist = self._move.command(now_ns, T_odom_base)
+        return twist
 
 
 class BumpMemory:
