@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
 from turtlebag.pipeline.navigation.sensing import Sweep
@@ -127,7 +127,7 @@ def _to_most_room(points_base: Array) -> float:
     distance = np.linalg.norm(points_base, axis=1)
     best, angle = -1.0, math.pi
     for center in np.linspace(-math.pi, math.pi, 24, endpoint=False):
-        off = np.abs((bearing - center + math.pi) % (2.0 * math.pi) - math.pi)
+        off = np.abs(wrap(bearing - center))
         inside = distance[off < math.radians(15.0)]
         room = float(inside.min()) if len(inside) else 10.0
         if room > best:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
@@ -96,7 +96,7 @@ class Pursuit(Ramped):
         # Near obstacles it must not cut corners.
         reach = max(min(reach, LOOKAHEAD_M[0] + 2.0 * max(room, 0.0)), LOOKAHEAD_M[0])
         px, py = point_at(self._points, self._lengths, self._s + reach)
-        bearing = _wrap(math.atan2(py - y, px - x) - yaw)
+        bearing = wrapped(math.atan2(py - y, px - x) - yaw)
         if self.state == "follow" and abs(bearing) > TURN_FIRST_RAD:
             self.state = "turn"
         if self.state == "turn":
@@ -132,10 +132,10 @@ class Pursuit(Ramped):
     def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:
         gx, gy, goal_yaw = self._goal
         distance = math.hypot(gx - x, gy - y)
-        bearing = _wrap(math.atan2(gy - y, gx - x) - yaw)
+        bearing = wrapped(math.atan2(gy - y, gx - x) - yaw)
         backwards = abs(bearing) > math.pi / 2.0
         if self.state == "settle":
-            steer = _wrap(bearing + math.pi) if backwards else bearing
+            steer = wrapped(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
             # Done when near enough, or when the closest point of this straight run is reached.
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
@@ -150,7 +150,7 @@ class Pursuit(Ramped):
                 )
                 v = max(v, 0.015) * (-1.0 if backwards else 1.0)
                 return Twist(v, GAIN * steer)
-        error = _wrap(goal_yaw - yaw)
+        error = wrapped(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) < 0.02:
             self.state = "settle"
             return Twist()
@@ -169,7 +169,3 @@ def _in_grid(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, f
     tx, ty, tyaw = costmap.T_grid_map.xyt.tolist()
     cos, sin = math.cos(tyaw), math.sin(tyaw)
     return tx + cos * x - sin * y, ty + sin * x + cos * y, yaw + tyaw
-
-
-def _wrap(angle: float) -> float:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from planning_room import BURGER, room
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import Ramped, SpeedLimits, ramped
@@ -26,7 +26,6 @@ from turtlebag.planners.control.pursuit import (
     TURNED_RAD,
     Pursuit,
     _in_grid,
-    _wrap,
 )
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_clearance
@@ -155,8 +154,6 @@ def test_turning_is_fast_while_far_off_and_slow_enough_to_stop_on_the_mark():
         size = max(min(1.0, math.sqrt(1.6 * error), 3.0 * error), 0.04)
         assert pursuit._turning_speed(error) == pytest.approx(size)
         assert pursuit._turning_speed(-error) == pytest.approx(-size)
-    assert _wrap(3.5) == pytest.approx(3.5 - 2 * math.pi)
-    assert _wrap(-3.5) == pytest.approx(2 * math.pi - 3.5)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -215,7 +212,7 @@ def test_room_is_that_of_the_footprint_in_a_turned_map():
         assert pursuit._room(x, y, yaw, turned) == pytest.approx(expected, abs=1e-6)
         back = _in_grid(turned, x, y, yaw)
         assert back[:2] == pytest.approx(tuple(pose.xy))
-        assert _wrap(back[2] - float(pose.yaw)) == pytest.approx(0.0)
+        assert wrapped(back[2] - float(pose.yaw)) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(
