@@ -18,12 +18,11 @@ from pydantic import Field
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
-from turtlebag.planners.lattice import Lattice, inner_disc_joins
+from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
@@ -41,6 +40,8 @@ INFORMED = 1.1
 """OMPL searches only floor on some way at most this much longer than the shortest over the cells."""
 POSE_RUNS = 12
 """New seeds for a path of poses that is not found."""
+SNAP_M = 0.35
+"""How far an end may be moved to reach free floor, when the robot there is too close to an obstacle."""
 ROOM = 0.05
 """Room round the footprint [m] where the disc round it does not pass; half a cell at least, in need."""
 OVER_CELLS, ORIENTED = "grid", "footprint lattice"
@@ -61,10 +62,6 @@ class PlanConfig(Settings, allow_inf_nan=False):
     """Room is bought with length up to this times the shortest way with the last margin."""
     inflation_radius: float = Field(default=0.35, gt=0.0, le=10.0)
     """Obstacles push the path away as far as this, beyond the disc itself."""
-    replan_period: Seconds = 1.0
-    """A blocked path is planned anew no more often than this [s]."""
-    snap: float = Field(default=0.35, ge=0.0, le=10.0)
-    """How far the start may be moved to reach free floor, when the robot is too close to an obstacle."""
 
     @property
     def name(self) -> str:
@@ -126,7 +123,7 @@ def _plan_disc(
             return _oriented_plan(costmap, oriented)
         # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
         smaller = padded(model.footprint, -0.3 * costmap.resolution)
-        if _blocked_until(costmap, smaller, poses) > 2.0 * config.snap:
+        if _blocked_until(costmap, smaller, poses) > 2.0 * SNAP_M:
             raise NoPath("no path leads there")
     return plan
 
@@ -163,15 +160,9 @@ def _disc_way(
 
 
 def _oriented_way(
-    costmap: Costmap,
-    model: RobotModel,
-    start: SE2,
-    goal: SE2,
-    config: PlanConfig,
+    costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig
 ) -> SE2 | None:
     """A way of the footprint itself in the grid frame; in need with no more room than cells need."""
-    if not inner_disc_joins(costmap, model.footprint, start, goal):
-        return None
     # A lethal cell reaches half a cell beyond its centre.
     least = max(0.5 * costmap.resolution, min(config.margins))
     lattice = Lattice(costmap, model.footprint, least)
@@ -215,11 +206,9 @@ def _shortest(costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config
 def _plan_poses(
     costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig, seed: int
 ) -> Plan:
-    """A path in position and heading; the inscribed disc's floor tells at once when there is none."""
+    """A path in position and heading; the lattice tells at once when there is none."""
     if not fits(costmap, model, costmap.T_map_grid @ start):
         raise NoPath("the robot is in an obstacle or off the map")
-    if not inner_disc_joins(costmap, model.footprint, start, goal):
-        raise NoPath("no path leads there")
     footprint = _grown(costmap, model.footprint, (start, goal))
     if not Lattice(costmap, footprint, 0.0).joins(start, goal):
         raise NoPath("no path leads there in any heading")
@@ -275,7 +264,7 @@ class _Search:
 
     def entry(self, xy: Array) -> tuple[int, int] | None:
         """The free cell under a point, or the nearest one within the snapping distance."""
-        return nearest_free(self.free, xy / self.resolution, self.config.snap / self.resolution)
+        return nearest_free(self.free, xy / self.resolution, SNAP_M / self.resolution)
 
     def to_goal(self, goal: tuple[int, int]) -> NDArray[np.float32]:
         """Distance from every cell to the goal's, in cells."""

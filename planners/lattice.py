@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.footprint import HALF_DIAGONAL
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
 from turtlebag.planners.oriented import Ground, free_from, pull, turning
 from turtlebag.planners.smoothing import SPACING_M, densify
@@ -82,23 +81,6 @@ class Lattice:
             for point, old, new in zip(kept, headings, headings[1:], strict=False)
         ]
         return _poses(kept, headings, np.array(angles), SPACING_M)
-
-
-def inner_disc_joins(costmap: Costmap, footprint: Array, T_grid_start: SE2, T_grid_goal: SE2) -> bool:
-    """Whether the largest disc inside the footprint, about its middle, gets from one pose to the other.
-
-    Where it does not nothing does; quick.
-    """
-    middle = 0.5 * (footprint.min(axis=0) + footprint.max(axis=0))
-    floor = costmap.clearance > _inscribed(footprint - middle) - HALF_DIAGONAL * costmap.resolution
-    (r0, c0), (r1, c1) = (
-        [int(v) for v in np.floor((pose @ middle)[::-1] / costmap.resolution)]
-        for pose in (T_grid_start, T_grid_goal)
-    )
-    rows, cols = floor.shape
-    if any(not (0 <= r < rows and 0 <= c < cols and floor[r, c]) for r, c in ((r0, c0), (r1, c1))):
-        return False
-    return bool(np.isfinite(wave(floor, r1, c1, np.inf)[r0, c0]))
 
 
 def _inscribed(corners: Array) -> float:

@@ -7,12 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import Seconds
 from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance import distance_field
 
@@ -21,24 +18,29 @@ REACH_M = 1.2
 """How far round live obstacles the clearance is computed anew: more room than that nobody asks for."""
 
 
-class LiveConfig(Settings, allow_inf_nan=False):
-    """Names as in costmap_2d where the idea is the same; metres and seconds."""
+class Marking(NamedTuple):
+    """What marks a cell; names as in costmap_2d where the idea is the same; metres and seconds."""
 
-    obstacle_range: float = Field(default=2.5, gt=0.0)
+    obstacle_range: float = 2.5
     """Beams that end beyond this mark nothing."""
-    known: float = Field(default=0.14, ge=0.0)
+    known: float = 0.14
     """A beam that ends this near an obstacle of the map shows nothing new."""
-    decay: Seconds = Field(default=8.0, gt=0.0)
+    decay: float = 8.0
     """Seconds after which a mark that was not seen again is forgotten."""
-    hits: int = Field(default=2, ge=1)
+    hits: int = 2
     """Sweeps that must hit a cell within `decay` before it counts: a single one may be noise."""
+    replan_s: float = 1.0
+    """A path that is blocked is planned anew no more often than this."""
+
+
+ON_MAP = Marking()
 
 
 class LiveLayer:
     """Live obstacles over a static costmap of the same grid."""
 
-    def __init__(self, static: Costmap, config: LiveConfig) -> None:
-        self.config = config
+    def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
+        self.marking = marking
         self.static = static
         shape = static.lethal.shape
         self._seen: NDArray[np.float64] = np.full(shape, NEVER)
@@ -53,7 +55,7 @@ class LiveLayer:
 
         `origin` is the lidar's pose in the map frame.
         """
-        static, c = self.static, self.config
+        static, c = self.static, self.marking
         x, y = (static.T_grid_map @ origin.xy).tolist()
         ends = static.T_grid_map @ np.concatenate([hits, passes])
         beams = Beams(x, y, ends, len(hits), c.obstacle_range, c.known)

@@ -35,8 +35,13 @@ Pose = tuple[float, float, float]
 @njit(cache=True)
 def moves(ground: Ground, a: Pose, b: Pose) -> bool:
     """Whether the footprint goes straight from one pose to another while it turns the shorter way."""
+    return _free(ground, a, b[0] - a[0], b[1] - a[1], (b[2] - a[2] + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@njit(cache=True)
+def _free(ground: Ground, a: Pose, dx: float, dy: float, angle: float) -> bool:
+    """Whether the footprint goes straight from a pose by (dx, dy) while it turns by an angle."""
     field, res, corners = ground
-    dx, dy, angle = b[0] - a[0], b[1] - a[1], (b[2] - a[2] + math.pi) % (2.0 * math.pi) - math.pi
     steps = max(1, math.ceil(math.hypot(dx, dy) / (0.5 * res)), math.ceil(abs(angle) / TURN_STEP))
     for i in range(steps + 1):
         f = i / steps
@@ -58,15 +63,7 @@ def turning(ground: Ground, at: Array, old: float, new: float) -> float:
         return 0.0
     short = (new - old + math.pi) % (2.0 * math.pi) - math.pi
     for angle in (short, short - math.copysign(2.0 * math.pi, short)):
-        steps = max(1, math.ceil(abs(angle) / TURN_STEP))
-        free = True
-        for i in range(steps + 1):
-            if not footprint_free(
-                ground.field, ground.res, ground.corners, at[0], at[1], old + angle * i / steps
-            ):
-                free = False
-                break
-        if free:
+        if _free(ground, (at[0], at[1], old), 0.0, 0.0, angle):
             return angle
     return np.nan
 

@@ -13,24 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
-from turtlebag.planners.live import NEVER, LiveConfig, LiveLayer
+from turtlebag.planners.costmap import Costmap, ways_from
+from turtlebag.planners.live import NEVER, LiveLayer, Marking
 from turtlebag.planners.planner import NoPath
-from turtlebag.planners.wavefront import wave
 
 RIM_M = 0.8
 """Places to make for lie this far inside the window: its edge counts as an obstacle."""
 
 
+IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
+"""Nothing is known before, and there is always something new to see."""
+
+
 class RollingLayer(LiveLayer):
     """Live obstacles in a square window in the odometry frame, moved by whole cells."""
 
-    def __init__(self, centre: Array, side: float, resolution: float, shift: float, config: LiveConfig):
+    def __init__(
+        self, centre: Array, side: float, resolution: float, shift: float, marking: Marking = IN_WINDOW
+    ) -> None:
         """`side` [m] of the window; it moves when the robot is more than `shift` [m] off its centre."""
         cells = max(2, round(side / resolution))
         self._shift_cells = max(1, round(shift / resolution))
         corner = np.floor(centre / resolution) - cells // 2
-        super().__init__(_free_floor(corner, cells, resolution), config)
+        super().__init__(_free_floor(corner, cells, resolution), marking)
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
         """Move the window if need be, then take in a sweep as a live layer does."""
@@ -45,12 +50,10 @@ class RollingLayer(LiveLayer):
         if not self._beyond(goal):
             return goal
         costmap, res = self.costmap, self.costmap.resolution
-        free = costmap.clearance > radius
-        start = nearest_free(free, (costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
-        if start is None:
+        ways = ways_from(costmap, pose, radius)
+        if ways is None:
             raise NoPath("the robot is too close to an obstacle")
-        ways = wave(free, *start, math.inf) * res
-        rim = _rim(len(free), round(RIM_M / res))
+        rim = _rim(len(ways), round(RIM_M / res))
         rest = np.linalg.norm((rim[:, ::-1] + 0.5) * res - costmap.T_grid_map @ goal.xy, axis=1)
         total = ways[rim[:, 0], rim[:, 1]] + rest
         best = int(np.argmin(total))

@@ -105,7 +105,7 @@ class Wander(Driver):
     def step(self, observation):
         """As in `turtlebag.pipeline.navigation.driver.Task`."""
         self.stand_by(observation)
-        near = self.sensing.sight is None or self.sensing.sight.sectors.front < 0.6
+        near = self.sensing.sweep is None or self.sensing.sweep.sectors.front < 0.6
         wanted = Twist() if self.finished else Twist(0.0, 0.8) if near else Twist(0.2, 0.0)
         self.state = "turn" if near else "drive"
         self._last = self._limits.ramp(wanted, self._last)

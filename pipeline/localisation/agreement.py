@@ -61,7 +61,7 @@ class AgreementWatch:
 
         A search that did not help is not repeated at once: the pause doubles, so a place that does not
         look like the map (a moved wardrobe) does not cost a search every scan. Where nothing seems wrong
-        but scans agree less than they once did, a second look is taken now and then: in the twin of a
+        but scans agree less than they once did, a second look is taken now and then: in the alias of a
         place almost all agrees, and only a search shows that the other one agrees better.
         """
         if self.anywhere:

@@ -6,7 +6,7 @@ of ALL beams (see wall_filter). It starts from the cloud, and starts again whene
 the two disagree, so it can never be where the cloud is not.
 
 The alphas keep a cloud wide enough to find its way back; odometry's noise beside its systematic error,
-which is a state here, is mostly far smaller. How much smaller is learned from how surprising the scans are.
+which is a state here, is mostly far smaller. How much smaller is learned from the NIS of the scans.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 
 from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.localisation.beams import Beams, spread
 from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field
@@ -95,7 +95,7 @@ class GlobalSearch:
             poses = poses + rng.standard_normal(poses.shape) * shake
         weights = tempered(self._score(poses, beams))
         poses = poses[rng.permutation(low_variance(weights, count, rng.random()))]
-        poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        poses[:, 2] = wrap(poses[:, 2])
         return poses
 
     def _score(self, poses: Array, beams: Beams) -> Array:

@@ -38,7 +38,7 @@ BEAMS, NEIGHBOURS = 180, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Glimpse:
+class UsedScan:
     """A scan that the filter used, with odometry at its stamp."""
 
     beams: Beams
@@ -51,20 +51,20 @@ class Aliasing:
     def __init__(self, search: GlobalSearch, rng: np.random.Generator) -> None:
         self._search, self._rng = search, rng
 
-    def find(self, glimpses: Sequence[Glimpse], T_map_odom: SE2) -> list[SE2]:
+    def find(self, scans: Sequence[UsedScan], T_map_odom: SE2) -> list[SE2]:
         """Motions of the map onto itself, T_map_map, to the places that explain the scans about best.
 
         The first is the identity - the estimate `T_map_odom` itself - unless another place explains the
         scans clearly better. Only the identity is left where the map explains too little of them anyhow.
         """
-        here = [T_map_odom @ glimpse.T_odom_base for glimpse in glimpses]
+        here = [T_map_odom @ scan.T_odom_base for scan in scans]
         found = [SE2.identity()]
-        for glimpse, T_map_base in zip(glimpses, here, strict=True):
-            for pose in self._places(glimpse.beams):
+        for scan, T_map_base in zip(scans, here, strict=True):
+            for pose in self._places(scan.beams):
                 T_map_map = SE2.from_array(pose) @ T_map_base.inverse()
                 if all(apart(T_map_map @ here[-1], known @ here[-1]) for known in found):
                     found.append(T_map_map)
-        fits = [self._polished(T_map_map, glimpses, here) for T_map_map in found]
+        fits = [self._polished(T_map_map, scans, here) for T_map_map in found]
         best = max(fit for fit, _ in fits)
         if best < LEAST_FIT:
             return found[:1]
@@ -74,10 +74,10 @@ class Aliasing:
                 kept.append(T_map_map if k > 0 else found[0])
         return kept
 
-    def fits(self, hypotheses: Sequence[SE2], glimpse: Glimpse, T_map_odom: SE2) -> Array:
+    def fits(self, hypotheses: Sequence[SE2], scan: UsedScan, T_map_odom: SE2) -> Array:
         """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""
-        here = [T_map_odom @ glimpse.T_odom_base]
-        return np.array([self._polished(T_map_map, [glimpse], here)[0] for T_map_map in hypotheses])
+        here = [T_map_odom @ scan.T_odom_base]
+        return np.array([self._polished(T_map_map, [scan], here)[0] for T_map_map in hypotheses])
 
     def differences(self, hypotheses: Sequence[SE2], T_map_lidar: SE2) -> Array:
         """By how much the most unlike two of some hypotheses differ, as a share of the beams, at poses (n,).
@@ -107,24 +107,20 @@ class Aliasing:
             poses = poses[~near]
         return places
 
-    def _polished(
-        self, T_map_map: SE2, glimpses: Sequence[Glimpse], here: Sequence[SE2]
-    ) -> tuple[float, SE2]:
+    def _polished(self, T_map_map: SE2, scans: Sequence[UsedScan], here: Sequence[SE2]) -> tuple[float, SE2]:
         """Mean agreement of the scans where it is highest near a hypothesis, and the hypothesis there."""
         last = here[-1]
         # The scans' poses hang together by odometry: all are moved with the last one.
         relative = [last.inverse() @ T_map_base for T_map_base in here]
-        best, pose = climb(
-            lambda poses: self._mean_agreement(poses, relative, glimpses), (T_map_map @ last).xyt
-        )
+        best, pose = climb(lambda poses: self._mean_agreement(poses, relative, scans), (T_map_map @ last).xyt)
         return best, SE2.from_array(pose) @ last.inverse()
 
-    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], glimpses: Sequence[Glimpse]) -> Array:
+    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], scans: Sequence[UsedScan]) -> Array:
         total = np.zeros(len(poses))
-        for T_last_base, glimpse in zip(relative, glimpses, strict=True):
+        for T_last_base, scan in zip(relative, scans, strict=True):
             there = np.ascontiguousarray((SE2(poses) @ T_last_base).xyt)
-            total += self._search.agreements(there, glimpse.beams)
-        return total / len(glimpses)
+            total += self._search.agreements(there, scan.beams)
+        return total / len(scans)
 
 
 class PoseHypotheses:
@@ -148,10 +144,10 @@ class PoseHypotheses:
         return self.poses[0] if len(self.poses) == 1 else None
 
 
-def apart(one: SE2, other: SE2) -> bool:
-    """Whether two poses are different places."""
+def apart(one: SE2, other: SE2, reach: float = APART) -> bool:
+    """Whether two poses are different places: farther apart, or turned more, than `reach` [m, rad]."""
     x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return math.hypot(x, y) > APART or abs(yaw) > APART
+    return math.hypot(x, y) > reach or abs(yaw) > reach
 
 
 def within(poses: Array, centre: Array) -> NDArray[np.bool_]:

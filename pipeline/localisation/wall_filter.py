@@ -34,7 +34,7 @@ MAX_WALLS = 150
 POSE, FIXED = 3, 6
 ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
 ODOMETRY_WALK = 5e-4
-# A step of 0.1 mm or 0.006 deg is none: with it the iterations end, and no correction so small is a surprise.
+# A step of 0.1 mm or 0.006 deg is none: with it the iterations end; smaller ones do not count in the NIS.
 STEP_DONE = 1e-4
 # From this NIS on, odometry slipped, by about so much [m and rad].
 SLIP, SLIP_STD = 6.0, 0.1

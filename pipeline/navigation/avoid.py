@@ -7,7 +7,7 @@ from collections.abc import Callable
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.guarded import Guard
-from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
 from turtlebag.sim.simulator import CONTROL_HZ
@@ -26,31 +26,29 @@ class AvoidDriver(Driver):
     ) -> None:
         super().__init__(sensing)
         self._guard = Guard(model) if config.mode == "guarded" else None
-        self._limits = SpeedLimits.of(
-            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
-        )
+        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
         self._duration_ns = round(duration_s * 1e9)
         self._say = say
 
     def step(self, observation: Observation) -> Twist:
         """The command of the newest scan; standing still before the first and at the end."""
         self.stand_by(observation)
-        sight, T_odom_base = self.sensing.sight, observation.odometry.T_odom_base
-        if self.finished or sight is None:
+        sweep, T_odom_base = self.sensing.sweep, observation.odometry.T_odom_base
+        if self.finished or sweep is None:
             return Twist()
         if self._guard is None:
             if observation.scan is not None:
-                decision = tutorial_rule(sight.sectors)
-                self._tell(observation, sight, decision)
+                decision = tutorial_rule(sweep.sectors)
+                self._tell(observation, sweep, decision)
                 self._last = decision.command
             return self._last
         new_sweep = observation.scan is not None
         if self.sensing.blind:
             self.state = "blind"
             self._guard.interrupted()
-        wanted = self._guard.command(sight, T_odom_base, self._last, new_sweep=new_sweep)
+        wanted = self._guard.command(sweep, T_odom_base, self._last, new_sweep=new_sweep)
         if new_sweep:
-            self._tell(observation, sight, self._guard.decision)
+            self._tell(observation, sweep, self._guard.decision)
         self._last = ramped(wanted, self._last, self._limits)
         return self._last
 
@@ -66,8 +64,8 @@ class AvoidDriver(Driver):
         if self._guard is not None:
             self._guard.interrupted()
 
-    def _tell(self, observation: Observation, sight: Sight, decision: Decision) -> None:
+    def _tell(self, observation: Observation, sweep: Sweep, decision: Decision) -> None:
         """Say what was seen when something else is decided than before."""
         before, self.state = self.state, decision.action.replace(",", "").replace(" ", "_")
         if self.state != before:
-            self._say(decision_line(observation.stamp_ns * 1e-9, sight.sectors, decision))
+            self._say(decision_line(observation.stamp_ns * 1e-9, sweep.sectors, decision))

@@ -9,9 +9,10 @@ import scipy
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
+from turtlebag.planners.tasks.recovery import Move
 
 # Sweeps are compared once odometry has gone so far, or turned so much; fewer points say nothing.
 TRAVEL_M, TURN_RAD, LEAST_POINTS = 0.1, 0.6, 30
@@ -65,24 +66,21 @@ class Escape:
     """Back off, then turn an angle [rad], or as much of both as a few seconds allow."""
 
     def __init__(self, now_ns: int, start: SE2, distance: float, angle: float) -> None:
-        self._now_ns, self._start = now_ns, start
-        self._distance, self._angle = distance, angle
-        self._turned_from: float | None = None
+        self._until_ns, self._angle = now_ns + ESCAPE_NS, angle
+        back = Twist(math.copysign(SLOW_V, distance), 0.0)
+        self._move = Move(start, back, abs(distance), now_ns + BACK_OFF_NS, "back off")
 
     def command(self, now_ns: int, T_odom_base: SE2) -> Twist | None:
         """The twist of this tick; None when it is over."""
-        if now_ns - self._now_ns >= ESCAPE_NS:
-            return None
-        done = float(np.linalg.norm(T_odom_base.xy - self._start.xy))
-        backing = done < abs(self._distance) and now_ns - self._now_ns < BACK_OFF_NS
-        if self._turned_from is None and backing:
-            return Twist(math.copysign(SLOW_V, self._distance), 0.0)
-        if self._turned_from is None:
-            self._turned_from = float(T_odom_base.yaw)
-        turned = (float(T_odom_base.yaw) - self._turned_from + math.pi) % (2.0 * math.pi) - math.pi
-        if abs(turned) >= min(abs(self._angle), math.pi - 0.2):
-            return None
-        return Twist(0.0, math.copysign(TURN_W, self._angle))
+        twist = self._move.command(now_ns, T_odom_base)
+        if twist is None and self._move.twist.v:
+            turn, amount = (
+                Twist(0.0, math.copysign(TURN_W, self._angle)),
+                min(abs(self._angle), math.pi - 0.2),
+            )
+            self._move = Move(T_odom_base, turn, amount, self._until_ns, "turn away")
+            twist = self._move.command(now_ns, T_odom_base)
+        return twist
 
 
 class BumpMemory:
@@ -100,20 +98,20 @@ class BumpMemory:
         self.escape = None
         self._slip.reset()
 
-    def noticed(self, sight: Sight, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
+    def noticed(self, sweep: Sweep, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
         """Whether a new sweep shows that the robot pushes against something; that is remembered.
 
         An escape begins then: back, and away from it by `turn` [rad].
         """
-        if self.escape is not None or not self._slip.slipping(T_odom_base, sight.hits_odom):
+        if self.escape is not None or not self._slip.slipping(T_odom_base, sweep.hits_odom):
             return False
         xs, ys = self._footprint.T
         edge = xs.min() - BEYOND_M if last.v < 0.0 else xs.max() + BEYOND_M
         across = np.arange(ys.min(), ys.max() + SPACING_M, SPACING_M)
         line = np.stack([np.full(len(across), edge), across], axis=1)
-        self._bumps.append((sight.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
+        self._bumps.append((sweep.stamp_ns, T_frame_odom @ (T_odom_base @ line)))
         back = BACK_OFF_M if last.v < 0.0 else -BACK_OFF_M
-        self.escape = Escape(sight.stamp_ns, T_odom_base, back, turn)
+        self.escape = Escape(sweep.stamp_ns, T_odom_base, back, turn)
         return True
 
     def escaping(self, now_ns: int, T_odom_base: SE2) -> Twist | None:

@@ -15,11 +15,8 @@ from turtlebag.pipeline.navigation.lost import RelocaliseConfig
 from turtlebag.pipeline.navigation.takeover import TakeoverConfig
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.control.monitor import MonitorConfig
-from turtlebag.planners.control.pursuit import PursuitConfig
 from turtlebag.planners.costmap import CostmapConfig
 from turtlebag.planners.global_plan import PlanConfig
-from turtlebag.planners.live import LiveConfig
 from turtlebag.planners.tasks.avoid import AvoidConfig
 from turtlebag.planners.tasks.recovery import RecoveryConfig, Rung
 from turtlebag.planners.tasks.sequence import SequenceConfig
@@ -49,7 +46,6 @@ class MaplessConfig(Settings, allow_inf_nan=False):
         back_up_v=0.2,
     )
     """Takes the place of `recovery`: among things never seen before, getting out comes before waiting."""
-    live: LiveConfig = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0)
 
 
 class NavigateConfig(Settings, allow_inf_nan=False):
@@ -59,13 +55,10 @@ class NavigateConfig(Settings, allow_inf_nan=False):
     localiser: LocaliserName = "amcl"
     amcl: AmclConfig = AmclConfig()
     costmap: CostmapConfig = CostmapConfig()
-    live: LiveConfig = LiveConfig()
     mapless: MaplessConfig = MaplessConfig()
     plan: PlanConfig = PlanConfig()
     controller: ControllerName = "pursuit"
     dwa: DwaConfig = DwaConfig()
-    pursuit: PursuitConfig = PursuitConfig()
-    monitor: MonitorConfig = MonitorConfig()
     goal_checker: GoalCheckerConfig = GoalCheckerConfig()
     sequence: SequenceConfig = SequenceConfig()
     relocalise: RelocaliseConfig = RelocaliseConfig()

@@ -19,10 +19,9 @@ from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypoth
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.costmap import ENTRY_M, Costmap, nearest_free
+from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
-from turtlebag.planners.wavefront import wave
 
 # Hypotheses differ clearly where so large a share of the beams does.
 DIFFERENT = 0.1
@@ -37,7 +36,7 @@ class Disambiguation:
 
     def __init__(self, aliasing: Aliasing, poses: Sequence[SE2], tools: Tools, now_ns: int) -> None:
         both = passable_under_all(tools.live.static, poses)
-        self.tools = dataclasses.replace(tools, live=LiveLayer(both, tools.live.config), checker=PASSING)
+        self.tools = dataclasses.replace(tools, live=LiveLayer(both, tools.live.marking), checker=PASSING)
         """With a layer of what is seen on the way, over the map under all hypotheses."""
         self._aliasing = aliasing
         self._hypotheses = PoseHypotheses(poses)
@@ -58,7 +57,7 @@ class Disambiguation:
         """Take in the scan that the filter has just used; the motion of the map to the one that is left."""
         assert localiser.T_map_odom is not None
         poses = self._hypotheses.poses
-        fits = self._aliasing.fits(poses, localiser.glimpses[-1], localiser.T_map_odom)
+        fits = self._aliasing.fits(poses, localiser.scans[-1], localiser.T_map_odom)
         return self._hypotheses.judge(fits)
 
     def command(self, tick: Tick, most_s: float) -> Twist | None:
@@ -111,15 +110,11 @@ def nearest_difference(
 
     Only places that a disc of `radius` reaches count, and none about those `visited`.
     """
-    free = costmap.clearance > radius
-    start = nearest_free(
-        free, costmap.T_grid_map @ pose.xy / costmap.resolution, ENTRY_M / costmap.resolution
-    )
-    if start is None:
+    ways = ways_from(costmap, pose, radius)
+    if ways is None:
         return None
-    way = wave(free, start[0], start[1], np.inf)
     step = max(1, round(SPACING_M / costmap.resolution))
-    cells = np.argwhere(np.isfinite(way))
+    cells = np.argwhere(np.isfinite(ways))
     cells = cells[(cells[:, 0] % step == 0) & (cells[:, 1] % step == 0)]
     xy = costmap.T_map_grid @ ((cells[:, ::-1] + 0.5) * costmap.resolution)
     for seen in visited:
@@ -129,6 +124,6 @@ def nearest_difference(
         return None
     poses = SE2(np.column_stack([xy, np.full(len(xy), float(pose.yaw))]))
     share = aliasing.differences(hypotheses, poses)
-    length = np.where(share >= DIFFERENT, way[cells[:, 0], cells[:, 1]], np.inf)
+    length = np.where(share >= DIFFERENT, ways[cells[:, 0], cells[:, 1]], np.inf)
     best = int(length.argmin())
     return poses[best] if np.isfinite(length[best]) else None

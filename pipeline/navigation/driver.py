@@ -11,7 +11,7 @@ from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
-from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
 from turtlebag.planners.control.interface import require_twist
 from turtlebag.planners.live import LiveLayer
 
@@ -93,13 +93,13 @@ class Driver(ABC):
         """Drive again from the next step on, after the command that someone else gave last."""
         self._last = last
 
-    def _see(self, sight: Sight, T_frame_odom: SE2, live: LiveLayer) -> None:
+    def _see(self, sweep: Sweep, T_frame_odom: SE2, live: LiveLayer) -> None:
         """Enter a sweep in the obstacle layer."""
         live.update(
-            sight.stamp_ns * 1e-9,
-            T_frame_odom @ sight.T_odom_lidar,
-            T_frame_odom @ sight.hits_odom,
-            T_frame_odom @ sight.passes_odom,
+            sweep.stamp_ns * 1e-9,
+            T_frame_odom @ sweep.T_odom_lidar,
+            T_frame_odom @ sweep.hits_odom,
+            T_frame_odom @ sweep.passes_odom,
         )
 
     def _tick(self, observation: Observation, T_frame_base: SE2, *, stop: bool = False) -> Tick:

@@ -39,9 +39,8 @@ from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import CONTROL_HZ
 
-# Without a map: cells of the window, and how far off its centre the robot may be; there is always something
-# new to see, so plans are made often, and keep farther off.
-WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_REPLAN_S, MAPLESS_INFLATION_M = 0.05, 1.0, 0.3, 0.6
+# Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.
+WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,7 @@ class Kit:
         return Tools(
             model=model,
             controller=make_controller(self.robot, config),
-            monitor=CollisionMonitor(model, config.monitor),
+            monitor=CollisionMonitor(model),
             live=live,
             plan=config.plan,
             checker=config.goal_checker,
@@ -79,7 +78,7 @@ def make_navigator(
     parts = grid, lidar, robot.T_base_lidar, config.amcl
     amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"))
     localiser = Localiser(amcl, kit.sensing.odometry, kit.publisher)
-    tools = kit.tools(LiveLayer(costmap, config.live))
+    tools = kit.tools(LiveLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, Guard(robot.model))
@@ -89,17 +88,17 @@ def make_navigator(
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:
     """A driver by odometry and what is seen alone; goals are in the odometry frame."""
     m = kit.config.mapless
-    plan = {"replan_period": MAPLESS_REPLAN_S, "inflation_radius": MAPLESS_INFLATION_M}
-    own = {"controller": m.controller, "recovery": m.recovery}
-    config = kit.config.model_copy(update={**own, "plan": kit.config.plan.model_copy(update=plan)})
-    window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M, m.live)
+    plan = kit.config.plan.model_copy(update={"inflation_radius": MAPLESS_INFLATION_M})
+    own = {"controller": m.controller, "recovery": m.recovery, "plan": plan}
+    config = kit.config.model_copy(update=own)
+    window = RollingLayer(T_odom_base.xy, m.window, WINDOW_CELL_M, WINDOW_SHIFT_M)
     return NavigationDriver(kit.tools(window, config), kit.sensing, sequence)
 
 
 def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
     """A driver that maps what it can reach, until a stamp at the latest [s]."""
     config = kit.config.model_copy(update={"goal_checker": ARRIVED})
-    tools = kit.tools(LiveLayer(nothing_known(), config.live), config)
+    tools = kit.tools(LiveLayer(nothing_known()), config)
     return ExploreDriver(config.costmap, kit.sensing, online, tools, end_s)
 
 
@@ -117,9 +116,9 @@ def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     """The local controller that the configuration names; InputError where it is not to be had."""
     period = 1.0 / CONTROL_HZ
     if config.controller == "dwa":
-        return Dwa(robot.model, config.dwa, config.pursuit, period)
+        return Dwa(robot.model, config.dwa, period)
     if config.controller == "pursuit":
-        return Pursuit(robot.model, config.pursuit, period)
+        return Pursuit(robot.model, period)
     own: Controller = find(config.controller, Controller)(robot.model, period)
     require_attributes(own, Controller)
     require_twist(own, "brake", own.brake(Twist()))

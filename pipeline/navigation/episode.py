@@ -102,7 +102,7 @@ def _cut_short(stamp_ns: int, interrupted: Sequence[int]) -> str:
 def _owner(driver: Task, mission: Mission, takeovers: Source | None) -> CommandOwner:
     """The driver, and whoever may take over from it."""
     config, model = mission.config, mission.robot.model
-    monitor = CollisionMonitor(model, config.monitor) if config.takeover.monitor else None
+    monitor = CollisionMonitor(model) if config.takeover.monitor else None
     file = mission.request.takeover
     script = load_script(file) if isinstance(file, Path) else config.takeover.script
     return CommandOwner(driver, model, takeovers or Script(script), monitor)

@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.sensing import Sensing, Sight
+from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -76,16 +76,16 @@ class ExploreDriver(Driver):
         if self.sensing.blind:
             self.state = "blind"
             return self._stop(observation)
-        sight = None if observation.scan is None else self.sensing.sight
-        away = self._back_off(observation, sight)
+        sweep = None if observation.scan is None else self.sensing.sweep
+        away = self._back_off(observation, sweep)
         if away is not None:
             return away
-        if self._way is None or (sight is not None and self._late(self._way, now)):
+        if self._way is None or (sweep is not None and self._late(self._way, now)):
             self._choose(observation)
             if self._way is None:
                 return self._finish(observation)
-        if sight is not None:
-            self._see(sight, self.online.T_map_odom, self.tools.live)
+        if sweep is not None:
+            self._see(sweep, self.online.T_map_odom, self.tools.live)
         return self._pursue(self._way.runner, observation)
 
     def stand_by(self, observation: Observation) -> None:
@@ -103,10 +103,10 @@ class ExploreDriver(Driver):
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
         return now - way.since_ns > LOOK_AFTER_S * 1e9 and not way.runner.recovering
 
-    def _back_off(self, observation: Observation, sight: Sight | None) -> Twist | None:
+    def _back_off(self, observation: Observation, sweep: Sweep | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
         T_odom_base, T_map_odom = observation.odometry.T_odom_base, self.online.T_map_odom
-        if sight is not None and self._bumps.noticed(sight, T_odom_base, self._last, 0.0, T_map_odom):
+        if sweep is not None and self._bumps.noticed(sweep, T_odom_base, self._last, 0.0, T_map_odom):
             self.online.distrust()
             self._way = None
         wanted = self._bumps.escaping(observation.stamp_ns, T_odom_base)
@@ -131,10 +131,10 @@ class ExploreDriver(Driver):
             return
         self.goal_index += 1
         publisher.goal(now, goal)
-        live = LiveLayer(costmap, self.tools.live.config)
+        live = LiveLayer(costmap)
         self.tools = dataclasses.replace(self.tools, live=live)
-        if self.sensing.sight is not None:
-            self._see(self.sensing.sight, self.online.T_map_odom, self.tools.live)
+        if self.sensing.sweep is not None:
+            self._see(self.sensing.sweep, self.online.T_map_odom, self.tools.live)
         runner = GoalRunner(self.tools, goal, self.tools.seed + 1_000_000 * self.goal_index)
         self._way = _Way(runner, now)
 

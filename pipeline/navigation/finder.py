@@ -6,7 +6,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
 from turtlebag.pipeline.navigation.guarded import Guard
@@ -94,9 +94,9 @@ class Finder:
         """The command while it is lost: no map is used, nothing seen is touched."""
         now, state, T_odom_base = observation.stamp_ns, self.lost.state, observation.odometry.T_odom_base
         controller = self.tools.controller
-        if state is State.ROAM and sensing.sight is not None:
+        if state is State.ROAM and sensing.sweep is not None:
             new = observation.scan is not None
-            return controller.ramp(self._guard.command(sensing.sight, T_odom_base, last, new_sweep=new), last)
+            return controller.ramp(self._guard.command(sensing.sweep, T_odom_base, last, new_sweep=new), last)
         if state not in (State.WIGGLE, State.LOOK):
             return controller.brake(last)
         amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
@@ -129,16 +129,16 @@ class Finder:
         before, self._T_map_odom = self._T_map_odom, self.localiser.T_map_odom
         if before is None or self._T_map_odom is None or before is self._T_map_odom:
             return False
-        return _far(before @ T_odom_base, self._T_map_odom @ T_odom_base)
+        return apart(before @ T_odom_base, self._T_map_odom @ T_odom_base, JUMP)
 
     def _examine(self, now_ns: int) -> None:
         """Look for places that look like the estimate's; it is moved to a clearly better one."""
         localiser = self.localiser
-        T_map_odom, glimpses = localiser.T_map_odom, localiser.glimpses
-        if T_map_odom is None or not glimpses or localiser.amcl.lost:
+        T_map_odom, scans = localiser.T_map_odom, localiser.scans
+        if T_map_odom is None or not scans or localiser.amcl.lost:
             return
-        if self._sureness.doubtful(localiser, T_map_odom, glimpses[-1].T_odom_base):
-            found = self._aliasing.find(glimpses, T_map_odom)
+        if self._sureness.doubtful(localiser, T_map_odom, scans[-1].T_odom_base):
+            found = self._aliasing.find(scans, T_map_odom)
             if len(found) > 1:
                 self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
@@ -182,15 +182,10 @@ class _Sureness:
         """
         searched = localiser.amcl.searches > self.searches
         self.searches = localiser.amcl.searches
-        moved = self._sure >= SURE and _far(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base)
+        moved = self._sure >= SURE and apart(T_map_odom @ T_odom_base, self._sure_of @ T_odom_base, JUMP)
         doubtful = searched or (self.doubted and moved)
         if self.doubted:
             self.doubted, self._sure = False, 0
         if not doubtful and self.new_update(localiser):
             self._sure, self._sure_of = self._sure + 1, T_map_odom
         return doubtful
-
-
-def _far(one: SE2, other: SE2) -> bool:
-    x, y, yaw = (one.inverse() @ other).xyt.tolist()
-    return x * x + y * y > JUMP * JUMP or abs(yaw) > JUMP

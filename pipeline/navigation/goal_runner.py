@@ -110,7 +110,7 @@ class _Recovery:
 
     def __init__(self, tools: Tools) -> None:
         self.ladder = Ladder(tools.recovery, tools.live.clear)
-        self.watch = ProgressWatch(tools.recovery)
+        self.watch = ProgressWatch(tools.recovery.stuck_time)
         self.manoeuvre: Manoeuvre | None = None
         self._tools = tools
         self._driven = 0.0
@@ -206,7 +206,7 @@ class GoalRunner:
         live = self.tools.live
         if live.static is not route.static and route.short:
             return True
-        if not live.marked or tick.now_ns - route.planned_ns < self.tools.plan.replan_period * 1e9:
+        if not live.marked or tick.now_ns - route.planned_ns < live.marking.replan_s * 1e9:
             return False
         costmap = live.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)
@@ -214,7 +214,7 @@ class GoalRunner:
         clearance = path_clearance(
             costmap.clearance, costmap.resolution, self.tools.samples, poses, x, y, LOOK_AHEAD_M
         )
-        return bool(clearance < self.tools.monitor.config.padding)
+        return bool(clearance < self.tools.monitor.margins.padding)
 
     def _guarded(self, wanted: Twist, tick: Tick) -> Twist:
         """The command that the collision monitor lets pass."""

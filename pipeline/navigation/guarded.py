@@ -11,12 +11,13 @@ import math
 
 import numpy as np
 
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
-from turtlebag.pipeline.navigation.sensing import Sight
-from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig
+from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.planners.control.monitor import CollisionMonitor, StoppingMargins
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
+from turtlebag.planners.tasks.recovery import ProgressWatch
 
 # A command of which the monitor passes no more than this part is not worth giving.
 POSSIBLE = 0.15
@@ -29,63 +30,64 @@ TURN_AWAY_RAD = 1.6
 MOST_FLIPS = 3
 # After so long [s] about one place, within this [m], it turns to where most room is.
 RESTLESS_S, RESTLESS_M = 20.0, 0.4
-MONITOR = MonitorConfig(padding=0.03, reaction=0.15, braking_share=0.6)
+MARGINS = StoppingMargins(padding=0.03, reaction=0.15, braking_share=0.6)
 
 
 class Guard:
     """Decides at every sweep, and watches over every command."""
 
     def __init__(self, model: RobotModel) -> None:
-        self.monitor = CollisionMonitor(model, MONITOR)
+        self.monitor = CollisionMonitor(model, MARGINS)
         self._half_width = float(np.abs(model.footprint[:, 1]).max()) + SIDE_ROOM_M
         self._nose = float(model.footprint[:, 0].max())
         self._turning = 0.0
         self._flips = 0
         self._bumps = BumpMemory(model)
-        self._anchor: tuple[float, SE2] | None = None
+        self._progress = ProgressWatch(RESTLESS_S, RESTLESS_M, math.inf)
         self.decision = Decision("hold", Twist())
         """What was decided at the newest sweep."""
 
     def interrupted(self) -> None:
         """Someone else has driven: manoeuvres and what was being watched are over; places stay known."""
-        self._anchor, self.decision = None, Decision("hold", Twist())
+        self._progress.reset()
+        self.decision = Decision("hold", Twist())
         self._turning, self._flips = 0.0, 0
         self._bumps.interrupted()
 
-    def command(self, sight: Sight, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
+    def command(self, sweep: Sweep, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
         """The command of a tick, as far as it is safe; it is decided anew after a sweep."""
         if new_sweep:
-            self.decision = self.decide(sight, T_odom_base, last)
+            self.decision = self.decide(sweep, T_odom_base, last)
         wanted = self.decision.command
-        factor = self.monitor.limit(wanted, self.points_base(sight, T_odom_base))
+        factor = self.monitor.limit(wanted, self.points_base(sweep, T_odom_base))
         return Twist(wanted.v * factor, wanted.w * factor)
 
-    def points_base(self, sight: Sight, T_odom_base: SE2) -> Array:
+    def points_base(self, sweep: Sweep, T_odom_base: SE2) -> Array:
         """Everything to keep off, seen from the base: the sweep and the remembered places."""
-        points = np.concatenate([sight.hits_odom, self._bumps.points(sight.stamp_ns)])
+        points = np.concatenate([sweep.hits_odom, self._bumps.points(sweep.stamp_ns)])
         return T_odom_base.inverse() @ points
 
-    def decide(self, sight: Sight, T_odom_base: SE2, last: Twist) -> Decision:
+    def decide(self, sweep: Sweep, T_odom_base: SE2, last: Twist) -> Decision:
         """What to do after a new sweep."""
-        away = TURN_AWAY_RAD if sight.sectors.left > sight.sectors.right else -TURN_AWAY_RAD
-        if self._bumps.noticed(sight, T_odom_base, last, away, SE2.identity()):
+        away = TURN_AWAY_RAD if sweep.sectors.left > sweep.sectors.right else -TURN_AWAY_RAD
+        if self._bumps.noticed(sweep, T_odom_base, last, away, SE2.identity()):
             self._turning = 0.0
-        points = self.points_base(sight, T_odom_base)
-        command = self._bumps.escaping(sight.stamp_ns, T_odom_base)
+        points = self.points_base(sweep, T_odom_base)
+        command = self._bumps.escaping(sweep.stamp_ns, T_odom_base)
         if command is not None:
             return self._possible(Decision("back off" if command.v else "turn away", command), points)
-        return self._possible(self._tiers(sight, T_odom_base, points), points)
+        return self._possible(self._tiers(sweep, T_odom_base, points), points)
 
-    def _tiers(self, sight: Sight, T_odom_base: SE2, points: Array) -> Decision:
-        s = sight.sectors
+    def _tiers(self, sweep: Sweep, T_odom_base: SE2, points: Array) -> Decision:
+        s = sweep.sectors
         if s.front < STOP_M or self._gap(points) < NOSE_ROOM_M:
             self._turn_to(1.0 if s.left > s.right else -1.0)
             side = "left" if self._turning > 0.0 else "right"
             return Decision(f"stop, turn {side}", Twist(0.0, self._turning * TURN_W))
         self._turning, self._flips = 0.0, 0
-        if self._restless(sight.stamp_ns * 1e-9, T_odom_base):
-            angle = _to_most_room(T_odom_base.inverse() @ sight.hits_odom)
-            self._bumps.escape = Escape(sight.stamp_ns, T_odom_base, 0.0, angle)
+        if self._progress.stuck(sweep.stamp_ns, T_odom_base):
+            angle = _to_most_room(T_odom_base.inverse() @ sweep.hits_odom)
+            self._bumps.escape = Escape(sweep.stamp_ns, T_odom_base, 0.0, angle)
             return Decision("turn away", Twist(0.0, 0.0))
         return tutorial_rule(s)
 
@@ -118,18 +120,6 @@ class Guard:
                 return Decision(name, other)
         return Decision("hold", Twist())
 
-    def _restless(self, now_s: float, T_odom_base: SE2) -> bool:
-        """Whether it has been about the same place for long."""
-        restless = False
-        if self._anchor is not None:
-            t, pose = self._anchor
-            if float(np.linalg.norm(T_odom_base.xy - pose.xy)) < RESTLESS_M:
-                restless = now_s - t >= RESTLESS_S
-                if not restless:
-                    return False
-        self._anchor = (now_s, T_odom_base)
-        return restless
-
 
 def _to_most_room(points_base: Array) -> float:
     """Angle to the 30 degree sector whose nearest point (n, 2) is farthest away."""
@@ -137,7 +127,7 @@ def _to_most_room(points_base: Array) -> float:
     distance = np.linalg.norm(points_base, axis=1)
     best, angle = -1.0, math.pi
     for center in np.linspace(-math.pi, math.pi, 24, endpoint=False):
-        off = np.abs((bearing - center + math.pi) % (2.0 * math.pi) - math.pi)
+        off = np.abs(wrap(bearing - center))
         inside = distance[off < math.radians(15.0)]
         room = float(inside.min()) if len(inside) else 10.0
         if room > best:

@@ -68,21 +68,21 @@ TRANSITIONS = {
 }
 
 
+DOUBTS = 2
+"""Filter updates in a row that find the robot lost before it stops."""
+SETTLED_S = 1.0
+"""So long the cloud must be narrow and the scans agree before it goes on."""
+TRUST_S = 15.0
+"""So long it is not asked again whether the scans agree: people and boxes are not on the map."""
 PUSHED_S = 2.0
 """For so long after it was pushed the robot stands still: whoever pushes may not have done yet."""
 
 
 class RelocaliseConfig(Settings, allow_inf_nan=False):
-    """Seconds, but for `doubts` and `restarts`."""
+    """Seconds, but for `restarts`."""
 
-    doubts: int = Field(default=2, ge=1)
-    """Filter updates in a row that find the robot lost before it stops."""
-    settled: Seconds = 1.0
-    """So long the cloud must be narrow and the scans agree before it goes on."""
     look: Seconds = Field(default=5.0, gt=0.0)
     """It turns to and fro for so long; a cloud that is narrow then is trusted: no better place was found."""
-    trust: Seconds = 15.0
-    """So long it is not asked again whether the scans agree: people and boxes are not on the map."""
     roam: Seconds = Field(default=45.0, gt=0.0)
     """It drives about for so long, touching nothing, until the cloud settles."""
     restarts: int = Field(default=2, ge=0)
@@ -130,7 +130,7 @@ class Lost:
         elif updates > self._updates:
             self._doubts += 1
         self._updates = updates
-        if self._doubts >= self.config.doubts:
+        if self._doubts >= DOUBTS:
             self.on(Event.DOUBTED, now_ns, updates)
 
     def _search(self, now_ns: int, narrow: bool, good: bool, updates: int) -> None:
@@ -139,11 +139,11 @@ class Lost:
         elif self._good_ns is None:
             self._good_ns = now_ns
         looking, config = self.state is State.LOOK, self.config
-        settled = self._good_ns is not None and now_ns - self._good_ns >= config.settled * 1e9
+        settled = self._good_ns is not None and now_ns - self._good_ns >= SETTLED_S * 1e9
         over = (now_ns - self._since_ns) * 1e-9 >= (config.look if looking else config.roam)
         if updates > self._updates_then and (settled or (looking and over and narrow)):
             if not settled:
-                self._trusted_ns = now_ns + round(config.trust * 1e9)
+                self._trusted_ns = now_ns + round(TRUST_S * 1e9)
             self._restarts = 0
             self.on(Event.FOUND, now_ns, updates)
         elif over and not looking and self._restarts >= config.restarts:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
@@ -39,15 +39,15 @@ class MovingWatch:
         self._zone = padded(model.footprint, STOP_M)
         self._profiles: deque[tuple[int, SE2, Array]] = deque(maxlen=16)
 
-    def observe(self, sight: Sight) -> None:
+    def observe(self, sweep: Sweep) -> None:
         """Take in a sweep."""
-        older = [p for p in self._profiles if sight.stamp_ns - p[0] >= BEFORE_NS]
+        older = [p for p in self._profiles if sweep.stamp_ns - p[0] >= BEFORE_NS]
         self.points_odom = np.zeros((0, 2))
-        if older and sight.stamp_ns - older[-1][0] < 2 * BEFORE_NS:
-            self.points_odom = moved_points(sight, older[-1][1], older[-1][2])
-        T = sight.T_odom_lidar
-        ends = T.inverse() @ np.concatenate([sight.hits_odom, sight.passes_odom])
-        self._profiles.append((sight.stamp_ns, T, profile(ends)))
+        if older and sweep.stamp_ns - older[-1][0] < 2 * BEFORE_NS:
+            self.points_odom = moved_points(sweep, older[-1][1], older[-1][2])
+        T = sweep.T_odom_lidar
+        ends = T.inverse() @ np.concatenate([sweep.hits_odom, sweep.passes_odom])
+        self._profiles.append((sweep.stamp_ns, T, profile(ends)))
 
     def stops(self, T_odom_base: SE2) -> bool:
         """Whether one of the points is that near."""
@@ -65,10 +65,10 @@ def profile(ends_lidar: Array) -> Array:
     return np.asarray(np.min(shifted, axis=0))
 
 
-def moved_points(sight: Sight, T_odom_lidar: SE2, ranges: Array) -> Array:
+def moved_points(sweep: Sweep, T_odom_lidar: SE2, ranges: Array) -> Array:
     """Hits near the lidar (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
-    hits = sight.hits_odom
-    near = np.linalg.norm(hits - sight.T_odom_lidar.xy, axis=1) < NEAR_M
+    hits = sweep.hits_odom
+    near = np.linalg.norm(hits - sweep.T_odom_lidar.xy, axis=1) < NEAR_M
     hits = hits[near]
     if len(hits) == 0:
         return np.zeros((0, 2))

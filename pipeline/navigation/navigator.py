@@ -50,23 +50,23 @@ class NavigationDriver(Driver):
         """Localise, ask the task for the goal, pursue it."""
         now, finder = observation.stamp_ns, self.finder
         span_ns, self._now = now - self._now, now
-        sight = self.sensing.observe(observation)
+        sweep = self.sensing.observe(observation)
         T_frame_odom = self._localise(observation)
         if finder is not None and not finder.localiser.amcl.initialised:
             self.sequence.reject_all("no initial pose", now)
             return self._stop("no_pose", finished=True)
-        if finder is not None and sight is not None:
-            self._moving.observe(sight)
+        if finder is not None and sweep is not None:
+            self._moving.observe(sweep)
         if self.sensing.blind:
-            return self._wait_for_sight(now)
+            return self._wait_for_scan(now)
         if finder is not None:
             state = finder.update(observation, examine=not self.sequence.finished)
             if finder.void:
                 self._forget()
             if state is not State.DRIVE and not self.sequence.finished:
                 return self._find(finder, state, observation, span_ns)
-        if sight is not None and T_frame_odom is not None:
-            self._see(sight, T_frame_odom, self.tools.live)
+        if sweep is not None and T_frame_odom is not None:
+            self._see(sweep, T_frame_odom, self.tools.live)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
@@ -100,11 +100,11 @@ class NavigationDriver(Driver):
 
     def stand_by(self, observation: Observation) -> None:
         """Localise and look on while someone else drives; the goal's clock stands."""
-        sight = self.sensing.observe(observation)
+        sweep = self.sensing.observe(observation)
         if self.finder is None or self.finder.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
-            if sight is not None and T_frame_odom is not None:
-                self._see(sight, T_frame_odom, self.tools.live)
+            if sweep is not None and T_frame_odom is not None:
+                self._see(sweep, T_frame_odom, self.tools.live)
         self.sequence.postpone(observation.stamp_ns - self._now)
         self._now = observation.stamp_ns
 
@@ -115,7 +115,7 @@ class NavigationDriver(Driver):
         if self.finder is not None:
             self.finder.rest()
 
-    def _wait_for_sight(self, now: int) -> Twist:
+    def _wait_for_scan(self, now: int) -> Twist:
         """Stand still; goals run out of time, and are given up when the lidar stays silent."""
         self._rest()
         self.sequence.update(now, "the lidar is silent")
@@ -154,8 +154,8 @@ class NavigationDriver(Driver):
             self.sequence.postpone(span_ns)
         goal = self.sequence.update(now)
         self.goal_index = -1 if goal is None else self.sequence.index
-        if observation.scan is not None and self.sensing.sight is not None:
-            self._see(self.sensing.sight, T_map_odom, finder.comparison.tools.live)
+        if observation.scan is not None and self.sensing.sweep is not None:
+            self._see(self.sensing.sweep, T_map_odom, finder.comparison.tools.live)
         T_odom_base = observation.odometry.T_odom_base
         stop = self._moving.stops(T_odom_base)
         command = finder.compare(self._tick(observation, T_map_odom @ T_odom_base, stop=stop))

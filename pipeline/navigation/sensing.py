@@ -45,7 +45,7 @@ def sweep_end_ns(scan: Scan) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Sweep:
     """One sweep in the odometry frame: points hit (n, 2), ends of beams that met nothing (m, 2).
 
     Beams nearer than the lidar can measure (-inf) are hits at its least range.
@@ -63,7 +63,7 @@ class Sensing:
 
     def __init__(self, T_base_lidar: SE2) -> None:
         self.odometry = OdometryBuffer()
-        self.sight: Sight | None = None
+        self.sweep: Sweep | None = None
         self.silent_s = 0.0
         """How long no scan has come [s]."""
         self.shown_ns: int | None = None
@@ -76,13 +76,13 @@ class Sensing:
         """Whether the lidar has been silent for too long to drive on."""
         return self.silent_s > SILENT_S
 
-    def observe(self, observation: Observation) -> Sight | None:
+    def observe(self, observation: Observation) -> Sweep | None:
         """Take in an observation; the new sweep when it brought one.
 
         Of two drivers that share it, the second to show it the same observation is told the same.
         """
         if observation.stamp_ns == self.shown_ns:
-            return None if observation.scan is None else self.sight
+            return None if observation.scan is None else self.sweep
         self.shown_ns, odometry = observation.stamp_ns, observation.odometry
         self.odometry.add(odometry.stamp_ns, odometry.T_odom_base)
         if observation.scan is not None or self._heard_ns is None:
@@ -90,16 +90,16 @@ class Sensing:
         self.silent_s = (observation.stamp_ns - self._heard_ns) * 1e-9
         if observation.scan is None:
             return None
-        self.sight = self._look(observation.scan)
-        return self.sight
+        self.sweep = self._look(observation.scan)
+        return self.sweep
 
     def points_base(self, T_odom_base: SE2) -> Array:
         """The newest sweep's hits as seen from the base now, (n, 2)."""
-        if self.sight is None:
+        if self.sweep is None:
             return np.zeros((0, 2))
-        return T_odom_base.inverse() @ self.sight.hits_odom
+        return T_odom_base.inverse() @ self.sweep.hits_odom
 
-    def _look(self, scan: Scan) -> Sight:
+    def _look(self, scan: Scan) -> Sweep:
         first, last = self.odometry.at(scan.stamp_ns), self.odometry.at(sweep_end_ns(scan))
         ranges = scan.ranges.astype(np.float64)
         near = np.isneginf(ranges) | (ranges < scan.lidar.range_min)
@@ -115,4 +115,4 @@ class Sensing:
         )
         ends = first @ (origins + directions * distance[used, None])
         T_odom_lidar = last @ self._T_base_lidar
-        return Sight(scan.stamp_ns, T_odom_lidar, ends[hit[used]], ends[passed[used]], read_sectors(scan))
+        return Sweep(scan.stamp_ns, T_odom_lidar, ends[hit[used]], ends[passed[used]], read_sectors(scan))

@@ -116,9 +116,7 @@ class CommandOwner:
         """What was asked for in the takeovers so far: a script that does the same again."""
         self._source = source
         self._monitor = monitor
-        self._limits = SpeedLimits.of(
-            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
-        )
+        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
         self._last = Twist()
 
     @property

@@ -36,10 +36,7 @@ class Pilot(Driver):
         self.mapper: OnlineMap | None = None
         """Of the map that was begun here; None when there is none."""
         self.mapping = False
-        model = kit.robot.model
-        self._limits = SpeedLimits.of(
-            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
-        )
+        self._limits = SpeedLimits.of(kit.robot.model, 1.0 / CONTROL_HZ)
         self._drawn_ns = 0
         self._drawn_at = SE2.identity()
         self.state = "idle"
@@ -81,7 +78,7 @@ class Pilot(Driver):
     def keep_out(self, costmap: Costmap) -> None:
         """The map that is loaded has other places to keep out of."""
         assert self.navigation is not None
-        self.navigation.use(self.kit.tools(LiveLayer(costmap, self.kit.config.live)))
+        self.navigation.use(self.kit.tools(LiveLayer(costmap)))
 
     def begin(self, task: Task) -> None:
         """Do this from the next step on."""

@@ -69,7 +69,7 @@ class Run:
         room.publisher.grid = room.publisher.path = None
         self.pilot = Pilot(Kit(robot, config, setup.seed, Sensing(robot.T_base_lidar), room.publisher))
         self.hands = Hands()
-        monitor = CollisionMonitor(robot.model, config.monitor)
+        monitor = CollisionMonitor(robot.model)
         self.owner = CommandOwner(self.pilot, robot.model, self.hands, monitor)
         self.visuals = Visuals(self.pilot)
         self.command = Twist()

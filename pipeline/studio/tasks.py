@@ -112,10 +112,8 @@ class WiggleDriver(Driver):
         model = kit.robot.model
         self._localiser = localiser
         self._wiggle = Wiggle()
-        self._monitor = CollisionMonitor(model, kit.config.monitor)
-        self._limits = SpeedLimits.of(
-            model, 1.0 / CONTROL_HZ, max_v=model.max_v, max_w=model.max_w, max_dv=model.max_dv
-        )
+        self._monitor = CollisionMonitor(model)
+        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
 
     @property
     def spread(self) -> str:

@@ -120,10 +120,10 @@ class Visuals:
 
     def scan(self) -> Array | None:
         """Where the beams of the newest sweep ended, (n, 2) in the map frame."""
-        sight, T_map_odom = self._pilot.sensing.sight, self._pilot.T_map_odom
-        if sight is None:
+        sweep, T_map_odom = self._pilot.sensing.sweep, self._pilot.T_map_odom
+        if sweep is None:
             return None
-        return self._cached.get("scan", (sight, self._frame), lambda: T_map_odom @ sight.hits_odom)
+        return self._cached.get("scan", (sweep, self._frame), lambda: T_map_odom @ sweep.hits_odom)
 
     def particles(self) -> Array | None:
         """The cloud, (n, 3)."""
@@ -168,10 +168,10 @@ class Visuals:
 
     def sectors(self) -> SectorMarks | None:
         """The three sectors of the newest sweep."""
-        sight, task = self._pilot.sensing.sight, self._pilot.task
-        if sight is None:
+        sweep, task = self._pilot.sensing.sweep, self._pilot.task
+        if sweep is None:
             return None
-        s, decision = sight.sectors, "" if task is None else task.decision
+        s, decision = sweep.sectors, "" if task is None else task.decision
         return self._cached.get(
             "sectors", (s, decision), lambda: SectorMarks(s.left, s.front, s.right, decision)
         )

@@ -10,7 +10,6 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
@@ -18,7 +17,7 @@ from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
-from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
+from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import (
@@ -31,23 +30,25 @@ from turtlebag.planners.footprint import (
 from turtlebag.planners.wavefront import wave
 
 
-class DwaConfig(Settings, allow_inf_nan=False):
-    """Names as in dwa_local_planner where the idea is the same; SI units."""
+class DwaConfig(Settings):
+    """Whose numbers are used."""
 
     preset: Literal["own", "tutorial"] = "own"
-    """`tutorial`: turtlebot3_navigation's numbers (TUTORIAL) in place of all below but the acceleration."""
-    max_v: float = Field(default=1.4, gt=0.0)
+    """`tutorial`: turtlebot3_navigation's (noetic, dwa_local_planner_params)."""
+
+
+class Window(NamedTuple):
+    """Which arcs are tried; names as in dwa_local_planner where the idea is the same, SI units."""
+
+    max_v: float = 1.4
     min_v: float = -0.4
-    """Backwards, as far as the robot goes; 0 forbids it."""
-    max_w: float = Field(default=2.0, gt=0.0)
-    acceleration_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
-    window: float = Field(default=0.25, gt=0.0)
+    """Backwards, as far as the robot goes."""
+    max_w: float = 2.0
+    time: float = 0.25
     """Time ahead over which the limits let the speed change [s]."""
-    vx_samples: int = Field(default=9, ge=2)
-    vth_samples: int = Field(default=21, ge=3)
-    backward_bias: float = Field(default=1.5, ge=0.0)
-    """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
-    settle_distance: float = Field(default=0.45, gt=0.0)
+    vx_samples: int = 9
+    vth_samples: int = 21
+    settle_distance: float = 0.45
     """From here on the goal's pose is settled on as pure pursuit does."""
 
 
@@ -60,87 +61,72 @@ class ArcFloor(NamedTuple):
     resolution: float
 
 
-class ArcWeights(NamedTuple):
-    """How arcs are driven in thought and what they cost; biases in metres of way for each metre."""
-
-    time: float
-    """What is looked ahead [s], in steps of `step` [s]."""
-    step: float
-    braking: float
-    goal: float
-    path: float
-    ahead: float
-    """How far before the robot its forward point lies [m]."""
-    room: float
-    """Worth of a metre of room up to `comfort` [m]; with less than `least` [m] no arc is admissible."""
-    comfort: float
-    least: float
-    back: float
-    nose: float
-    """The forward point's distance to the path."""
-    occupied: float
-    """costmap_2d's inflated cost (0..252)."""
-    least_v: float
-    least_w: float
-
-
-TUTORIAL = {
-    "max_v": 0.26,
-    "min_v": -0.26,
-    "max_w": 2.75,
-    "vx_samples": 20,
-    "vth_samples": 40,
-    "backward_bias": 0.0,
-    # From here on every arc of the least speed over the time looked ahead would end beyond the goal.
-    "settle_distance": 0.2,
-}
-"""turtlebot3_navigation's dwa_local_planner_params (noetic); speeds are cut to the robot's own.
-
-Its acc_lim_x of 2.5 m/s^2 is not taken: a burger tips above 1.3.
-"""
 FORWARD_M = 0.325
 """How far before the robot its forward point lies: dwa_local_planner's own."""
+STEP_S = 0.1
+"""Arcs are looked ahead in such steps."""
+COMFORT_M = 0.3
+"""More room than this is worth nothing."""
+
+
+class ArcWeights(NamedTuple):
+    """How far arcs are driven in thought and what they cost; biases in metres of way for each metre."""
+
+    time: float = 1.2
+    """What is looked ahead [s]."""
+    braking: float = 0.0
+    goal: float = 1.0
+    path: float = 0.3
+    ahead: float = FORWARD_M
+    """How far before the robot its forward point lies [m]."""
+    room: float = 1.5
+    """Worth of a metre of room up to COMFORT_M."""
+    least: float = 0.06
+    """With less room [m] no arc is admissible."""
+    back: float = 1.5
+    """How many metres more of way a metre driven backwards counts as: it is slow, turning round pays."""
+    nose: float = 0.0
+    """The forward point's distance to the path."""
+    occupied: float = 0.0
+    """costmap_2d's inflated cost (0..252)."""
+    least_v: float = 0.0
+    least_w: float = 0.0
+
+
 TURNING_M, PASSAGE_M = 0.04, 0.08
 """Ways as wide as the circumscribed circle and the one are preferred, however long; narrower than the
 inscribed circle and the other they are not counted on."""
 
 
-def resolved(config: DwaConfig, model: RobotModel) -> tuple[DwaConfig, ArcWeights]:
-    """The configuration with the preset's numbers, if one is asked for, and what arcs cost."""
-    own = ArcWeights(
-        time=1.2, step=0.1, braking=0.0, goal=1.0, path=0.3, ahead=FORWARD_M, room=1.5, comfort=0.3,
-        least=0.06, back=config.backward_bias, nose=0.0, occupied=0.0, least_v=0.0, least_w=0.0,
-    )  # fmt: skip
+def numbers(config: DwaConfig, model: RobotModel) -> tuple[Window, ArcWeights]:
+    """Which arcs are tried, and what they cost."""
     if config.preset == "own":
-        return config, own
+        return Window(), ArcWeights()
     slow = model.max_v > 0.24  # waffle and waffle_pi: looked ahead for longer, turned more slowly
-    # The speeds that 2.5 m/s^2 opens in 0.1 s: else the least speed is out of reach from a standstill.
-    window = 0.1 * 2.5 / (config.acceleration_share * model.max_dv)
-    weights = own._replace(
+    # The tutorial's acc_lim_x of 2.5 m/s^2 is not taken, a burger tips above 1.3; but the speeds it opens in
+    # 0.1 s are: else the least speed is out of reach from a standstill. From the settling distance on, every
+    # arc of the least speed over the time looked ahead would end beyond the goal.
+    window = Window(
+        max_v=0.26, min_v=-0.26, max_w=2.75, time=0.1 * 2.5 / (ACCELERATION_SHARE * model.max_dv),
+        vx_samples=20, vth_samples=40, settle_distance=0.2,
+    )  # fmt: skip
+    return window, ArcWeights(
         time=2.0 if slow else 1.5, goal=20.0, path=32.0, nose=32.0, room=0.0, least=0.0, back=0.0,
         occupied=0.02, least_v=0.5 * min(model.max_v, 0.26), least_w=0.9 if slow else 1.37,
     )  # fmt: skip
-    return config.model_copy(update={**TUTORIAL, "window": window}), weights
 
 
 class Dwa(Ramped):
     """A controller (see turtlebag.planners.control.interface)."""
 
-    def __init__(self, model: RobotModel, config: DwaConfig, pursuit: PursuitConfig, period: float) -> None:
-        self.config, self._weights = resolved(config, model)
-        config = self.config
-        super().__init__(
-            model,
-            period,
-            max_v=config.max_v,
-            max_w=config.max_w,
-            acceleration_share=config.acceleration_share,
-        )
+    def __init__(self, model: RobotModel, config: DwaConfig, period: float) -> None:
+        self._window, self._weights = numbers(config, model)
+        super().__init__(model, period, max_v=self._window.max_v, max_w=self._window.max_w)
         self.samples = sample_footprint(model, 0.05)
         depths = [depth_inside(model.footprint, x, y) for x, y in self.samples.points]
         self._outline = int(np.sum(np.array(depths) < 1e-9))
         self.state = "idle"
-        self._settler = Pursuit(model, pursuit, period)
+        self._settler = Pursuit(model, period)
         self._path = SE2.identity(0)
         self._costmap: Costmap | None = None
         self._to_goal: Field32 = np.zeros((1, 1), dtype=np.float32)
@@ -158,7 +144,7 @@ class Dwa(Ramped):
         if len(self._path) < 2:
             return self.brake(last)
         gap = float(np.linalg.norm(self._path.xy[-1] - pose.xy))
-        if gap < self.config.settle_distance:
+        if gap < self._window.settle_distance:
             if self._settler.state in ("turn", "follow"):
                 self._settler.state = "settle"
             command = self._settler.command(pose, last, costmap)
@@ -192,8 +178,8 @@ class Dwa(Ramped):
         self._to_path = distance_field(on, res)
 
     def _best_arc(self, pose: SE2, last: Twist, costmap: Costmap) -> Twist:
-        c, limits = self.config, self.limits
-        dv, dw = limits.max_dv * c.window, limits.max_dw * c.window
+        c, limits = self._window, self.limits
+        dv, dw = limits.max_dv * c.time, limits.max_dw * c.time
         lowest = min(max(c.min_v, -limits.max_v), 0.0)
         vs = np.linspace(max(last.v - dv, lowest), min(last.v + dv, limits.max_v), c.vx_samples)
         ws = np.linspace(max(last.w - dw, -limits.max_w), min(last.w + dw, limits.max_w), c.vth_samples)
@@ -238,7 +224,7 @@ def best_arc(
     inscribed, circumscribed = footprint.inscribed, footprint.circumscribed
     edge = FootprintSamples(footprint.points[:outline], inscribed, circumscribed)
     # More room than this makes no difference.
-    enough = c.comfort + resolution if c.occupied == 0.0 else np.inf
+    enough = COMFORT_M + resolution if c.occupied == 0.0 else np.inf
     here = footprint_clearance(clearance, resolution, footprint, x, y, yaw)
     base = _value(floor.to_goal, resolution, x, y, 1.0e3)
     best_cost, best_v, best_w = np.inf, 0.0, 0.0
@@ -247,13 +233,13 @@ def best_arc(
             if abs(v) < c.least_v and abs(w) < c.least_w:
                 continue
             # Long enough to see the stopping distance.
-            horizon = max(c.time, abs(v) / c.braking + c.step)
-            steps = math.ceil(horizon / c.step)
-            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * c.step
+            horizon = max(c.time, abs(v) / c.braking + STEP_S)
+            steps = math.ceil(horizon / STEP_S)
+            room, stop_needed = np.inf, 0.5 * v * v / c.braking + abs(v) * STEP_S
             px, py, pyaw, admissible = x, y, yaw, True
             ex, ey, eyaw = x, y, yaw
             for i in range(1, steps + 1):
-                px, py, pyaw = moved(x, y, yaw, v, w, i * c.step)
+                px, py, pyaw = moved(x, y, yaw, v, w, i * STEP_S)
                 center = field_at(clearance, resolution, px, py)
                 if center - circumscribed > enough:
                     d = center - circumscribed
@@ -263,11 +249,11 @@ def best_arc(
                     d = footprint_clearance(clearance, resolution, checked, px, py, pyaw)
                 if d < c.least and d <= here:
                     # It stops here at the latest: what counts is where it got to.
-                    if abs(v) * (i - 1) * c.step < stop_needed or i <= 2:
+                    if abs(v) * (i - 1) * STEP_S < stop_needed or i <= 2:
                         admissible = False
                     break
                 room = min(room, d)
-                if i * c.step <= c.time + 1e-9:
+                if i * STEP_S <= c.time + 1e-9:
                     ex, ey, eyaw = px, py, pyaw
             if not admissible:
                 continue
@@ -277,7 +263,7 @@ def best_arc(
             nose = _value(floor.to_goal, resolution, fx, fy, far)
             off = _value(floor.to_path, resolution, ex, ey, 1.0)
             back = max(-v, 0.0) * c.time
-            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, c.comfort)
+            cost = c.goal * (end + nose) + c.path * off + c.back * back - c.room * min(room, COMFORT_M)
             if c.nose > 0.0:
                 cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:

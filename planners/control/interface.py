@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -25,8 +26,15 @@ class SpeedLimits:
     period: float
 
     @staticmethod
-    def of(model: RobotModel, period: float, *, max_v: float, max_w: float, max_dv: float) -> SpeedLimits:
-        """The robot's own limits, narrowed by what a configuration asks for."""
+    def of(
+        model: RobotModel,
+        period: float,
+        *,
+        max_v: float = math.inf,
+        max_w: float = math.inf,
+        max_dv: float = math.inf,
+    ) -> SpeedLimits:
+        """The robot's own limits, or narrower ones."""
         return SpeedLimits(
             min(model.max_v, max_v), min(model.max_w, max_w), min(model.max_dv, max_dv), model.max_dw, period
         )
@@ -85,7 +93,13 @@ class Ramped:
     """
 
     def __init__(
-        self, model: RobotModel, period: float, *, max_v: float, max_w: float, acceleration_share: float
+        self,
+        model: RobotModel,
+        period: float,
+        *,
+        max_v: float,
+        max_w: float,
+        acceleration_share: float = ACCELERATION_SHARE,
     ) -> None:
         self.limits = SpeedLimits.of(
             model, period, max_v=max_v, max_w=max_w, max_dv=acceleration_share * model.max_dv

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
-from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import ACCELERATION_SHARE
 from turtlebag.planners.footprint import Field32, footprint_clearance, sample_footprint
@@ -18,14 +17,17 @@ STEP_M = 0.01
 """Spacing of the poses checked along the way."""
 
 
-class MonitorConfig(Settings, allow_inf_nan=False):
-    """Metres and seconds."""
+class StoppingMargins(NamedTuple):
+    """How far from the points seen a command must be sure to end."""
 
-    padding: float = Field(default=0.02, ge=0.0)
-    """The footprint is checked this much larger."""
-    reaction: float = Field(default=0.1, ge=0.0)
-    """Time at the commanded speed before braking is felt."""
-    braking_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
+    padding: float = 0.02
+    """The footprint is checked this much larger [m]."""
+    reaction: float = 0.1
+    """Time at the commanded speed before braking is felt [s]."""
+    braking_share: float = ACCELERATION_SHARE
+
+
+USUAL_MARGINS = StoppingMargins()
 
 
 class CollisionMonitor:
@@ -35,12 +37,12 @@ class CollisionMonitor:
     keep-out areas that no lidar sees.
     """
 
-    def __init__(self, model: RobotModel, config: MonitorConfig) -> None:
-        self.config = config
-        self._footprint = padded(model.footprint, config.padding)
-        self._reach = model.circumscribed_radius + config.padding
+    def __init__(self, model: RobotModel, margins: StoppingMargins = USUAL_MARGINS) -> None:
+        self.margins = margins
+        self._footprint = padded(model.footprint, margins.padding)
+        self._reach = model.circumscribed_radius + margins.padding
         self._samples = sample_footprint(model)
-        self._braking = config.braking_share * model.max_dv
+        self._braking = margins.braking_share * model.max_dv
 
     def limit(self, command: Twist, points_base: Array) -> float:
         """Factor 0..1 for the command, from points (n, 2) in the base frame now.
@@ -64,12 +66,12 @@ class CollisionMonitor:
         if free >= horizon:
             return 1.0
         # The speed u from which it stops within the free way d: d = u t + u^2 / (2 b).
-        b, t = self._braking, self.config.reaction
+        b, t = self._braking, self.margins.reaction
         allowed = -b * t + math.sqrt(b * b * t * t + 2.0 * b * free * speed)
         return min(1.0, allowed / speed)
 
     def _stopping_distance(self, speed: float) -> float:
-        return speed * self.config.reaction + 0.5 * speed * speed / self._braking
+        return speed * self.margins.reaction + 0.5 * speed * speed / self._braking
 
     def limit_on_map(
         self, command: Twist, field: Field32, resolution: float, x: float, y: float, yaw: float

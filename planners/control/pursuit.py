@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import Field
 
-from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
+from turtlebag.planners.control.interface import Ramped, ramped
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import Costmap
@@ -33,33 +31,17 @@ RELEASE_M = 0.028
 """Drifting this far off while turning makes the robot settle again."""
 BRAKING = 0.6
 """Part of the asked braking that is planned with along the path."""
+MAX_V, MAX_W, MAX_LATERAL = 2.0, 1.4, 1.2
+"""Most speed [m/s, rad/s], if the robot's own limits are no lower, and lateral acceleration [m/s^2]."""
 GAIN = 1.5
 """By how much of what is left [m, rad] it drives and turns on to the goal [1/s]."""
-
-
-class PursuitConfig(Settings, allow_inf_nan=False):
-    """SI units; angles in radians."""
-
-    max_v: float = Field(default=2.0, gt=0.0)
-    """Asked top speed; the robot's own limit is kept anyway."""
-    max_w: float = Field(default=1.4, gt=0.0)
-    acceleration_share: float = Field(default=ACCELERATION_SHARE, gt=0.0, le=1.0)
-    max_lateral: float = Field(default=1.2, gt=0.0)
-    """Lateral acceleration in curves [m/s^2]."""
 
 
 class Pursuit(Ramped):
     """A controller (see turtlebag.planners.control.interface)."""
 
-    def __init__(self, model: RobotModel, config: PursuitConfig, period: float) -> None:
-        self.config = config
-        super().__init__(
-            model,
-            period,
-            max_v=config.max_v,
-            max_w=config.max_w,
-            acceleration_share=config.acceleration_share,
-        )
+    def __init__(self, model: RobotModel, period: float) -> None:
+        super().__init__(model, period, max_v=MAX_V, max_w=MAX_W)
         self.samples = sample_footprint(model)
         self.state = "idle"
         self._points = np.zeros((0, 2))
@@ -73,7 +55,7 @@ class Pursuit(Ramped):
         self._points = np.ascontiguousarray(poses.xy)
         self._lengths = arc_lengths(self._points)
         bends = curvature_along(self._points, self._lengths, 0.15)
-        limits = np.sqrt(self.config.max_lateral / np.maximum(bends, 1e-6))
+        limits = np.sqrt(MAX_LATERAL / np.maximum(bends, 1e-6))
         limits = np.maximum(np.minimum(limits, self.limits.max_v), 0.1 * self.limits.max_v)
         self._speeds = braked(limits, self._lengths, BRAKING * self.limits.max_dv)
         x, y, yaw = poses.xyt[-1].tolist()
@@ -114,7 +96,7 @@ class Pursuit(Ramped):
         # Near obstacles it must not cut corners.
         reach = max(min(reach, LOOKAHEAD_M[0] + 2.0 * max(room, 0.0)), LOOKAHEAD_M[0])
         px, py = point_at(self._points, self._lengths, self._s + reach)
-        bearing = _wrap(math.atan2(py - y, px - x) - yaw)
+        bearing = wrapped(math.atan2(py - y, px - x) - yaw)
         if self.state == "follow" and abs(bearing) > TURN_FIRST_RAD:
             self.state = "turn"
         if self.state == "turn":
@@ -131,10 +113,10 @@ class Pursuit(Ramped):
         return footprint_clearance(costmap.clearance, costmap.resolution, self.samples, gx, gy, gyaw)
 
     def _regulated_speed(self, room: float, curvature: float, remaining: float) -> float:
-        c, top = self.config, self.limits.max_v
+        top = self.limits.max_v
         v = min(
             float(np.interp(self._s, self._lengths, self._speeds)),
-            math.sqrt(c.max_lateral / max(abs(curvature), 1e-6)),
+            math.sqrt(MAX_LATERAL / max(abs(curvature), 1e-6)),
         )
         if abs(curvature) * REGULATED_M > 1.0:
             v = min(v, top / (abs(curvature) * REGULATED_M))
@@ -150,10 +132,10 @@ class Pursuit(Ramped):
     def _onto_goal(self, x: float, y: float, yaw: float, last: Twist) -> Twist:
         gx, gy, goal_yaw = self._goal
         distance = math.hypot(gx - x, gy - y)
-        bearing = _wrap(math.atan2(gy - y, gx - x) - yaw)
+        bearing = wrapped(math.atan2(gy - y, gx - x) - yaw)
         backwards = abs(bearing) > math.pi / 2.0
         if self.state == "settle":
-            steer = _wrap(bearing + math.pi) if backwards else bearing
+            steer = wrapped(bearing + math.pi) if backwards else bearing
             ahead = distance * math.cos(steer)
             # Done when near enough, or when the closest point of this straight run is reached.
             if distance < SETTLED or (distance < RELEASE_M * 0.8 and ahead < 0.003):
@@ -168,7 +150,7 @@ class Pursuit(Ramped):
                 )
                 v = max(v, 0.015) * (-1.0 if backwards else 1.0)
                 return Twist(v, GAIN * steer)
-        error = _wrap(goal_yaw - yaw)
+        error = wrapped(goal_yaw - yaw)
         if distance > RELEASE_M and abs(last.v) < 0.02:
             self.state = "settle"
             return Twist()
@@ -187,7 +169,3 @@ def _in_grid(costmap: Costmap, x: float, y: float, yaw: float) -> tuple[float, f
     tx, ty, tyaw = costmap.T_grid_map.xyt.tolist()
     cos, sin = math.cos(tyaw), math.sin(tyaw)
     return tx + cos * x - sin * y, ty + sin * x + cos * y, yaw + tyaw
-
-
-def _wrap(angle: float) -> float:
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

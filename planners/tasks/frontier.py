@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import FREE, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, ENTRY_M, Costmap, nearest_free
-from turtlebag.planners.wavefront import wave
+from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, ways_from
 
 LEAST_M = 0.4
 """Shorter frontiers are gaps between beams, not openings."""
@@ -42,11 +41,9 @@ def next_view(
     `spent` are places (2,) looked from before.
     """
     labels = frontiers(grid, LEAST_M)
-    here = costmap.T_grid_map @ T_map_base.xy / costmap.resolution
-    start = nearest_free(costmap.clearance > radius, here, ENTRY_M / costmap.resolution)
-    if start is None or not labels.any():
+    ways = ways_from(costmap, T_map_base, radius)
+    if ways is None or not labels.any():
         return None
-    ways = wave(costmap.clearance > radius, start[0], start[1], math.inf) * grid.resolution
     away, (rows, cols) = scipy.ndimage.distance_transform_edt(labels == 0, return_indices=True)
     candidates = np.isfinite(ways) & (away * grid.resolution <= VIEW_M)
     cells = np.argwhere(candidates)

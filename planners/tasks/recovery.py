@@ -149,10 +149,10 @@ class Ladder:
 
 
 class ProgressWatch:
-    """Notices that the robot does not get anywhere."""
+    """Notices that a robot has not moved or turned enough for some seconds; says so once, and begins anew."""
 
-    def __init__(self, config: RecoveryConfig) -> None:
-        self.config = config
+    def __init__(self, stuck_s: float, moved_m: float = MOVED_M, turned_rad: float = MOVED_RAD) -> None:
+        self._stuck_s, self._moved_m, self._turned_rad = stuck_s, moved_m, turned_rad
         self._pose: SE2 | None = None
         self._since_ns = 0
 
@@ -162,10 +162,12 @@ class ProgressWatch:
 
     def stuck(self, now_ns: int, pose: SE2) -> bool:
         """Whether neither position nor heading changed enough for too long."""
+        stuck = False
         if self._pose is not None:
-            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > MOVED_M
-            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > MOVED_RAD
-            if not (moved or turned):
-                return now_ns - self._since_ns > self.config.stuck_time * 1e9
+            moved = float(np.linalg.norm(pose.xy - self._pose.xy)) > self._moved_m
+            turned = abs(float(wrap(pose.yaw - self._pose.yaw))) > self._turned_rad
+            stuck = not (moved or turned)
+            if stuck and now_ns - self._since_ns <= self._stuck_s * 1e9:
+                return False
         self._pose, self._since_ns = pose, now_ns
-        return False
+        return stuck

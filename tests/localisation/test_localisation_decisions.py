@@ -15,7 +15,7 @@ from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
-from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, Glimpse, PoseHypotheses, apart, within
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses, UsedScan, apart, within
 from turtlebag.pipeline.localisation.push_detection import PushDetector, _still, changed_share
 
 
@@ -113,20 +113,18 @@ def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
     search = made().search
     aliasing = Aliasing(search, np.random.default_rng(3))
     places = [PLACE, PLACE @ SE2.from_xyt(0.2, 0.1, 0.4)]
-    glimpses = [Glimpse(beams_at(p), p) for p in places]
+    scans = [UsedScan(beams_at(p), p) for p in places]
     relative = [places[1].inverse() @ p for p in places]
     poses = np.array([places[1].xyt, (places[1] @ SE2.from_xyt(0.05, 0.0, 0.1)).xyt])
-    found = aliasing._mean_agreement(poses, relative, glimpses)
+    found = aliasing._mean_agreement(poses, relative, scans)
     for pose, value in zip(poses, found, strict=True):
-        each = [
-            search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, glimpses, strict=True)
-        ]
+        each = [search.agreement((SE2(pose) @ r).xyt, g.beams) for r, g in zip(relative, scans, strict=True)]
         assert value == pytest.approx(np.mean(each))
     assert found[0] > 0.95 > found[1]
-    fit, rival = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), glimpses, places)
+    fit, rival = aliasing._polished(SE2.from_xyt(0.05, -0.03, 0.0), scans, places)
     assert fit > 0.97
     assert np.abs((rival @ places[1]).xyt - places[1].xyt).max() < 0.03
-    assert aliasing.fits([SE2.identity()], glimpses[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
+    assert aliasing.fits([SE2.identity()], scans[0], SE2.identity()) == pytest.approx(1.0, abs=0.03)
 
 
 def test_the_places_of_one_scan_are_the_clusters_that_hold_more_than_one_in_a_hundred():

@@ -14,8 +14,8 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     BEAMS,
     Aliasing,
-    Glimpse,
     PoseHypotheses,
+    UsedScan,
     apart,
     clearly_other,
     expected_views,
@@ -28,40 +28,40 @@ WITH_A_BOX = Room(np.vstack([HALL.walls, box(0.5, 2.3, 1.1, 2.9)]), (2.0, 1.5))
 HALF_TURN = SE2.from_xyt(4.0, 3.0, math.pi)
 
 
-def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Aliasing, list[Glimpse]]:
+def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Aliasing, list[UsedScan]]:
     """Exact scans on a drive, the odometry being in the map's frame."""
     search = Amcl(room.grid(), STILL_LIDAR, T_BASE_LIDAR, AmclConfig(), np.random.default_rng(1)).search
-    glimpses = []
+    scans = []
     for pose in poses:
         T = SE2.from_xyt(*pose)
         ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), STILL_LIDAR.angles, 3.5).astype(np.float32)
-        glimpses.append(Glimpse(prepare(Scan(0, ranges, STILL_LIDAR), T_BASE_LIDAR), T))
-    return Aliasing(search, np.random.default_rng(2)), glimpses
+        scans.append(UsedScan(prepare(Scan(0, ranges, STILL_LIDAR), T_BASE_LIDAR), T))
+    return Aliasing(search, np.random.default_rng(2)), scans
 
 
 DRIVE = [(1.1, 0.9, 0.3), (1.4, 1.0, 0.5)]
 
 
 def test_the_twin_of_a_place_is_found_and_the_estimate_stays_the_first():
-    aliasing, glimpses = seen_from(HALL, DRIVE)
-    found = aliasing.find(glimpses, SE2.identity())
+    aliasing, scans = seen_from(HALL, DRIVE)
+    found = aliasing.find(scans, SE2.identity())
     assert len(found) == 2
     assert np.array_equal(found[0].xyt, np.zeros(3))
     off = HALF_TURN.inverse() @ found[1]
     assert np.abs(off.xyt).max() < 0.1
-    fits = aliasing.fits(found, glimpses[0], SE2.identity())
+    fits = aliasing.fits(found, scans[0], SE2.identity())
     assert fits.min() > 0.9
     assert abs(fits[0] - fits[1]) < 0.05
 
 
 @pytest.mark.slow
 def test_a_wrong_estimate_gives_way_to_the_place_that_explains_the_scans():
-    aliasing, glimpses = seen_from(WITH_A_BOX, DRIVE)
-    (only,) = aliasing.find(glimpses, SE2.identity())
+    aliasing, scans = seen_from(WITH_A_BOX, DRIVE)
+    (only,) = aliasing.find(scans, SE2.identity())
     assert np.array_equal(only.xyt, np.zeros(3))
-    (right,) = aliasing.find(glimpses, HALF_TURN)
-    T_map_base = right @ HALF_TURN @ glimpses[-1].T_odom_base
-    assert np.abs((glimpses[-1].T_odom_base.inverse() @ T_map_base).xyt).max() < 0.1
+    (right,) = aliasing.find(scans, HALF_TURN)
+    T_map_base = right @ HALF_TURN @ scans[-1].T_odom_base
+    assert np.abs((scans[-1].T_odom_base.inverse() @ T_map_base).xyt).max() < 0.1
 
 
 def test_a_hypothesis_is_dropped_when_six_scans_in_a_row_speak_against_it():

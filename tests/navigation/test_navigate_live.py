@@ -7,9 +7,9 @@ from planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.guarded import Guard
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
-from turtlebag.planners.live import LiveConfig, LiveLayer
+from turtlebag.planners.live import LiveLayer, Marking
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 from turtlebag.planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
 from turtlebag.sim.robots import load_robot
@@ -18,7 +18,7 @@ NOTHING = np.zeros((0, 2))
 
 
 def layer(**settings) -> LiveLayer:
-    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), LiveConfig(**settings))
+    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), Marking(**settings))
 
 
 def test_two_sweeps_mark_what_the_map_does_not_know_and_the_clearance_is_exact():
@@ -83,7 +83,7 @@ def test_backing_up_ends_after_its_distance_or_its_time():
 
 
 def test_standing_still_is_noticed_and_turning_is_not_standing():
-    watch = ProgressWatch(RecoveryConfig(stuck_time=2.0))
+    watch = ProgressWatch(2.0)
     pose = SE2.from_xyt(0.0, 0.0, 0.0)
     assert not watch.stuck(0, pose)
     assert not watch.stuck(10**9, pose)
@@ -96,8 +96,8 @@ def test_standing_still_is_noticed_and_turning_is_not_standing():
 HERE, NONE = SE2.identity(), np.zeros((0, 2))
 
 
-def sight(points_base, sectors, pose=HERE, now=0.0):
-    return Sight(round(now * 1e9), pose, pose @ points_base, NONE, sectors)
+def sweep(points_base, sectors, pose=HERE, now=0.0):
+    return Sweep(round(now * 1e9), pose, pose @ points_base, NONE, sectors)
 
 
 def passed(guard, wanted, view):
@@ -108,7 +108,7 @@ def passed(guard, wanted, view):
 def guard_and_view(points_base, pose=None, now=0.0, sectors=None):
     pose = pose or SE2.identity()
     sectors = sectors or Sectors(1.0, 2.0, 1.0)
-    return Guard(BURGER), sight(points_base, sectors, pose, now)
+    return Guard(BURGER), sweep(points_base, sectors, pose, now)
 
 
 def circle(radius=2.0, n=360):
@@ -120,7 +120,7 @@ def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
     guard, _ = guard_and_view(circle())
 
     def turn(left: float, right: float) -> float:
-        return guard.decide(sight(circle(), Sectors(left, 0.4, right)), HERE, Twist()).command.w
+        return guard.decide(sweep(circle(), Sectors(left, 0.4, right)), HERE, Twist()).command.w
 
     assert turn(1.0, 1.0) < 0.0
     assert turn(1.2, 1.0) > 0.0
@@ -128,7 +128,7 @@ def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
     assert turn(1.2, 1.0) > 0.0
     # The third change of mind was the last one, until the way was free.
     assert turn(1.0, 1.2) > 0.0
-    guard.decide(sight(circle(), Sectors(1.0, 2.0, 1.2), now=1.0), HERE, Twist())
+    guard.decide(sweep(circle(), Sectors(1.0, 2.0, 1.2), now=1.0), HERE, Twist())
     assert turn(1.0, 1.2) < 0.0
 
 
@@ -149,13 +149,13 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
     for k in range(10):
         pose = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         seen_moving = room_points + rng.normal(0.0, 0.01, room_points.shape)
-        new = Sight(k * 10**8, pose, seen_moving, NONE, Sectors(1.5, 2.0, 1.5))
+        new = Sweep(k * 10**8, pose, seen_moving, NONE, Sectors(1.5, 2.0, 1.5))
         moving += guard.decide(new, pose, Twist(0.2, 0.0)).command.v < 0.0
     for k in range(10):
         pose = SE2.from_xyt(0.4 + 0.04 * k, 0.0, 0.0)
         # The robot stands at 0.4 while odometry goes on: the sweep moves along with it.
         seen = room_points + np.array([0.04 * k, 0.0]) + rng.normal(0.0, 0.01, room_points.shape)
-        new = Sight((20 + 2 * k) * 10**8, pose, seen, NONE, Sectors(1.5, 2.0, 1.5))
+        new = Sweep((20 + 2 * k) * 10**8, pose, seen, NONE, Sectors(1.5, 2.0, 1.5))
         decision = guard.decide(new, pose, Twist(0.2, 0.0))
         if decision.command.v < 0.0:
             standing += 1
@@ -170,7 +170,7 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
 def test_what_nobody_sees_is_remembered_outside_the_robot(name, speed):
     model = load_robot(name).model
     guard = Guard(model)
-    view = sight(circle(), Sectors(1.0, 2.0, 1.0))
+    view = sweep(circle(), Sectors(1.0, 2.0, 1.0))
     guard._bumps._slip.slipping = lambda *seen: True
     guard.decide(view, HERE, Twist(speed, 0.0))
     remembered = guard.points_base(view, HERE)[len(view.hits_odom) :]
@@ -188,7 +188,7 @@ def test_an_escape_from_a_corner_is_found_where_one_exists():
     ahead = [[0.12, y] for y in np.linspace(-0.3, 0.2, 40)]
     left = [[x, 0.14] for x in np.linspace(-0.2, 0.12, 40)]
     guard = Guard(BURGER)
-    view = sight(np.array(ahead + left), Sectors(0.14, 0.12, 2.0))
+    view = sweep(np.array(ahead + left), Sectors(0.14, 0.12, 2.0))
     assert guard.command(view, HERE, Twist(), new_sweep=True) != Twist()
 
 

@@ -119,8 +119,9 @@ def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
     assert episode.metrics["time_s"] < 35.0
 
 
-def test_a_few_doubts_are_nothing_and_many_stop_the_robot():
-    task = Lost(RelocaliseConfig(doubts=3, settled=1.0, look=5.0))
+def test_a_few_doubts_are_nothing_and_many_stop_the_robot(monkeypatch):
+    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 3)
+    task = Lost(RelocaliseConfig(look=5.0))
     assert [task.update(k * S, True, False, k) for k in (1, 2)] == ["drive", "drive"]
     assert task.update(3 * S, True, True, 3) == "drive"
     # Time alone, without the filter being asked, is no doubt.
@@ -130,16 +131,18 @@ def test_a_few_doubts_are_nothing_and_many_stop_the_robot():
     assert task.update(24 * S, True, True, 9) == "drive"
 
 
-def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place():
-    task = Lost(RelocaliseConfig(doubts=1, look=5.0, trust=10.0))
+def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place(monkeypatch):
+    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
+    task = Lost(RelocaliseConfig(look=5.0))
     assert task.update(1 * S, True, False, 1) == "look"
     assert task.update(6 * S, True, False, 9) == "drive"
     assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["drive"] * 9
-    assert task.update(17 * S, True, False, 30) == "look"
+    assert task.update(22 * S, True, False, 30) == "look"
 
 
-def test_what_it_does_when_it_never_finds_out_is_bounded():
-    task = Lost(RelocaliseConfig(doubts=1, look=5.0, roam=10.0, restarts=2))
+def test_what_it_does_when_it_never_finds_out_is_bounded(monkeypatch):
+    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
+    task = Lost(RelocaliseConfig(look=5.0, roam=10.0, restarts=2))
     said = [task.update(k * S, False, False, k) for k in range(1, 60)]
     turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
     assert turns[:9] == ["look", "roam", "restart", "look", "roam", "restart", "look", "roam", "give_up"]
@@ -180,8 +183,9 @@ def test_the_diagram_in_the_docs_is_the_table_of_transitions():
     assert sorted(drawn) == sorted(table)
 
 
-def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while():
-    lost = Lost(RelocaliseConfig(doubts=1))
+def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while(monkeypatch):
+    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
+    lost = Lost(RelocaliseConfig())
     lost.on(Event.PUSHED, 1 * S, 1)
     assert lost.update(2 * S, True, True, 1) == "pushed"
     lost.on(Event.PUSHED, 2 * S, 2)
@@ -192,7 +196,7 @@ def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while():
 
 
 def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
-    lost = Lost(RelocaliseConfig(doubts=2))
+    lost = Lost(RelocaliseConfig())
     assert lost.update(1 * S, False, True, 1) == "drive"
     lost.on(Event.ALIKE, 1 * S, 1)
     assert lost.update(2 * S, True, True, 2) == "tell_apart"

@@ -5,7 +5,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, in_company
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.tasks.avoid import Sectors
 from turtlebag.planners.tasks.recovery import Ladder, RecoveryConfig, Rung
 from turtlebag.sim.robots import load_robot
@@ -17,7 +17,7 @@ TICK_NS = 200_000_000
 OPEN = Sectors(1.5, 2.0, 1.5)
 
 
-def sight(k, T_odom_lidar, disc_xy, noise=None):
+def sweep(k, T_odom_lidar, disc_xy, noise=None):
     """Sweep k from a lidar pose in a room of 3 m about the origin, with a disc of 0.2 m in it."""
     origin, ways = T_odom_lidar.xy, SE2.from_xyt(0, 0, float(T_odom_lidar.yaw)) @ DIRECTIONS
     with np.errstate(divide="ignore"):
@@ -29,14 +29,14 @@ def sight(k, T_odom_lidar, disc_xy, noise=None):
     off2 = to_disc @ to_disc - along**2
     disc = np.where((off2 < 0.04) & (along > 0), along - np.sqrt(np.maximum(0.04 - off2, 0)), np.inf)
     ranges = np.minimum(walls, disc) + (0.0 if noise is None else noise.normal(0.0, 0.01, 360))
-    return Sight(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)), OPEN)
+    return Sweep(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)), OPEN)
 
 
 def watched(poses, discs):
     watch, noise = MovingWatch(BURGER), np.random.default_rng(1)
     counts = []
     for k, (pose, disc) in enumerate(zip(poses, discs, strict=True)):
-        watch.observe(sight(k, pose, disc, noise))
+        watch.observe(sweep(k, pose, disc, noise))
         counts.append(len(watch.points_odom))
     return watch, counts
 

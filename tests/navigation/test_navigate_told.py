@@ -132,15 +132,15 @@ def test_the_verdict_is_by_the_truth():
 
 def test_avoiding_says_what_it_decides_when_it_decides_something_else():
     fronts = [2.0, 2.0, 0.9, 0.8, 0.4, 0.3, 2.0]
-    sight = SimpleNamespace(sectors=None)
-    sensing = SimpleNamespace(observe=lambda seen: None, sight=sight, blind=False)
+    sweep = SimpleNamespace(sectors=None)
+    sensing = SimpleNamespace(observe=lambda seen: None, sweep=sweep, blind=False)
     lines = []
     driver = AvoidDriver(
         AvoidConfig(mode="tutorial"), load_robot("burger").model, sensing, 60.0, lines.append
     )
     states = []
     for k, front in enumerate(fronts):
-        sight.sectors = Sectors(1.0, front, 0.5)
+        sweep.sectors = Sectors(1.0, front, 0.5)
         scan = Scan(k * S, np.ones(4, dtype=np.float32), LidarSpec(4, 0.0, np.pi / 2, 0.12, 3.5))
         odometry = Odometry(k * S, SE2.identity(), Twist())
         driver.step(Observation(k * S, odometry, Joints(k * S, (0.0, 0.0), (0.0, 0.0)), scan))

@@ -18,8 +18,8 @@ from turtlebag.pipeline.localisation.pose_hypotheses import (
     ALIKE,
     SCANS,
     Aliasing,
-    Glimpse,
     PoseHypotheses,
+    UsedScan,
     apart,
     clearly_other,
 )
@@ -67,13 +67,13 @@ def aliasing_of(grid, seed=1):
     return Aliasing(search, np.random.default_rng(seed))
 
 
-def glimpses_at(place, poses, rng):
+def scans_at(place, poses, rng):
     """Scans from poses (n,) of a room; odometry is the truth."""
     out = []
     for pose in poses:
         ranges = place.ranges(pose @ T_BASE_LIDAR, STILL_LIDAR.angles, STILL_LIDAR.range_max)
         noisy = (ranges + 0.01 * rng.standard_normal(len(ranges))).astype(np.float32)
-        out.append(Glimpse(prepare(Scan(0, noisy, STILL_LIDAR), T_BASE_LIDAR), pose))
+        out.append(UsedScan(prepare(Scan(0, noisy, STILL_LIDAR), T_BASE_LIDAR), pose))
     return out
 
 
@@ -84,27 +84,27 @@ def turning_at(x, y):
 @pytest.mark.slow
 @pytest.mark.parametrize("T_map_odom", [SE2.identity(), TWIN])
 def test_far_from_what_tells_them_apart_both_places_are_kept(T_map_odom):
-    glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
-    found = aliasing_of(room().grid()).find(glimpses, T_map_odom)
+    scans = scans_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
+    found = aliasing_of(room().grid()).find(scans, T_map_odom)
     assert len(found) == 2
     np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
-    there = found[1] @ T_map_odom @ glimpses[-1].T_odom_base
-    other = (SE2.identity() if T_map_odom is TWIN else TWIN) @ glimpses[-1].T_odom_base
+    there = found[1] @ T_map_odom @ scans[-1].T_odom_base
+    other = (SE2.identity() if T_map_odom is TWIN else TWIN) @ scans[-1].T_odom_base
     assert np.linalg.norm(there.xy - other.xy) < 0.05
     assert abs(wrap(there.yaw - other.yaw)) < 0.05
 
 
 @pytest.mark.slow
 def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
-    glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
+    scans = scans_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
     aliasing = aliasing_of(room().grid())
-    (same,) = aliasing.find(glimpses, SE2.identity())
+    (same,) = aliasing.find(scans, SE2.identity())
     np.testing.assert_array_equal(same.xyt, np.zeros(3))
     # The estimate at the twin is told where the robot is.
-    (moved,) = aliasing.find(glimpses, TWIN)
-    there = moved @ TWIN @ glimpses[-1].T_odom_base
+    (moved,) = aliasing.find(scans, TWIN)
+    there = moved @ TWIN @ scans[-1].T_odom_base
     assert np.linalg.norm(there.xy - (10.2, 1.6)) < 0.05
-    fits = aliasing.fits([SE2.identity(), TWIN], glimpses[0], SE2.identity())
+    fits = aliasing.fits([SE2.identity(), TWIN], scans[0], SE2.identity())
     assert fits[0] > fits[1] + 2.0 * ALIKE
 
 
@@ -113,7 +113,7 @@ def test_beside_what_tells_them_apart_one_is_left_and_it_is_the_right_one():
 def test_a_world_without_a_twin_has_one_hypothesis(x, y):
     place = l_shaped_room()
     found = aliasing_of(place.grid()).find(
-        glimpses_at(place, turning_at(x, y), np.random.default_rng(3)), SE2.identity()
+        scans_at(place, turning_at(x, y), np.random.default_rng(3)), SE2.identity()
     )
     assert len(found) == 1
     np.testing.assert_array_equal(found[0].xyt, np.zeros(3))
@@ -121,17 +121,17 @@ def test_a_world_without_a_twin_has_one_hypothesis(x, y):
 
 @pytest.mark.slow
 def test_in_a_crowd_nothing_is_said_about_other_places():
-    glimpses = glimpses_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
+    scans = scans_at(room(), turning_at(10.2, 1.6), np.random.default_rng(2))
     aliasing = aliasing_of(room().grid())
     crowded = []
-    for glimpse in glimpses:
-        beams = glimpse.beams
+    for scan in scans:
+        beams = scan.beams
         near = beams.points.copy()
         away = near - beams.origins
         hidden = np.arange(len(near)) < 0.7 * len(near)
         near[hidden] = (beams.origins + 0.4 * away / np.linalg.norm(away, axis=1)[:, None])[hidden]
-        crowded.append(dataclasses.replace(glimpse, beams=dataclasses.replace(beams, points=near)))
-    assert len(aliasing.find(glimpses, TWIN)) == 1
+        crowded.append(dataclasses.replace(scan, beams=dataclasses.replace(beams, points=near)))
+    assert len(aliasing.find(scans, TWIN)) == 1
     (same,) = aliasing.find(crowded, TWIN)
     np.testing.assert_array_equal(same.xyt, np.zeros(3))
 
@@ -145,8 +145,8 @@ def test_a_heading_a_little_off_is_no_other_place():
 
 @pytest.mark.slow
 def test_the_same_seed_finds_the_same_hypotheses():
-    glimpses = glimpses_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
-    one, other = (aliasing_of(room().grid(), 5).find(glimpses, SE2.identity()) for _ in range(2))
+    scans = scans_at(room(), turning_at(5.0, 2.4), np.random.default_rng(2))
+    one, other = (aliasing_of(room().grid(), 5).find(scans, SE2.identity()) for _ in range(2))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a.xyt, b.xyt)
 

@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
 from turtlebag.pipeline.navigation.guarded import Guard, _to_most_room
-from turtlebag.pipeline.navigation.sensing import Sight
+from turtlebag.pipeline.navigation.sensing import Sweep
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 
 S, HERE = 10**9, SE2.identity()
@@ -22,7 +22,7 @@ FAR = 3.0 * np.column_stack([np.cos(np.linspace(-3, 3, 90)), np.sin(np.linspace(
 def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
     pose = pose or SE2.identity()
     hits = pose @ np.asarray(points, dtype=float)
-    return Sight(round(now * 1e9), pose, hits, np.zeros((0, 2)), sectors)
+    return Sweep(round(now * 1e9), pose, hits, np.zeros((0, 2)), sectors)
 
 
 def guard():
@@ -74,16 +74,17 @@ def test_most_room_is_where_the_nearest_point_of_a_sector_is_farthest():
 
 def test_a_robot_long_about_one_place_turns_to_where_most_room_is():
     g = guard()
-    at = lambda now, x: g._restless(now, SE2.from_xyt(x, 0.0, 0.0))  # noqa: E731
-    assert [at(0.0, 0.0), at(19.9, 0.3), at(20.0, 0.3), at(25.0, 0.3)] == [False, False, True, False]
+    at = lambda now, x: g._progress.stuck(round(now * 1e9), SE2.from_xyt(x, 0.0, 9.0 * now))  # noqa: E731
+    assert [at(0.0, 0.0), at(20.0, 0.3), at(20.1, 0.3), at(25.0, 0.3)] == [False, False, True, False]
     # begun anew when it said so, and wherever the robot has come to
-    assert [at(40.0, 0.3), at(41.0, 0.71), at(60.9, 0.8), at(61.0, 0.8)] == [True, False, False, True]
+    assert [at(40.2, 0.3), at(41.0, 0.71), at(61.0, 0.8), at(61.1, 0.8)] == [True, False, False, True]
+    at(61.2, 0.8)
     g.interrupted()
-    assert g._anchor is None
+    assert not at(90.0, 0.8)
     again = guard()
     again.decide(view(now=0.0), HERE, Twist())
-    assert again.decide(view(now=20.0), HERE, Twist()).action == "turn away"
-    assert again.decide(view(now=20.2), HERE, Twist()).command == Twist(0.0, -0.5)
+    assert again.decide(view(now=20.1), HERE, Twist()).action == "turn away"
+    assert again.decide(view(now=20.3), HERE, Twist()).command == Twist(0.0, -0.5)
 
 
 def pushing(g, **where):

@@ -18,7 +18,7 @@ from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import Gtsam
 from turtlebag.pipeline.slam.wheels import Wheels
 from turtlebag.planners.control.dwa import Dwa, DwaConfig
-from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
+from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.global_plan import OmplPlanner
 from turtlebag.planners.planner import NoPath
 from turtlebag.sim.worlds import load_world
@@ -34,10 +34,6 @@ class Named:
 
     def world(self):
         return load_world(self.options)
-
-
-def pursuit(model, period):
-    return Pursuit(model, PursuitConfig(), period)
 
 
 @pytest.mark.parametrize("name", FRONT_ENDS)
@@ -56,10 +52,8 @@ def test_our_loop_matchers_keep_the_contract(name):
         lambda: testing.check_back_end(Gtsam),
         lambda: testing.check_localiser(Amcl),
         lambda: testing.check_planner(OmplPlanner),
-        lambda: testing.check_controller(pursuit),
-        lambda: testing.check_controller(
-            lambda *given: Dwa(given[0], DwaConfig(), PursuitConfig(), given[1])
-        ),
+        lambda: testing.check_controller(Pursuit),
+        lambda: testing.check_controller(lambda model, period: Dwa(model, DwaConfig(), period)),
         lambda: testing.check_task(lambda kit, mission: make_avoider(kit, 60.0, lambda line: None)),
         lambda: testing.check_world(Named, "turtlebot3_world"),
         lambda: testing.check_world(Named, "maze:3"),
@@ -238,7 +232,7 @@ class Hopeful(OmplPlanner):
 
 class Jerks(Pursuit):
     def __init__(self, model, period):
-        super().__init__(model, PursuitConfig(), period)
+        super().__init__(model, period)
 
     def command(self, pose, last, costmap):
         return Twist(0.2, 0.0)

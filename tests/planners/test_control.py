@@ -7,12 +7,11 @@ from planning_room import BURGER, room
 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
-from turtlebag.planners.control.dwa import Dwa, DwaConfig, resolved
+from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import (
     CollisionMonitor,
-    MonitorConfig,
     depth_inside,
     free_time,
     moved,
@@ -20,7 +19,7 @@ from turtlebag.planners.control.monitor import (
 )
 from turtlebag.planners.control.path_position import arc_lengths, point_at, project
 from turtlebag.planners.control.profile import braked, curvature_along
-from turtlebag.planners.control.pursuit import Pursuit, PursuitConfig
+from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.smoothing import densify, with_headings
 
@@ -52,9 +51,7 @@ def test_pursuit_settles_on_position_and_heading(goal_yaw):
     costmap = big_room()
     corner = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 2.5]])
     path = with_headings(densify(corner, 0.05), 0.0, goal_yaw)
-    poses, commands = follow(
-        Pursuit(BURGER, PursuitConfig(), DT), SE2.from_xyt(1.0, 1.0, 2.0), path, 60.0, costmap
-    )
+    poses, commands = follow(Pursuit(BURGER, DT), SE2.from_xyt(1.0, 1.0, 2.0), path, 60.0, costmap)
     assert np.linalg.norm(poses[-1, :2] - [3.0, 2.5]) < 0.03
     assert abs(wrap(poses[-1, 2] - goal_yaw)) < 0.03
     assert np.abs(commands[:, 0]).max() <= BURGER.max_v + 1e-9
@@ -66,9 +63,7 @@ def test_pursuit_settles_on_position_and_heading(goal_yaw):
 
 def test_pursuit_returns_to_a_path_it_stands_beside():
     path = SE2.from_xyt(np.linspace(1.0, 5.0, 50), np.full(50, 2.0), np.zeros(50))
-    poses, _ = follow(
-        Pursuit(BURGER, PursuitConfig(), DT), SE2.from_xyt(1.0, 2.3, 0.0), path, 60.0, big_room()
-    )
+    poses, _ = follow(Pursuit(BURGER, DT), SE2.from_xyt(1.0, 2.3, 0.0), path, 60.0, big_room())
     late = poses[np.searchsorted(poses[:, 0], 2.5) :]
     assert np.abs(late[:, 1] - 2.0).max() < 0.02
 
@@ -77,7 +72,7 @@ def test_pursuit_returns_to_a_path_it_stands_beside():
 def test_pursuit_on_a_circle_steers_its_curvature(radius):
     turn = np.linspace(0.0, 2.0, 200)
     path = SE2.from_xyt(4.0 + abs(radius) * np.sin(turn), 4.0 + radius * (1.0 - np.cos(turn)), turn)
-    pursuit = Pursuit(BURGER, PursuitConfig(), DT)
+    pursuit = Pursuit(BURGER, DT)
     pursuit.set_path(path)
     costmap = big_room()
     # turned to the path it follows it, and goes on to when it has turned further
@@ -138,7 +133,7 @@ def test_free_time_matches_plain_simulation(v, w):
 
 
 def test_the_monitor_stops_before_a_wall_and_lets_the_robot_leave_it():
-    monitor = CollisionMonitor(BURGER, MonitorConfig())
+    monitor = CollisionMonitor(BURGER)
     wall = np.stack([np.full(40, 0.075), np.linspace(-0.3, 0.3, 40)], axis=1)
     assert monitor.limit(Twist(0.22, 0.0), wall) < 0.5
     assert monitor.limit(Twist(-0.1, 0.0), wall) == 1.0
@@ -149,7 +144,7 @@ def test_the_monitor_stops_before_a_wall_and_lets_the_robot_leave_it():
 
 
 def test_a_robot_under_the_monitor_never_drives_into_a_wall():
-    monitor = CollisionMonitor(BURGER, MonitorConfig())
+    monitor = CollisionMonitor(BURGER)
     x, last = 0.0, Twist()
     hard = SpeedLimits(0.22, 1.5, 1.0, 3.0, DT)
     for _ in range(300):
@@ -187,7 +182,7 @@ def test_dwa_goes_round_a_block_that_the_path_does_not_know_and_settles(goal_yaw
     # The straight path leads through the block at x = 2.75..3.25, y = 4.25..4.75 (map frame).
     line = densify(np.array([[1.0, 4.4], [5.0, 4.4]]), 0.05)
     assert costmap.clearance_at(line).min() == 0.0
-    controller = Dwa(BURGER, DwaConfig(), PursuitConfig(), DT)
+    controller = Dwa(BURGER, DwaConfig(), DT)
     poses, commands = follow(
         controller, SE2.from_xyt(1.0, 4.4, 0.0), with_headings(line, 0.0, goal_yaw), 90.0, costmap
     )
@@ -214,7 +209,7 @@ def test_curvature_of_a_circle_and_braking_before_a_slow_place():
 def test_pursuit_that_was_settling_turns_to_the_path_when_it_is_elsewhere():
     far = SE2.from_xyt(np.linspace(1.0, 5.0, 50), np.full(50, 2.0), np.zeros(50))
     near = SE2.from_xyt(np.linspace(4.9, 5.0, 5), np.full(5, 2.0), np.zeros(5))
-    pursuit = Pursuit(BURGER, PursuitConfig(), DT)
+    pursuit = Pursuit(BURGER, DT)
     pursuit.set_path(near)
     pursuit.command(near[3], Twist(), big_room())
     assert pursuit.state == "settle"
@@ -231,23 +226,24 @@ def test_dwa_turns_round_rather_than_driving_a_long_way_backwards():
     path = with_headings(line, 0.0, 3.1)
     share = {}
     for bias in (1.5, 0.0):
-        controller = Dwa(fast, DwaConfig(backward_bias=bias), PursuitConfig(), DT)
+        controller = Dwa(fast, DwaConfig(), DT)
+        assert controller._weights.back == 1.5
+        controller._weights = controller._weights._replace(back=bias)
         poses, commands = follow(controller, SE2.from_xyt(5.0, 4.4, 0.0), path, 60.0, costmap)
         share[bias] = float((commands[:, 0] < -0.1).mean())
         assert np.linalg.norm(poses[-1, :2] - [1.0, 4.4]) < 0.05
     assert share[1.5] < 0.15 < share[0.0]
-    assert DwaConfig().backward_bias == 1.5
 
 
 @pytest.mark.slow
 def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_acceleration():
-    burger, costs = resolved(DwaConfig(preset="tutorial"), BURGER)
+    burger, costs = numbers(DwaConfig(preset="tutorial"), BURGER)
     assert (costs.time, burger.vx_samples, burger.vth_samples) == (1.5, 20, 40)
     assert (costs.path, costs.goal, costs.occupied) == (32.0, 20.0, 0.02)
     assert (costs.least_v, costs.least_w) == (pytest.approx(0.11), 1.37)
-    _, slow = resolved(DwaConfig(preset="tutorial"), replace(BURGER, max_v=0.26, max_w=1.82))
+    _, slow = numbers(DwaConfig(preset="tutorial"), replace(BURGER, max_v=0.26, max_w=1.82))
     assert (slow.time, slow.least_v, slow.least_w) == (2.0, pytest.approx(0.13), 0.9)
-    controller = Dwa(BURGER, DwaConfig(preset="tutorial"), PursuitConfig(), DT)
+    controller = Dwa(BURGER, DwaConfig(preset="tutorial"), DT)
     assert controller.limits.max_v == 0.22
     assert controller.limits.max_dv <= BURGER.max_dv
     line = densify(np.array([[1.0, 4.4], [5.0, 4.4]]), 0.05)
@@ -262,7 +258,7 @@ def test_the_tutorials_dwa_numbers_are_a_preset_within_the_robots_own_accelerati
 @pytest.mark.parametrize("aside", [-0.01, 0.0, 0.01])
 def test_pursuit_settles_forwards_from_before_the_goal_and_backwards_from_beyond_it(x, v_sign, aside):
     path = SE2.from_xyt(np.linspace(3.9, 4.0, 5), np.full(5, 4.0), np.zeros(5))
-    pursuit, costmap, command = Pursuit(BURGER, PursuitConfig(), DT), big_room(), Twist()
+    pursuit, costmap, command = Pursuit(BURGER, DT), big_room(), Twist()
     pursuit.set_path(path)
     for _ in range(10):
         command = pursuit.command(SE2.from_xyt(x, 4.0 + aside, 0.0), command, costmap)
@@ -277,7 +273,7 @@ def test_pursuit_looks_as_far_ahead_as_its_speed_asks_and_less_beside_a_wall():
     prompt, costmap, steering = replace(BURGER, max_dv=1e3, max_dw=1e4), big_room(), []
     for y in (4.0, -0.4):
         path = SE2.from_xyt(np.linspace(1.0, 7.0, 100), np.full(100, y), np.zeros(100))
-        pursuit, last = Pursuit(prompt, PursuitConfig(), DT), Twist(BURGER.max_v, 0.0)
+        pursuit, last = Pursuit(prompt, DT), Twist(BURGER.max_v, 0.0)
         pursuit.set_path(path)
         pursuit.command(SE2.from_xyt(2.0, y + 0.01, 0.0), last, costmap)
         assert pursuit.state == "follow"

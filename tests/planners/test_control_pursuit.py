@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from planning_room import BURGER, room
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import Ramped, SpeedLimits, ramped
-from turtlebag.planners.control.monitor import CollisionMonitor, MonitorConfig, free_time, moved, padded
+from turtlebag.planners.control.monitor import CollisionMonitor, free_time, moved, padded
 from turtlebag.planners.control.path_position import arc_lengths
 from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.control.pursuit import (
     LOOKAHEAD_M,
     LOOKAHEAD_S,
+    MAX_LATERAL,
     NEAR_M,
     REGULATED_M,
     SETTLE_M,
@@ -24,16 +25,13 @@ from turtlebag.planners.control.pursuit import (
     TURN_FIRST_RAD,
     TURNED_RAD,
     Pursuit,
-    PursuitConfig,
     _in_grid,
-    _wrap,
 )
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.footprint import footprint_clearance
 
 DT = 0.05
 PROMPT = replace(BURGER, max_v=0.5, max_w=2.0, max_dv=1e3, max_dw=1e5)
-C = PursuitConfig(max_w=1.6)
 ROOM = costmap_from_grid(room(rows=200, cols=200), CostmapConfig())
 
 
@@ -41,8 +39,8 @@ def line(x0=1.0, x1=6.0, n=101, y=4.0):
     return SE2.from_xyt(np.linspace(x0, x1, n), np.full(n, y), np.zeros(n))
 
 
-def following(poses=None, **settings):
-    pursuit = Pursuit(PROMPT, C.model_copy(update=settings), DT)
+def following(poses=None):
+    pursuit = Pursuit(PROMPT, DT)
     pursuit.set_path(line() if poses is None else poses)
     pursuit.state = "follow"
     return pursuit
@@ -102,29 +100,30 @@ def test_speed_is_the_least_that_curve_room_braking_and_turning_allow():
         (-1.0, 0.0, 3.0), (9.0, 0.0, 1e-4), (9.0, 60.0, 3.0), (9.0, -2.3, 3.0),
     ):  # fmt: skip
         bend = abs(curvature)
-        v = min(top, math.sqrt(C.max_lateral / max(bend, 1e-6)))
+        v = min(top, math.sqrt(MAX_LATERAL / max(bend, 1e-6)))
         v = min(v, top / max(1.0, bend * REGULATED_M))
         if room_m < NEAR_M:
             v = min(v, top * max(SLOWEST, room_m / NEAR_M))
-        v = min(max(v, slow), math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.6 / max(bend, 1e-6))
+        v = min(max(v, slow), math.sqrt(1.2 * 0.8 * 1e3 * remaining), 1.4 / max(bend, 1e-6))
         assert pursuit._regulated_speed(room_m, curvature, remaining) == pytest.approx(v)
     pursuit._speeds = np.linspace(0.4, 0.0, 101)
     assert pursuit._regulated_speed(9.0, 0.0, 3.0) == pytest.approx(0.4 * 0.6)
 
 
-def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them():
+def test_a_path_is_driven_as_fast_as_its_bends_allow_and_braked_before_them(monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.control.pursuit.MAX_LATERAL", 0.05)
     angle = np.linspace(0.0, 2.0, 80)
     bend = np.column_stack([5.0 + 0.3 * np.sin(angle), 4.3 - 0.3 * np.cos(angle)])
     path = np.vstack([line(3.0, 4.95, 60).xy, bend])
     robot = replace(PROMPT, max_dv=0.5)
-    pursuit = Pursuit(robot, C.model_copy(update={"max_lateral": 0.05}), DT)
+    pursuit = Pursuit(robot, DT)
     pursuit.set_path(SE2.from_xyt(*path.T, np.zeros(len(path))))
     lengths = arc_lengths(path)
     limits = np.clip(np.sqrt(0.05 / np.maximum(curvature_along(path, lengths, 0.15), 1e-6)), 0.05, 0.5)
     np.testing.assert_allclose(pursuit._speeds, braked(limits, lengths, 0.6 * 0.8 * 0.5))
     assert pursuit._speeds[0] == 0.5
     assert pursuit._speeds[100] == pytest.approx(math.sqrt(0.05 * 0.3), rel=0.02)
-    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 1.6, 0.4)
+    assert (pursuit.limits.max_v, pursuit.limits.max_w, pursuit.limits.max_dv) == (0.5, 1.4, 0.4)
 
 
 def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
@@ -137,26 +136,24 @@ def test_a_new_path_keeps_the_state_where_it_leads_to_the_same_goal():
         (line(), "settle", line(5.51, 6.0), "turn"),
         (line(), "align", line(5.7, 6.1), "turn"),
     ):
-        pursuit = Pursuit(PROMPT, C, DT)
+        pursuit = Pursuit(PROMPT, DT)
         pursuit.set_path(first)
         pursuit.state, pursuit._s = state, 2.0
         pursuit.set_path(second)
         expected = "turn" if expected == "arrived" and 4 * SETTLE_M <= 6.0 - 5.53 else expected
         assert (pursuit.state, pursuit._s) == (expected, 0.0)
-    assert Pursuit(PROMPT, C, DT).remaining() == 0.0
-    still = Pursuit(PROMPT, C, DT)
+    assert Pursuit(PROMPT, DT).remaining() == 0.0
+    still = Pursuit(PROMPT, DT)
     assert still.command(SE2.identity(), Twist(), ROOM) == Twist()
 
 
 def test_turning_is_fast_while_far_off_and_slow_enough_to_stop_on_the_mark():
     robot = replace(BURGER, max_w=1.0, max_dw=2.0)
-    pursuit = Pursuit(robot, PursuitConfig(), DT)
+    pursuit = Pursuit(robot, DT)
     for error in (3.0, 0.9, 0.5, 0.3, 0.15, 0.01, 0.001):
         size = max(min(1.0, math.sqrt(1.6 * error), 3.0 * error), 0.04)
         assert pursuit._turning_speed(error) == pytest.approx(size)
         assert pursuit._turning_speed(-error) == pytest.approx(-size)
-    assert _wrap(3.5) == pytest.approx(3.5 - 2 * math.pi)
-    assert _wrap(-3.5) == pytest.approx(2 * math.pi - 3.5)
 
 
 @pytest.mark.parametrize("backwards", [False, True])
@@ -164,7 +161,7 @@ def test_turning_is_fast_while_far_off_and_slow_enough_to_stop_on_the_mark():
 @pytest.mark.parametrize("gap", [0.05, 0.11, 0.4])
 def test_it_settles_along_its_heading_by_a_share_of_the_gap(gap, aside, backwards):
     robot = replace(PROMPT, max_dv=0.3)
-    pursuit = Pursuit(robot, C, DT)
+    pursuit = Pursuit(robot, DT)
     pursuit.set_path(line(5.9, 6.0, 5))
     pursuit.state = "settle"
     x = 6.0 + gap if backwards else 6.0 - gap
@@ -180,7 +177,7 @@ def test_it_settles_along_its_heading_by_a_share_of_the_gap(gap, aside, backward
 
 
 def test_near_enough_it_turns_to_the_goals_yaw_and_drifting_off_it_settles_again():
-    pursuit = Pursuit(PROMPT, C, DT)
+    pursuit = Pursuit(PROMPT, DT)
     poses = SE2.from_xyt(np.linspace(5.9, 6.0, 5), np.full(5, 4.0), np.array([0.0, 0.0, 0.0, 0.0, 0.5]))
     for dx, dy, state in (
         (-0.011, 0.0, "align"), (-0.013, 0.0, "settle"), (0.0, 0.021, "align"), (0.0, 0.023, "settle"),
@@ -215,7 +212,7 @@ def test_room_is_that_of_the_footprint_in_a_turned_map():
         assert pursuit._room(x, y, yaw, turned) == pytest.approx(expected, abs=1e-6)
         back = _in_grid(turned, x, y, yaw)
         assert back[:2] == pytest.approx(tuple(pose.xy))
-        assert _wrap(back[2] - float(pose.yaw)) == pytest.approx(0.0)
+        assert wrapped(back[2] - float(pose.yaw)) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize(
@@ -268,8 +265,7 @@ def test_the_goal_checker_is_wider_once_inside_and_counts_its_hold():
 
 @pytest.mark.parametrize(("v", "w"), [(0.2, 0.0), (0.15, 1.0), (0.0, 1.5), (-0.2, 0.3)])
 def test_the_monitor_allows_the_speed_that_stops_within_the_free_way(v, w):
-    config = MonitorConfig(padding=0.02, reaction=0.1, braking_share=0.8)
-    monitor, b = CollisionMonitor(BURGER, config), 0.8 * BURGER.max_dv
+    monitor, b = CollisionMonitor(BURGER), 0.8 * BURGER.max_dv
     reach = BURGER.circumscribed_radius + 0.02
     speed = max(abs(v), abs(w) * reach)
     horizon = (speed * 0.1 + speed**2 / (2 * b)) / speed

@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import ENTRY_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
-from turtlebag.planners.live import NEVER, Beams, LiveConfig, LiveLayer, _mark_and_clear
+from turtlebag.planners.live import NEVER, Beams, LiveLayer, Marking, _mark_and_clear
 from turtlebag.planners.rolling import (
     RIM_M,
     RollingLayer,
@@ -75,7 +75,7 @@ def empty(rows=40, cols=50, T=None):
 
 def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
     monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.35)
-    config = LiveConfig(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
+    config = Marking(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
     layer = LiveLayer(empty(), config)
     T = layer.static.T_map_grid
     origin, post = T @ SE2.from_xyt(1.05, 1.05, 1.0), T @ np.array([[2.55, 3.05]])
@@ -115,7 +115,7 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
 @pytest.mark.parametrize("live", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
 def test_near_live_cells_the_clearance_is_that_of_both(live, monkeypatch):
     monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.8)
-    layer = LiveLayer(empty(), LiveConfig())
+    layer = LiveLayer(empty())
     mask = np.zeros((40, 50), dtype=bool)
     mask[tuple(np.transpose(live))] = True
     exact = clearance_field(layer.static.lethal | mask, RES)
@@ -157,7 +157,7 @@ def test_the_nearest_free_cell_is_that_of_the_least_gap_within_reach():
 
 
 def window(side=4.0, shift=0.5, centre=(0.23, -0.31)):
-    config = LiveConfig(known=0.0, hits=1, decay=60.0, obstacle_range=9.0)
+    config = Marking(known=0.0, hits=1, decay=60.0, obstacle_range=9.0)
     return RollingLayer(np.array(centre), side, RES, shift, config)
 
 

@@ -10,9 +10,8 @@ from planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.planners import lattice
-from turtlebag.planners.control.dwa import Dwa, DwaConfig, resolved
+from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.interface import ramped
-from turtlebag.planners.control.pursuit import PursuitConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import footprint_free
@@ -86,28 +85,15 @@ def test_poses_stand_along_the_drives_and_long_turns_are_said_step_by_step():
     np.testing.assert_allclose(corner.xy[1:4], [[1, 0]] * 3, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_inner_disc_joins_what_a_wave_over_its_floor_does(seed):
-    costmap = cluttered(seed, share=0.05)
-    rng, told = np.random.default_rng(seed), []
-    middle = np.array([-0.032, 0.0])
-    radius = 0.073
-    for _ in range(40):
-        a, b = (SE2.from_xyt(*rng.uniform(-0.1, [3.1, 2.6]), rng.uniform(-3, 3)) for _ in range(2))
-        floor = costmap.clearance > radius - 0.71 * RES
-        cells = [tuple(np.floor((p @ middle)[::-1] / RES).astype(int)) for p in (a, b)]
-        inside = all(0 <= r < 50 and 0 <= c < 60 and floor[r, c] for r, c in cells)
-        expected = inside and bool(np.isfinite(wave(floor, *cells[1], np.inf)[cells[0]]))
-        found = lattice.inner_disc_joins(costmap, BURGER.footprint, a, b)
-        assert found == expected
-        told.append(found)
-    assert 5 < sum(told) < 40
+def test_the_inscribed_radius_reaches_from_the_base_to_the_nearest_edge():
     assert lattice._inscribed(BURGER.footprint) == pytest.approx(0.041)
-    assert lattice._inscribed(BURGER.footprint - middle) == pytest.approx(radius)
+    assert lattice._inscribed(BURGER.footprint - [-0.032, 0.0]) == pytest.approx(0.073)
 
 
-def dwa(**settings):
-    return Dwa(BURGER, DwaConfig(**settings), PursuitConfig(), 0.1)
+def dwa(**window):
+    controller = Dwa(BURGER, DwaConfig(), 0.1)
+    controller._window = controller._window._replace(**window)
+    return controller
 
 
 def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
@@ -142,7 +128,7 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         return 0.1, 0.2
 
     monkeypatch.setattr("turtlebag.planners.control.dwa.best_arc", best_arc)
-    controller = dwa(window=0.5, vx_samples=5, vth_samples=4, min_v=-0.1)
+    controller = dwa(time=0.5, vx_samples=5, vth_samples=4, min_v=-0.1)
     costmap = Costmap(np.zeros((60, 60), dtype=bool), RES, SE2.from_xyt(0.5, 0.0, 0.1))
     controller.set_path(SE2.from_xyt(np.array([1.0, 2.5]), np.array([1.0, 1.5]), np.zeros(2)))
     limits = controller.limits
@@ -159,7 +145,7 @@ def test_dwa_tries_the_speeds_its_window_opens_and_zero_among_them(monkeypatch):
         ws = np.linspace(max(last.w - 0.5 * limits.max_dw, -2.0), min(last.w + 0.5 * limits.max_dw, 2.0), 4)
         np.testing.assert_allclose(args[4], np.union1d(vs, [0.0] if vs[0] < 0.0 < vs[-1] else []))
         np.testing.assert_allclose(args[5], np.union1d(ws, [0.0]))
-        expected = resolved(controller.config, BURGER)[1]
+        expected = numbers(DwaConfig(), BURGER)[1]
         assert args[6] == expected._replace(braking=0.8 * limits.max_dv, ahead=ahead)
     near = dwa(settle_distance=0.1)
     near.set_path(SE2.from_xyt(np.array([1.0, 1.7]), np.array([1.2, 1.2]), np.zeros(2)))

@@ -31,13 +31,14 @@ def cluttered(seed, share=0.01, rows=50, cols=60):
     return Costmap(np.random.default_rng(seed).random((rows, cols)) < share, RES, SE2.identity())
 
 
-def search(costmap, radius=0.12, **settings):
-    return _Search(costmap, radius, PlanConfig(**settings))
+def search(costmap, radius=0.12):
+    return _Search(costmap, radius, PlanConfig())
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_entry_is_the_nearest_free_cell_within_the_snapping_distance(seed):
-    found = search(cluttered(seed), snap=0.2)
+def test_the_entry_is_the_nearest_free_cell_within_the_snapping_distance(seed, monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.global_plan.SNAP_M", 0.2)
+    found = search(cluttered(seed))
     cells = np.argwhere(found.free)
     centres = (cells[:, ::-1] + 0.5) * RES
     snapped = 0
@@ -143,7 +144,7 @@ def test_a_path_is_blocked_until_its_last_touch():
     assert _grown(costmap, BURGER.footprint, (beside, tight)) is BURGER.footprint
 
 
-def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_fit():
+def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_fit(monkeypatch):
     """Two gaps in a wall: a narrow one on the straight way, a wide one far off it."""
     lethal = np.zeros((100, 80), dtype=bool)
     lethal[[0, -1], :] = lethal[:, [0, -1]] = True
@@ -165,8 +166,9 @@ def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_
     lethal[44:57, 14:27] = True
     lethal[49:52, 19:22] = False
     walled = Costmap(lethal, RES, SE2.identity())
+    monkeypatch.setattr("turtlebag.planners.global_plan.SNAP_M", 0.1)
     with pytest.raises(NoPath, match="the robot is too close to an obstacle"):
-        plan_path(walled, BURGER, start, goal, PlanConfig(snap=0.1), 1)
+        plan_path(walled, BURGER, start, goal, PlanConfig(), 1)
 
 
 def test_ompl_searches_the_box_of_the_floor_and_so_many_calls():

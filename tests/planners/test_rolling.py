@@ -11,16 +11,14 @@ from scipy.sparse.csgraph import dijkstra
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.global_plan import NoPath
-from turtlebag.planners.live import LiveConfig
 from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.wavefront import wave
 
 NOTHING = np.zeros((0, 2))
-CONFIG = LiveConfig(known=0.0, decay=60.0, obstacle_range=6.0)
 
 
 def window(side: float = 8.0) -> RollingLayer:
-    return RollingLayer(np.zeros(2), side, 0.05, 1.0, CONFIG)
+    return RollingLayer(np.zeros(2), side, 0.05, 1.0)
 
 
 def see(live: RollingLayer, now_s: float, x: float, hits) -> None:
