@@ -70,6 +70,8 @@ class Person:
                 self.browser.key("w" if ahead > steps else "s", abs(ahead - steps))
                 self.browser.key("a" if turn > turns else "d", abs(turn - turns))
                 steps, turns = ahead, turn
+                # The page is sent ten frames a second: asking without a pause keeps three processes busy.
+                time.sleep(1 / 30)
         self.browser.key(" ")
 
     def arrow(self, tool, x, y, yaw):
