@@ -38,7 +38,7 @@ BEAMS, NEIGHBOURS = 180, 2
 
 
 @dataclass(frozen=True, eq=False)
-class UsedScan:
+class Keyframe:
     """A scan that the filter used, with odometry at its stamp."""
 
     beams: Beams
@@ -51,7 +51,7 @@ class Aliasing:
     def __init__(self, search: GlobalSearch, rng: np.random.Generator) -> None:
         self._search, self._rng = search, rng
 
-    def find(self, scans: Sequence[UsedScan], T_map_odom: SE2) -> list[SE2]:
+    def find(self, scans: Sequence[Keyframe], T_map_odom: SE2) -> list[SE2]:
         """Motions of the map onto itself, T_map_map, to the places that explain the scans about best.
 
         The first is the identity - the estimate `T_map_odom` itself - unless another place explains the
@@ -74,7 +74,7 @@ class Aliasing:
                 kept.append(T_map_map if k > 0 else found[0])
         return kept
 
-    def fits(self, hypotheses: Sequence[SE2], scan: UsedScan, T_map_odom: SE2) -> Array:
+    def fits(self, hypotheses: Sequence[SE2], scan: Keyframe, T_map_odom: SE2) -> Array:
         """Agreement of a scan with the map under each of the hypotheses (n,), at the best pose near by."""
         here = [T_map_odom @ scan.T_odom_base]
         return np.array([self._polished(T_map_map, [scan], here)[0] for T_map_map in hypotheses])
@@ -107,7 +107,7 @@ class Aliasing:
             poses = poses[~near]
         return places
 
-    def _polished(self, T_map_map: SE2, scans: Sequence[UsedScan], here: Sequence[SE2]) -> tuple[float, SE2]:
+    def _polished(self, T_map_map: SE2, scans: Sequence[Keyframe], here: Sequence[SE2]) -> tuple[float, SE2]:
         """Mean agreement of the scans where it is highest near a hypothesis, and the hypothesis there."""
         last = here[-1]
         # The scans' poses hang together by odometry: all are moved with the last one.
@@ -115,7 +115,7 @@ class Aliasing:
         best, pose = climb(lambda poses: self._mean_agreement(poses, relative, scans), (T_map_map @ last).xyt)
         return best, SE2.from_array(pose) @ last.inverse()
 
-    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], scans: Sequence[UsedScan]) -> Array:
+    def _mean_agreement(self, poses: Array, relative: Sequence[SE2], scans: Sequence[Keyframe]) -> Array:
         total = np.zeros(len(poses))
         for T_last_base, scan in zip(relative, scans, strict=True):
             there = np.ascontiguousarray((SE2(poses) @ T_last_base).xyt)

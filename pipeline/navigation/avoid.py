@@ -7,7 +7,7 @@ from collections.abc import Callable
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.guarded import Guard
-from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
 from turtlebag.sim.simulator import CONTROL_HZ
@@ -64,7 +64,7 @@ class AvoidDriver(Driver):
         if self._guard is not None:
             self._guard.interrupted()
 
-    def _tell(self, observation: Observation, sweep: Sweep, decision: Decision) -> None:
+    def _tell(self, observation: Observation, sweep: DeskewedScan, decision: Decision) -> None:
         """Say what was seen when something else is decided than before."""
         before, self.state = self.state, decision.action.replace(",", "").replace(" ", "_")
         if self.state != before:

@@ -9,7 +9,7 @@ import scipy
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel, Twist
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import SLOW_V, TURN_W
 from turtlebag.planners.tasks.recovery import Move
@@ -98,7 +98,9 @@ class BumpMemory:
         self.escape = None
         self._slip.reset()
 
-    def noticed(self, sweep: Sweep, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2) -> bool:
+    def noticed(
+        self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist, turn: float, T_frame_odom: SE2
+    ) -> bool:
         """Whether a new sweep shows that the robot pushes against something; that is remembered.
 
         An escape begins then: back, and away from it by `turn` [rad].

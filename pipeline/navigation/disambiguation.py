@@ -57,7 +57,7 @@ class Disambiguation:
         """Take in the scan that the filter has just used; the motion of the map to the one that is left."""
         assert localiser.T_map_odom is not None
         poses = self._hypotheses.poses
-        fits = self._aliasing.fits(poses, localiser.scans[-1], localiser.T_map_odom)
+        fits = self._aliasing.fits(poses, localiser.keyframes[-1], localiser.T_map_odom)
         return self._hypotheses.judge(fits)
 
     def command(self, tick: Tick, most_s: float) -> Twist | None:

@@ -11,7 +11,7 @@ from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
-from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.interface import require_twist
 from turtlebag.planners.live import LiveLayer
 
@@ -93,7 +93,7 @@ class Driver(ABC):
         """Drive again from the next step on, after the command that someone else gave last."""
         self._last = last
 
-    def _see(self, sweep: Sweep, T_frame_odom: SE2, live: LiveLayer) -> None:
+    def _see(self, sweep: DeskewedScan, T_frame_odom: SE2, live: LiveLayer) -> None:
         """Enter a sweep in the obstacle layer."""
         live.update(
             sweep.stamp_ns * 1e-9,

@@ -16,7 +16,7 @@ from turtlebag.pipeline.navigation.bump_memory import BumpMemory
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.sensing import Sensing, Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
@@ -103,7 +103,7 @@ class ExploreDriver(Driver):
         """Whether to look at the map anew on the way: not in trouble, or its recoveries would never end."""
         return now - way.since_ns > LOOK_AFTER_S * 1e9 and not way.runner.recovering
 
-    def _back_off(self, observation: Observation, sweep: Sweep | None) -> Twist | None:
+    def _back_off(self, observation: Observation, sweep: DeskewedScan | None) -> Twist | None:
         """The command while getting away from something that no lidar sees; None when there is no need."""
         T_odom_base, T_map_odom = observation.odometry.T_odom_base, self.online.T_map_odom
         if sweep is not None and self._bumps.noticed(sweep, T_odom_base, self._last, 0.0, T_map_odom):

@@ -134,11 +134,11 @@ class Finder:
     def _examine(self, now_ns: int) -> None:
         """Look for places that look like the estimate's; it is moved to a clearly better one."""
         localiser = self.localiser
-        T_map_odom, scans = localiser.T_map_odom, localiser.scans
-        if T_map_odom is None or not scans or localiser.amcl.lost:
+        T_map_odom, keyframes = localiser.T_map_odom, localiser.keyframes
+        if T_map_odom is None or not keyframes or localiser.amcl.lost:
             return
-        if self._sureness.doubtful(localiser, T_map_odom, scans[-1].T_odom_base):
-            found = self._aliasing.find(scans, T_map_odom)
+        if self._sureness.doubtful(localiser, T_map_odom, keyframes[-1].T_odom_base):
+            found = self._aliasing.find(keyframes, T_map_odom)
             if len(found) > 1:
                 self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)

@@ -14,7 +14,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.pipeline.navigation.bump_memory import BumpMemory, Escape
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import CollisionMonitor, StoppingMargins
 from turtlebag.planners.tasks.avoid import SLOW_V, STOP_M, TURN_W, Decision, tutorial_rule
 from turtlebag.planners.tasks.recovery import ProgressWatch
@@ -54,7 +54,7 @@ class Guard:
         self._turning, self._flips = 0.0, 0
         self._bumps.interrupted()
 
-    def command(self, sweep: Sweep, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
+    def command(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist, *, new_sweep: bool) -> Twist:
         """The command of a tick, as far as it is safe; it is decided anew after a sweep."""
         if new_sweep:
             self.decision = self.decide(sweep, T_odom_base, last)
@@ -62,12 +62,12 @@ class Guard:
         factor = self.monitor.limit(wanted, self.points_base(sweep, T_odom_base))
         return Twist(wanted.v * factor, wanted.w * factor)
 
-    def points_base(self, sweep: Sweep, T_odom_base: SE2) -> Array:
+    def points_base(self, sweep: DeskewedScan, T_odom_base: SE2) -> Array:
         """Everything to keep off, seen from the base: the sweep and the remembered places."""
         points = np.concatenate([sweep.hits_odom, self._bumps.points(sweep.stamp_ns)])
         return T_odom_base.inverse() @ points
 
-    def decide(self, sweep: Sweep, T_odom_base: SE2, last: Twist) -> Decision:
+    def decide(self, sweep: DeskewedScan, T_odom_base: SE2, last: Twist) -> Decision:
         """What to do after a new sweep."""
         away = TURN_AWAY_RAD if sweep.sectors.left > sweep.sectors.right else -TURN_AWAY_RAD
         if self._bumps.noticed(sweep, T_odom_base, last, away, SE2.identity()):
@@ -78,7 +78,7 @@ class Guard:
             return self._possible(Decision("back off" if command.v else "turn away", command), points)
         return self._possible(self._tiers(sweep, T_odom_base, points), points)
 
-    def _tiers(self, sweep: Sweep, T_odom_base: SE2, points: Array) -> Decision:
+    def _tiers(self, sweep: DeskewedScan, T_odom_base: SE2, points: Array) -> Decision:
         s = sweep.sectors
         if s.front < STOP_M or self._gap(points) < NOSE_ROOM_M:
             self._turn_to(1.0 if s.left > s.right else -1.0)

@@ -11,7 +11,7 @@ from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Observation, Scan
 from turtlebag.pipeline.localisation import interface
-from turtlebag.pipeline.localisation.pose_hypotheses import UsedScan
+from turtlebag.pipeline.localisation.pose_hypotheses import Keyframe
 from turtlebag.pipeline.navigation.sensing import OdometryBuffer, sweep_end_ns
 
 
@@ -20,7 +20,7 @@ class Localiser:
 
     PARTICLES_EVERY_NS = 10**9
     PARTICLES_SHOWN = 500
-    SCANS_KEPT = 5
+    KEYFRAMES = 5
 
     def __init__(self, amcl: interface.Localiser, odometry: OdometryBuffer, publisher: BagWriter) -> None:
         self.amcl = amcl
@@ -32,7 +32,7 @@ class Localiser:
         """Scans that the filter used: those between which the robot moved."""
         self.pushed = False
         """Whether the newest observation has shown that someone pushed the robot."""
-        self._scans: deque[UsedScan] = deque(maxlen=self.SCANS_KEPT)
+        self._keyframes: deque[Keyframe] = deque(maxlen=self.KEYFRAMES)
         self._seen: tuple[Scan, SE2, SE2] | None = None
         self._shown_ns = -self.PARTICLES_EVERY_NS
         self.scan_poses: list[tuple[int, SE2]] = []
@@ -48,9 +48,9 @@ class Localiser:
             self.T_map_odom = self.amcl.T_map_odom
 
     @property
-    def scans(self) -> list[UsedScan]:
+    def keyframes(self) -> list[Keyframe]:
         """Some of the last scans that the filter used, the newest last."""
-        return list(self._scans)[::-2][::-1]
+        return list(self._keyframes)[::-2][::-1]
 
     @property
     def contradicted(self) -> bool:
@@ -59,8 +59,8 @@ class Localiser:
 
     def move(self, T_map_map: SE2, covariance: Array) -> None:
         """The robot is elsewhere: where this motion of the map takes the estimate, so uncertain (3, 3)."""
-        if self._scans and self.T_map_odom is not None:
-            T_odom_base = self._scans[-1].T_odom_base
+        if self._keyframes and self.T_map_odom is not None:
+            T_odom_base = self._keyframes[-1].T_odom_base
             self.amcl.initialise(T_map_map @ self.T_map_odom @ T_odom_base, covariance, T_odom_base)
             self.T_map_odom = self.amcl.T_map_odom
 
@@ -83,7 +83,7 @@ class Localiser:
         if updated:
             self.updates += 1
             if self.amcl.beams is not None:
-                self._scans.append(UsedScan(self.amcl.beams, T_odom_base))
+                self._keyframes.append(Keyframe(self.amcl.beams, T_odom_base))
             self._publisher.amcl_pose(scan.stamp_ns, T_map_base, self.amcl.covariance)
             if now - self._shown_ns >= self.PARTICLES_EVERY_NS:
                 self._shown_ns = now

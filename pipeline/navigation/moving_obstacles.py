@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import RobotModel
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
@@ -39,7 +39,7 @@ class MovingWatch:
         self._zone = padded(model.footprint, STOP_M)
         self._profiles: deque[tuple[int, SE2, Array]] = deque(maxlen=16)
 
-    def observe(self, sweep: Sweep) -> None:
+    def observe(self, sweep: DeskewedScan) -> None:
         """Take in a sweep."""
         older = [p for p in self._profiles if sweep.stamp_ns - p[0] >= BEFORE_NS]
         self.points_odom = np.zeros((0, 2))
@@ -65,7 +65,7 @@ def profile(ends_lidar: Array) -> Array:
     return np.asarray(np.min(shifted, axis=0))
 
 
-def moved_points(sweep: Sweep, T_odom_lidar: SE2, ranges: Array) -> Array:
+def moved_points(sweep: DeskewedScan, T_odom_lidar: SE2, ranges: Array) -> Array:
     """Hits near the lidar (n, 2) where an older sweep, of that lidar pose and profile, saw farther."""
     hits = sweep.hits_odom
     near = np.linalg.norm(hits - sweep.T_odom_lidar.xy, axis=1) < NEAR_M

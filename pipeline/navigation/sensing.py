@@ -45,7 +45,7 @@ def sweep_end_ns(scan: Scan) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class DeskewedScan:
     """One sweep in the odometry frame: points hit (n, 2), ends of beams that met nothing (m, 2).
 
     Beams nearer than the lidar can measure (-inf) are hits at its least range.
@@ -63,7 +63,7 @@ class Sensing:
 
     def __init__(self, T_base_lidar: SE2) -> None:
         self.odometry = OdometryBuffer()
-        self.sweep: Sweep | None = None
+        self.sweep: DeskewedScan | None = None
         self.silent_s = 0.0
         """How long no scan has come [s]."""
         self.shown_ns: int | None = None
@@ -76,7 +76,7 @@ class Sensing:
         """Whether the lidar has been silent for too long to drive on."""
         return self.silent_s > SILENT_S
 
-    def observe(self, observation: Observation) -> Sweep | None:
+    def observe(self, observation: Observation) -> DeskewedScan | None:
         """Take in an observation; the new sweep when it brought one.
 
         Of two drivers that share it, the second to show it the same observation is told the same.
@@ -99,7 +99,7 @@ class Sensing:
             return np.zeros((0, 2))
         return T_odom_base.inverse() @ self.sweep.hits_odom
 
-    def _look(self, scan: Scan) -> Sweep:
+    def _look(self, scan: Scan) -> DeskewedScan:
         first, last = self.odometry.at(scan.stamp_ns), self.odometry.at(sweep_end_ns(scan))
         ranges = scan.ranges.astype(np.float64)
         near = np.isneginf(ranges) | (ranges < scan.lidar.range_min)
@@ -115,4 +115,6 @@ class Sensing:
         )
         ends = first @ (origins + directions * distance[used, None])
         T_odom_lidar = last @ self._T_base_lidar
-        return Sweep(scan.stamp_ns, T_odom_lidar, ends[hit[used]], ends[passed[used]], read_sectors(scan))
+        return DeskewedScan(
+            scan.stamp_ns, T_odom_lidar, ends[hit[used]], ends[passed[used]], read_sectors(scan)
+        )

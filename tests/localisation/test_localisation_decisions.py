@@ -15,7 +15,7 @@ from turtlebag.pipeline.localisation.beams import prepare
 from turtlebag.pipeline.localisation.estimate import Estimate
 from turtlebag.pipeline.localisation.fine_pose import FinePose, _agree
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, tempered
-from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses, UsedScan, apart, within
+from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, Keyframe, PoseHypotheses, apart, within
 from turtlebag.pipeline.localisation.push_detection import PushDetector, _still, changed_share
 
 
@@ -113,7 +113,7 @@ def test_the_agreement_of_several_scans_is_their_mean_each_from_its_own_place():
     search = made().search
     aliasing = Aliasing(search, np.random.default_rng(3))
     places = [PLACE, PLACE @ SE2.from_xyt(0.2, 0.1, 0.4)]
-    scans = [UsedScan(beams_at(p), p) for p in places]
+    scans = [Keyframe(beams_at(p), p) for p in places]
     relative = [places[1].inverse() @ p for p in places]
     poses = np.array([places[1].xyt, (places[1] @ SE2.from_xyt(0.05, 0.0, 0.1)).xyt])
     found = aliasing._mean_agreement(poses, relative, scans)

@@ -14,8 +14,8 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.pose_hypotheses import (
     BEAMS,
     Aliasing,
+    Keyframe,
     PoseHypotheses,
-    UsedScan,
     apart,
     clearly_other,
     expected_views,
@@ -28,14 +28,14 @@ WITH_A_BOX = Room(np.vstack([HALL.walls, box(0.5, 2.3, 1.1, 2.9)]), (2.0, 1.5))
 HALF_TURN = SE2.from_xyt(4.0, 3.0, math.pi)
 
 
-def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Aliasing, list[UsedScan]]:
+def seen_from(room: Room, poses: list[tuple[float, float, float]]) -> tuple[Aliasing, list[Keyframe]]:
     """Exact scans on a drive, the odometry being in the map's frame."""
     search = Amcl(room.grid(), STILL_LIDAR, T_BASE_LIDAR, AmclConfig(), np.random.default_rng(1)).search
     scans = []
     for pose in poses:
         T = SE2.from_xyt(*pose)
         ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), STILL_LIDAR.angles, 3.5).astype(np.float32)
-        scans.append(UsedScan(prepare(Scan(0, ranges, STILL_LIDAR), T_BASE_LIDAR), T))
+        scans.append(Keyframe(prepare(Scan(0, ranges, STILL_LIDAR), T_BASE_LIDAR), T))
     return Aliasing(search, np.random.default_rng(2)), scans
 
 

@@ -7,7 +7,7 @@ from planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.guarded import Guard
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
 from turtlebag.planners.live import LiveLayer, Marking
 from turtlebag.planners.tasks.avoid import Decision, Sectors
@@ -97,7 +97,7 @@ HERE, NONE = SE2.identity(), np.zeros((0, 2))
 
 
 def sweep(points_base, sectors, pose=HERE, now=0.0):
-    return Sweep(round(now * 1e9), pose, pose @ points_base, NONE, sectors)
+    return DeskewedScan(round(now * 1e9), pose, pose @ points_base, NONE, sectors)
 
 
 def passed(guard, wanted, view):
@@ -149,13 +149,13 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
     for k in range(10):
         pose = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         seen_moving = room_points + rng.normal(0.0, 0.01, room_points.shape)
-        new = Sweep(k * 10**8, pose, seen_moving, NONE, Sectors(1.5, 2.0, 1.5))
+        new = DeskewedScan(k * 10**8, pose, seen_moving, NONE, Sectors(1.5, 2.0, 1.5))
         moving += guard.decide(new, pose, Twist(0.2, 0.0)).command.v < 0.0
     for k in range(10):
         pose = SE2.from_xyt(0.4 + 0.04 * k, 0.0, 0.0)
         # The robot stands at 0.4 while odometry goes on: the sweep moves along with it.
         seen = room_points + np.array([0.04 * k, 0.0]) + rng.normal(0.0, 0.01, room_points.shape)
-        new = Sweep((20 + 2 * k) * 10**8, pose, seen, NONE, Sectors(1.5, 2.0, 1.5))
+        new = DeskewedScan((20 + 2 * k) * 10**8, pose, seen, NONE, Sectors(1.5, 2.0, 1.5))
         decision = guard.decide(new, pose, Twist(0.2, 0.0))
         if decision.command.v < 0.0:
             standing += 1

@@ -5,7 +5,7 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch, in_company
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.avoid import Sectors
 from turtlebag.planners.tasks.recovery import Ladder, RecoveryConfig, Rung
 from turtlebag.sim.robots import load_robot
@@ -29,7 +29,7 @@ def sweep(k, T_odom_lidar, disc_xy, noise=None):
     off2 = to_disc @ to_disc - along**2
     disc = np.where((off2 < 0.04) & (along > 0), along - np.sqrt(np.maximum(0.04 - off2, 0)), np.inf)
     ranges = np.minimum(walls, disc) + (0.0 if noise is None else noise.normal(0.0, 0.01, 360))
-    return Sweep(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)), OPEN)
+    return DeskewedScan(k * TICK_NS, T_odom_lidar, origin + ways * ranges[:, None], np.zeros((0, 2)), OPEN)
 
 
 def watched(poses, discs):

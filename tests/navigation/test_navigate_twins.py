@@ -18,8 +18,8 @@ from turtlebag.pipeline.localisation.pose_hypotheses import (
     ALIKE,
     SCANS,
     Aliasing,
+    Keyframe,
     PoseHypotheses,
-    UsedScan,
     apart,
     clearly_other,
 )
@@ -73,7 +73,7 @@ def scans_at(place, poses, rng):
     for pose in poses:
         ranges = place.ranges(pose @ T_BASE_LIDAR, STILL_LIDAR.angles, STILL_LIDAR.range_max)
         noisy = (ranges + 0.01 * rng.standard_normal(len(ranges))).astype(np.float32)
-        out.append(UsedScan(prepare(Scan(0, noisy, STILL_LIDAR), T_BASE_LIDAR), pose))
+        out.append(Keyframe(prepare(Scan(0, noisy, STILL_LIDAR), T_BASE_LIDAR), pose))
     return out
 
 

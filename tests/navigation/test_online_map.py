@@ -9,7 +9,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory
 from turtlebag.pipeline.navigation.online_map import OnlineMap
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.tasks.avoid import Sectors
@@ -83,7 +83,7 @@ def test_wheels_that_turn_on_the_spot_are_noticed_and_the_place_is_kept_out_of(p
         T_odom_base = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         T_true = SE2.identity() if pushing else T_odom_base
         hits = T_odom_base @ wall_ahead(T_true)
-        sweep = Sweep(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)), Sectors(2.0, 2.0, 2.0))
+        sweep = DeskewedScan(k * 200_000_000, T_odom_base, hits, np.zeros((0, 2)), Sectors(2.0, 2.0, 2.0))
         noticed.append(bumps.noticed(sweep, T_odom_base, Twist(0.2, 0.0), 0.0, SE2.identity()))
     assert any(noticed) == pushing
     free = Costmap(np.zeros((80, 80), dtype=bool), 0.05, SE2.from_xyt(-2.0, -2.0, 0.0))

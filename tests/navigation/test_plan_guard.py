@@ -11,7 +11,7 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
 from turtlebag.pipeline.navigation.guarded import Guard, _to_most_room
-from turtlebag.pipeline.navigation.sensing import Sweep
+from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 
 S, HERE = 10**9, SE2.identity()
@@ -22,7 +22,7 @@ FAR = 3.0 * np.column_stack([np.cos(np.linspace(-3, 3, 90)), np.sin(np.linspace(
 def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
     pose = pose or SE2.identity()
     hits = pose @ np.asarray(points, dtype=float)
-    return Sweep(round(now * 1e9), pose, hits, np.zeros((0, 2)), sectors)
+    return DeskewedScan(round(now * 1e9), pose, hits, np.zeros((0, 2)), sectors)
 
 
 def guard():
