@@ -9,7 +9,16 @@ from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_world, pose, start_of
+from turtlebag.pipeline.cli.arguments import (
+    OrOwn,
+    add_config,
+    add_map,
+    add_output,
+    add_world,
+    output_of,
+    pose,
+    start_of,
+)
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -114,11 +123,9 @@ def run(args: argparse.Namespace) -> int:
     return navigate(
         args.world,
         request,
-        args.out,
+        output_of(args),
         robot=args.robot,
         config=load_config(NavigateConfig, args.config, settings),
-        force=args.force,
-        command_line=args.command_line,
         say=(lambda line: None) if args.verbosity < 0 else say,
         files={} if args.config is None else {"config": args.config},
     )

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files, save_map
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, sha256_text, write_json, write_manifest
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
@@ -32,12 +31,10 @@ from turtlebag.sim.worlds import load_world, own_files
 def navigate(
     world: str,
     request: Request,
-    out: Path,
+    out: Output,
     *,
     robot: str | None = None,
     config: NavigateConfig | None = None,
-    force: bool = False,
-    command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
 ) -> int:
@@ -52,18 +49,10 @@ def navigate(
 
     Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
     """
-    check_free(out, force=force, kind="folder")
     arena = load_world(world)
+    files = {**own_files(world, robot), **(files or {})}
     return navigate_in(
-        arena,
-        load_robot(robot or arena.robot),
-        request,
-        out,
-        config=config,
-        force=force,
-        command_line=command_line,
-        say=say,
-        files={**own_files(world, robot), **(files or {})},
+        arena, load_robot(robot or arena.robot), request, out, config=config, say=say, files=files
     )
 
 
@@ -71,16 +60,13 @@ def navigate_in(
     arena: World,
     robot: RobotSpec,
     request: Request,
-    out: Path,
+    out: Output,
     *,
     config: NavigateConfig | None = None,
-    force: bool = False,
-    command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
 ) -> int:
     """`navigate` with a world and a robot that are at hand already."""
-    check_free(out, force=force, kind="folder")
     watch = Stopwatch()
     mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
     _refuse_outlines_off(mission)
@@ -96,7 +82,7 @@ def navigate_in(
     with (
         deferred_interrupt() if by_hand else at_once as interrupted,
         Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
-        staged_output(out, force=force, save_bag=True) as folder,
+        out.staged(save_bag=True) as folder,
     ):
         with (
             BagWriter(folder / "bag", custom=custom) as bag,
@@ -118,7 +104,7 @@ def navigate_in(
         write_manifest(
             folder,
             stage="navigate",
-            command=command_line,
+            command=out.command,
             inputs={**_inputs(request), **(files or {}), **source_files(parts)},
             seed=request.seed,
             wall_s=watch.seconds(),
@@ -127,7 +113,7 @@ def navigate_in(
                 "robot": mission.robot.name,
                 "task": request.task,
                 "parts": parts,
-                "out": str(out),
+                "out": str(out.folder),
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
             },
         )
@@ -136,7 +122,7 @@ def navigate_in(
             log.info(f"kidnapped at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
     if interrupted:
         log.warning("interrupted; the run so far is kept")
-    log.info(f"{verdict(metrics)} -> {out}")
+    log.info(f"{verdict(metrics)} -> {out.folder}")
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
 

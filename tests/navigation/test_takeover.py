@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
@@ -49,7 +49,7 @@ def goal_run(out: Path, true_map: Path, script=(), source=None) -> dict:
         takeover=source,
     )
     config = NavigateConfig(takeover=TakeoverConfig(script=script))
-    assert navigate(WORLD, request, out, config=config, say=lambda line: None) == 0
+    assert navigate(WORLD, request, Output(out), config=config, say=lambda line: None) == 0
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -109,7 +109,7 @@ def test_the_monitor_stops_a_takeover_short_of_a_wall_unless_it_is_off(tmp_path)
     for monitored in (True, False):
         config = NavigateConfig(takeover=TakeoverConfig(script=push, monitor=monitored))
         request = Request(task="avoid", seed=1, duration_s=9.0, start=SE2.from_xyt(-2.0, -0.5, np.pi))
-        navigate(WORLD, request, tmp_path / str(monitored), config=config, say=lambda line: None)
+        navigate(WORLD, request, Output(tmp_path / str(monitored)), config=config, say=lambda line: None)
         metrics = json.loads((tmp_path / str(monitored) / "metrics.json").read_text())
         contacts[monitored] = metrics["collisions"]["visible"]
     assert contacts == {True: 0, False: 1}
