@@ -43,7 +43,7 @@ def add_output(
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
 
 
-def output_of(args: argparse.Namespace) -> Output:
+def output(args: argparse.Namespace) -> Output:
     """What --out and --force say; InputError when it exists and may not be replaced."""
     return Output(args.out, args.force, args.command_line)
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.campaign.parts import PARTS
-from turtlebag.pipeline.cli.arguments import add_config, add_output, output_of
+from turtlebag.pipeline.cli.arguments import add_config, add_output, output
 
 EXAMPLE = "turtlebag blame data/records/world --replace odometry --out data/blame"
 
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
     return blame(
         args.record,
-        output_of(args),
+        output(args),
         replace=args.replace,
         patrol=args.patrol,
         config=args.config,

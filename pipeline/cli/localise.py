@@ -12,7 +12,7 @@ from turtlebag.pipeline.cli.arguments import (
     add_output,
     add_seed,
     laser,
-    output_of,
+    output,
     pose,
 )
 
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     return localise(
         Source(args.bag, *laser(args.laser)),
         args.map,
-        output_of(args),
+        output(args),
         initial_pose=initial,
         truth=args.truth,
         config=load_localise_config(args.config, args.settings),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser, output_of
+from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser, output
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     source = Source(args.input, *laser(args.laser), args.topic)
     return build_map(
         MapInputs(source, args.also, args.continued, args.edits),
-        output_of(args),
+        output(args),
         references=References.load(args.truth, args.relations),
         config=args.config,
         settings=args.settings,

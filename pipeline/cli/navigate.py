@@ -15,7 +15,7 @@ from turtlebag.pipeline.cli.arguments import (
     add_map,
     add_output,
     add_world,
-    output_of,
+    output,
     pose,
     start_of,
 )
@@ -101,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.terminal.messages import say
+    from turtlebag.sim.robots import load_robot
+    from turtlebag.sim.worlds import load_world, own_files
 
     _refuse_unused(args)
     settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
@@ -120,14 +122,15 @@ def run(args: argparse.Namespace) -> int:
         keepout=_keepout(args.keepout),
         keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
     )
+    world = load_world(args.world)
     return navigate(
-        args.world,
+        world,
+        load_robot(args.robot or world.robot),
         request,
-        output_of(args),
-        robot=args.robot,
+        output(args),
         config=load_config(NavigateConfig, args.config, settings),
         say=(lambda line: None) if args.verbosity < 0 else say,
-        files={} if args.config is None else {"config": args.config},
+        files=own_files(args.world, args.robot) | ({} if args.config is None else {"config": args.config}),
     )
 
 

@@ -5,15 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import (
-    OrOwn,
-    add_config,
-    add_map,
-    add_output,
-    add_seed,
-    output_of,
-    pose,
-)
+from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_seed, output, pose
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -48,4 +40,4 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.robot)
     query = Query(robot, pose(args.start, "--start"), pose(args.goal, "--goal"), args.seed)
     config = load_config(PlanStageConfig, args.config, settings)
-    return plan(args.map, query, output_of(args), config=config, compare=args.compare)
+    return plan(args.map, query, output(args), config=config, compare=args.compare)

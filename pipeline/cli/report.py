@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, output_of
+from turtlebag.pipeline.cli.arguments import add_output, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
@@ -44,11 +44,11 @@ def run(args: argparse.Namespace) -> int:
         ):
             if given:
                 raise InputError(f"{option}: has no effect with --index; remove it")
-        print(make_index(args.folders, output_of(args)))
+        print(make_index(args.folders, output(args)))
         return 0
     page = make_report(
         args.folders,
-        output_of(args),
+        output(args),
         rivals=rivals(args.rival, args),
         animate=not args.no_animation,
         paper=args.paper,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, output_of, seed
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, output, seed
 
 if TYPE_CHECKING:
     from socket import socket
@@ -135,7 +135,7 @@ def _replay(args: argparse.Namespace) -> int:
     _refuse(args, LIVE, "not with --replay, whose file says it all; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
-    return replay(args.replay, output_of(args), say=log.info)
+    return replay(args.replay, output(args), say=log.info)
 
 
 def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output, output_of
+from turtlebag.pipeline.cli.arguments import add_output, output
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     code = sweep(
         args.campaign,
-        output_of(args),
+        output(args),
         main,
         store=args.store,
         scheduler=args.scheduler,

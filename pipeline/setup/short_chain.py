@@ -67,12 +67,13 @@ def _record_and_map(folder: Path) -> None:
 def _navigate(folder: Path) -> None:
     place = folder / "true"
     place.mkdir()
+    world, robot = load_world(WORLD), load_robot(ROBOT)
     goal = Request(
         task="goal",
         seed=0,
-        map_path=save_map(load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height), place),
+        map_path=save_map(world.rasterize(robot.lidar_height), place),
         initial_pose="start",
         goal=SE2.from_xyt(-1.8, -0.5, 0.0),
     )
-    if navigate(WORLD, goal, Output(folder / "run"), say=lambda line: None) != 0:
+    if navigate(world, robot, goal, Output(folder / "run"), say=lambda line: None) != 0:
         raise RuntimeError("the trial drive did not reach its goal 0.2 m ahead")

@@ -91,7 +91,7 @@ def localise(
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
     else:
-        result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"), config.localiser)
+        result = run_amcl(recording, grid, initial_pose, config, stream(seed, "amcl"))
         try:
             outcome = _metrics(result, true_trajectory)
         except ValueError as error:
@@ -143,14 +143,13 @@ def run_amcl(
     recording: Recording,
     grid: OccupancyGrid,
     initial_pose: SE2 | str,
-    config: AmclConfig,
+    config: LocaliseConfig,
     rng: np.random.Generator,
-    localiser: str = "amcl",
 ) -> Localisation:
     """The filter over all scans in file order."""
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
-    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng, localiser)
+    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng)
     poses, converged, updated, particles, update_s = [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
@@ -184,13 +183,12 @@ def started(
     lidar: LidarSpec,
     T_base_lidar: SE2,
     initial_pose: SE2 | str,
-    config: AmclConfig,
+    config: LocaliseConfig,
     rng: np.random.Generator,
-    localiser: str = "amcl",
 ) -> Localiser:
     """The filter with its first cloud; InputError when the map has nothing to localise on."""
     try:
-        amcl = make_localiser(localiser, grid, lidar, T_base_lidar, config, rng)
+        amcl = make_localiser(config.localiser, grid, lidar, T_base_lidar, config.amcl, rng)
         if isinstance(initial_pose, SE2):
             amcl.initialise(initial_pose)
         else:

@@ -22,18 +22,17 @@ from turtlebag.pipeline.navigation.takeover import Source, script_text
 from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
-from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
-from turtlebag.sim.worlds import load_world, own_files
 
 
 def navigate(
-    world: str,
+    world: World,
+    robot: RobotSpec,
     request: Request,
     out: Output,
     *,
-    robot: str | None = None,
     config: NavigateConfig | None = None,
     say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
@@ -45,43 +44,23 @@ def navigate(
     driven until then cannot be driven again, and is kept.
 
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
-    besides those of the request, the world and the robot.
-
-    Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
+    besides those of the request. InputError, with nothing written, for bad goals and unreadable maps.
     """
-    arena = load_world(world)
-    files = {**own_files(world, robot), **(files or {})}
-    return navigate_in(
-        arena, load_robot(robot or arena.robot), request, out, config=config, say=say, files=files
-    )
-
-
-def navigate_in(
-    arena: World,
-    robot: RobotSpec,
-    request: Request,
-    out: Output,
-    *,
-    config: NavigateConfig | None = None,
-    say: Callable[[str], None] = say,
-    files: Mapping[str, Path] | None = None,
-) -> int:
-    """`navigate` with a world and a robot that are at hand already."""
     watch = Stopwatch()
-    mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
+    mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),
         "config_sha256": sha256_text(text),
-        "world": arena.name,
+        "world": world.name,
         "task": request.task,
     }
     by_hand = request.takeover == "keyboard"
     at_once: nullcontext[list[int]] = nullcontext([])
     with (
         deferred_interrupt() if by_hand else at_once as interrupted,
-        Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
+        Simulator(world, mission.robot, mission.config.sim, request.seed) as simulator,
         out.staged(save_bag=True) as folder,
     ):
         with (
@@ -89,7 +68,7 @@ def navigate_in(
             _takeovers(mission) as takeovers,
             simulated_time(_length_s(mission)) as clock,
         ):
-            news = News(_opening(arena, mission), log.info, clock)
+            news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), takeovers)
         metrics, loop_s, parts = episode.metrics, watch.seconds(), _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
@@ -109,7 +88,7 @@ def navigate_in(
             seed=request.seed,
             wall_s=watch.seconds(),
             extra={
-                "world": arena.name,
+                "world": world.name,
                 "robot": mission.robot.name,
                 "task": request.task,
                 "parts": parts,
@@ -137,7 +116,7 @@ def _parts(mission: Mission) -> dict[str, str | None]:
     }
 
 
-def _opening(arena: World, mission: Mission) -> str:
+def _opening(world: World, mission: Mission) -> str:
     """What is going to be done, in one line."""
     request, laps = mission.request, mission.config.sequence.laps
     tasks = {
@@ -147,7 +126,7 @@ def _opening(arena: World, mission: Mission) -> str:
         "explore": "explore and map",
     }
     doing = tasks.get(request.task, f"task {request.task}")
-    return f"{doing}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+    return f"{doing}: {mission.robot.name} in {world.name}, seed {request.seed}"
 
 
 def _length_s(mission: Mission) -> float | None:
