@@ -10,11 +10,13 @@ import numpy as np
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.types import Scan, Trajectory
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.record import Scene, record
+from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.sim.driver import Driver
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.routes import RoutePlanner, random_goals
@@ -87,7 +89,7 @@ def kidnapped(before: list[Sweep], after: list[Sweep]) -> list[Sweep]:
 def built_map(source: Path, folder: Path) -> Path:
     """Our map of a log, made once: its folder."""
     if not (folder / "manifest.json").exists():
-        build_map(source, folder, force=True)
+        build_map(MapInputs(Source(source)), Output(folder, force=True))
     return folder
 
 
@@ -102,7 +104,7 @@ class Maps:
         place = self._folder / "".join(c if c.isalnum() else "_" for c in f"{world} {robot} {self._sensors}")
         if not (place / "map" / "manifest.json").exists():
             sim = SimConfig(sensors=self._sensors)
-            record(Scene.load(world, robot, sim=sim), "tour", place / "record", force=True)
+            record(Scene.load(world, robot, sim=sim), "tour", Output(place / "record", force=True))
         return built_map(place / "record", place / "map") / "map.yaml"
 
     def true(self, name: str, grid: OccupancyGrid) -> Path:

@@ -39,7 +39,7 @@ from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.types import Observation
 from turtlebag.pipeline.cli.main import main as turtlebag
@@ -217,7 +217,7 @@ def one_hindrance(chain: Path, stage: str, what: str, parent: Path) -> str:
 def recoveries(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
     """Recordings killed at a moment of their data and recovered."""
     folder.mkdir()
-    record(Scene.load("turtlebot3_world"), "tour", folder / "whole")
+    record(Scene.load("turtlebot3_world"), "tour", Output(folder / "whole"))
     full_s = max(m.log_time_ns for m in open_bag(folder / "whole").messages()) * 1e-9
     for k, at in enumerate(np.random.default_rng(seed).uniform(0.0, full_s, count)):
         yield "recover", f"{at:.3f}", one_recovery(folder / f"r{k}", at, full_s)

@@ -37,7 +37,7 @@ from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.stages.localise import run_amcl
+from turtlebag.pipeline.stages.localise import LocaliseConfig, run_amcl
 from turtlebag.sim.simulator import Sensors
 
 EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
@@ -123,7 +123,7 @@ def intel(session: Session) -> Iterator[Row]:
     slam = load_tum(built / "trajectory.tum").poses
     for label, start in (("told", slam[0]), ("global", "global")):
         before = time.process_time()
-        found = run_amcl(recording, grid, start, AmclConfig(), stream(1, "amcl")).trajectory.poses
+        found = run_amcl(recording, grid, start, LocaliseConfig(), stream(1, "amcl")).trajectory.poses
         spent = 1e3 * (time.process_time() - before) / len(recording)
         error = (slam.inverse() @ found).xyt
         off = np.hypot(error[:, 0], error[:, 1])

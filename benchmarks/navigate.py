@@ -29,9 +29,10 @@ from benchmarks.navigate_cases import Case, Scenario
 from benchmarks.navigate_rows import failures, refused_row, row_of, summary
 from benchmarks.rows import Row, Rows, options, write
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.navigation.episode import drive
 from turtlebag.pipeline.navigation.setup import prepare
-from turtlebag.pipeline.stages.navigate import navigate_in
+from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.sim.simulator import Sensors, Simulator
 
 SENSORS: tuple[Sensors, ...] = get_args(Sensors)
@@ -100,7 +101,7 @@ def run(case: Case) -> Row:
 def replay(scenario: Scenario, seed: int, out: Path) -> int:
     """One episode again, with everything that a run leaves."""
     case = scenario.make(seed)
-    return navigate_in(case.world, case.robot, case.request, out, config=case.config, force=True)
+    return navigate(case.world, case.robot, case.request, Output(out, force=True), config=case.config)
 
 
 def campaign(chosen: list[Scenario], rows: Rows, first: int, episodes: int | None, quick: bool) -> None:

@@ -25,6 +25,7 @@ from benchmarks.slam_parts import VARIANTS
 from turtlebag.datasets import se3
 from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
@@ -57,7 +58,7 @@ def worlds(out: Path, cases: Sequence[tuple[str, str]]) -> Iterator[Row]:
         for world, teleop in cases:
             name = f"{world.replace(':', '_')}-{teleop}"
             drive = Path(scratch) / name
-            record(Scene.load(world, "waffle_pi_3d"), teleop, drive)
+            record(Scene.load(world, "waffle_pi_3d"), teleop, Output(drive))
             truth, true_map = load_tum(drive / "truth/trajectory.tum"), load_map(drive / "truth/map.yaml")
             for sensors in ("both", "lidar"):
                 start = time.process_time()

@@ -19,6 +19,7 @@ from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
@@ -89,7 +90,7 @@ def driven(
     with tempfile.TemporaryDirectory() as scratch:
         drive = Path(scratch) / "drive"
         scene = Scene.load(world, robot, seed, SimConfig(sensors=sensors))
-        code = record(scene, teleop, drive)
+        code = record(scene, teleop, Output(drive))
         recording, truth = load_recording(drive), load_tum(drive / "truth" / "trajectory.tum")
         true_map = load_map(drive / "truth" / "map.yaml")
     return known(recording, truth.at(recording.stamps_ns)), true_map, code

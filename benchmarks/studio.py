@@ -29,6 +29,7 @@ from benchmarks.rows import Row, held_mb, options, public, write
 from benchmarks.studio_client import Client
 from benchmarks.workers import SPAWN
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.stages.record import deferred_interrupt
@@ -65,7 +66,10 @@ def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -
     sockets = listen(LOOPBACK, 0)
     access = Access(new_token(), LOOPBACK, sockets[0].getsockname()[1])
     setup = StudioSetup(world, ROBOT, 1, map_path)
-    with deferred_interrupt() as interrupted, studio_output(setup, out, say=lambda line: None) as session:
+    with (
+        deferred_interrupt() as interrupted,
+        studio_output(setup, Output(out), say=lambda line: None) as session,
+    ):
         serve(session, access, sockets, interrupted=interrupted, ready=lambda: told.send(access.url))
 
 

@@ -9,7 +9,8 @@ import os
 import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,23 @@ def _growing(claim: Claim, *, save_bag: bool = False) -> Iterator[Path]:
         raise
     finally:
         claim.growing = False
+
+
+@dataclass(frozen=True)
+class Output:
+    """The folder that a stage writes, and how: `force` replaces an earlier output, `command` is the command
+    line for the manifest. InputError when the folder exists and may not be replaced."""
+
+    folder: Path
+    force: bool = False
+    command: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        check_free(self.folder, force=self.force, kind="folder")
+
+    def staged(self, inputs: Iterable[Path] = (), *, save_bag: bool = False) -> AbstractContextManager[Path]:
+        """The folder to write into, put in place at the end (`staged_output`)."""
+        return staged_output(self.folder, force=self.force, inputs=inputs, save_bag=save_bag)
 
 
 NO_CONTENT = ("manifest.json", MARKER)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -298,10 +298,10 @@ def changed_parts(stage: Stage) -> list[str]:
     ]
 
 
-def changed_files(stage: Stage) -> list[str]:
-    """Outputs that are missing or no longer have the hash in the manifest."""
+def changed_files(folder: Path, outputs: Mapping[str, str]) -> list[str]:
+    """Outputs that are missing in the folder or no longer have the sha256 they had."""
     return [
         path
-        for path, digest in stage.outputs.items()
-        if not (stage.folder / path).is_file() or sha256_file(stage.folder / path) != digest
+        for path, digest in outputs.items()
+        if not (folder / path).is_file() or sha256_file(folder / path) != digest
     ]

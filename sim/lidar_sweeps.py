@@ -1,4 +1,4 @@
-"""Turns of a lidar's head: they begin and end when they like, between control steps too."""
+"""Turns of a lidar's head: they begin and end when they like, between control steps too; or none at all."""
 
 from __future__ import annotations
 
@@ -35,11 +35,14 @@ class Head(Protocol):
 class Sweep:
     """Collects the poses of the control steps and measures whenever a turn is complete.
 
-    The first turn begins at step `first`, each further one where the last one ended.
+    The first turn begins at step `first`, each further one where the last one ended. A lidar that is not
+    `turning` takes all its beams at once, every so many steps.
     """
 
-    def __init__(self, lidar: Head, steps: int, control_hz: int, first: int = 0) -> None:
-        self._lidar, self._steps, self._hz = lidar, steps, control_hz
+    def __init__(
+        self, lidar: Head, steps: int, control_hz: int, first: int = 0, *, turning: bool = True
+    ) -> None:
+        self._lidar, self._steps, self._hz, self._turning = lidar, steps, control_hz, turning
         self._poses: list[Array] = []
         self._first = first
         self._carried = False
@@ -47,10 +50,15 @@ class Sweep:
 
     def steps_before(self, step: int) -> int:
         """How many whole control steps of the turn under way were over at this one."""
-        return step - self._first
+        return step - self._first if self._turning else 0
 
     def add(self, step: int, pose: Array) -> Turn | None:
         """The base pose (3,) in the world at a control step; the turn that is complete by then, if one is."""
+        if not self._turning:
+            if step % self._steps:
+                return None
+            measured = self._lidar.measure(pose[None], 0.0, 0.0)
+            return Turn(round(step * 10**9 / self._hz), measured, pose)
         self._poses.append(pose)
         if step < self._end:
             return None

@@ -100,19 +100,22 @@ class Simulator:
     the same observations to the last bit.
     """
 
+    truth: Truth
+    """True state after the last step."""
+    scan_truth: SE2
+    """True base pose at the stamp of the scan that was delivered last."""
+
     def __init__(
         self, world: World, robot: RobotSpec, config: SimConfig | None = None, seed: int = 0
     ) -> None:
         self.world, self.robot, self.seed = world, robot, seed
         self.config = (config or SimConfig()).resolved(robot)
-        self._solids = world.shapes
-        self._footprint = robot.model.footprint
         self._radius = robot.model.circumscribed_radius
         rate = self.config.lidar.rate_hz or robot.lidar.rate_hz
         check_rate(rate, "sim")
         self._steps_per_scan = round(CONTROL_HZ / rate)
         self._physics = Physics(
-            self._solids,
+            world.shapes,
             [mover.solid for mover in world.movers],
             robot,
             self.config.physics,
@@ -138,24 +141,24 @@ class Simulator:
         start = self.world.spawn if T_world_base is None else T_world_base
         self._dropped: list[Solid] = []
         self._standing = self._touchable = self.world.touchable(self.robot.height)
-        everything = [*self._solids, *(mover.solid for mover in self.world.movers)]
+        everything = [*self.world.shapes, *(mover.solid for mover in self.world.movers)]
         self._visible = [solid.crosses(self.robot.lidar_height) for solid in everything]
         self._check_free(start)
         for kidnap in self.config.faults.kidnap:
             self._check_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
-        dt = 1.0 / CONTROL_HZ
+        dt, turning = 1.0 / CONTROL_HZ, self.config.lidar.turning
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
-        self._lidar = Lidar(self._solids, self.robot, self.config.lidar, stream(self.seed, "lidar"))
-        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ, step)
+        self._lidar = Lidar(self.world.shapes, self.robot, self.config.lidar, stream(self.seed, "lidar"))
+        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ, step, turning=turning)
         self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
             lidar = self.config.lidar
             sigma = 0.0 if lidar.noise == "none" else GAZEBO_SIGMA if lidar.sigma is None else lidar.sigma
             moving = [mover.solid for mover in self.world.movers]
-            self._lidar3d = Lidar3d(self._solids, mount, sigma, stream(self.seed, "lidar3d"), moving)
-            self._steps_per_cloud = round(CONTROL_HZ / mount.rate_hz)
-            self._sweep3d = Sweep(self._lidar3d, self._steps_per_cloud, CONTROL_HZ, step)
+            self._lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
+            steps = round(CONTROL_HZ / mount.rate_hz)
+            self._sweep3d = Sweep(self._lidar3d, steps, CONTROL_HZ, step, turning=turning)
         self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ, step)
         self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
         self._motors = Motors(self.robot, calibration, dt)
@@ -170,7 +173,7 @@ class Simulator:
         self._step = step
         self._place_movers()
         self._touched = self._physics.touched()
-        self._scan_truth = start
+        self.scan_truth = start
         return self._observe()
 
     def step(self, command: Twist) -> Observation:
@@ -179,7 +182,7 @@ class Simulator:
             raise RuntimeError("reset the simulator before the first step")
         if self._moving:
             for one in self._moving:
-                one.step(1.0 / CONTROL_HZ, self._truth.T_world_base.xy)
+                one.step(1.0 / CONTROL_HZ, self.truth.T_world_base.xy)
             self._place_movers()
         wheels = self._motors.step(self._faults.command(command))
         wheels = self._faults.grip(self._step + 1, *wheels)
@@ -190,27 +193,17 @@ class Simulator:
             self._put_down(place)
         return self._observe()
 
-    @property
-    def truth(self) -> Truth:
-        """True state after the last step."""
-        return self._truth
-
-    @property
-    def scan_truth(self) -> SE2:
-        """True base pose at the stamp of the scan that was delivered last."""
-        return self._scan_truth
-
     def carry(self, T_world_base: SE2) -> None:
         """Carry the robot elsewhere, between two steps; InputError when it cannot stand there."""
         self._check_free(T_world_base, "pose")
         self._put_down(T_world_base)
-        self._truth: Truth = replace(self._truth, T_world_base=T_world_base)
+        self.truth = replace(self.truth, T_world_base=T_world_base)
 
     def drop(self, solid: Solid) -> None:
         """Put one more solid on the floor; InputError when it would touch the robot."""
         segments, circles = solid.outline(0.0, self.robot.height)
-        footprint = self._truth.T_world_base @ self._footprint
-        inside = solid.inside(solid.z_min, self._truth.T_world_base.xy[None])[0]
+        footprint = self.truth.T_world_base @ self.robot.model.footprint
+        inside = solid.inside(solid.z_min, self.truth.T_world_base.xy[None])[0]
         if inside or distance_to_outlines(footprint, segments, circles) < DROP_ROOM_M:
             x, y = solid.center
             raise InputError(f"{solid.name} {x:g}, {y:g}: would touch the robot; drop it farther away")
@@ -223,11 +216,11 @@ class Simulator:
         self._touchable = self._standing + self.moving
         for lidar in (self._lidar, self._lidar3d):
             if lidar is not None:
-                lidar.surround([*self._solids, *self._dropped])
+                lidar.surround([*self.world.shapes, *self._dropped])
 
     def clearance(self) -> float:
         """Distance from the footprint polygon to the nearest surface up to the robot's height [m]."""
-        footprint = self._truth.T_world_base @ self._footprint
+        footprint = self.truth.T_world_base @ self.robot.model.footprint
         return float(distance_to_outlines(footprint, self._touchable.segments, self._touchable.circles))
 
     def _place_movers(self) -> None:
@@ -239,10 +232,9 @@ class Simulator:
         self.moving = _sections_of(self._moving, self.robot.height)
         self._touchable = self._standing + self.moving
         seen = [one for one in self._moving if one.mover.solid.crosses(self.robot.lidar_height)]
-        at_once = not self.config.lidar.turning
-        self._lidar.note_movers(outlines(seen), 0 if at_once else self._sweep.steps_before(self._step))
+        self._lidar.note_movers(outlines(seen), self._sweep.steps_before(self._step))
         if self._lidar3d is not None:
-            earlier = 0 if at_once else self._sweep3d.steps_before(self._step)
+            earlier = self._sweep3d.steps_before(self._step)
             self._lidar3d.note_movers([one.position.copy() for one in self._moving], earlier)
 
     def _put_down(self, T_world_base: SE2) -> None:
@@ -261,43 +253,34 @@ class Simulator:
         visible, low = any(touched), not all(touched)
         pose = np.array([x, y, yaw])
         twist = Twist(*self._physics.velocity(yaw))
-        self._truth = Truth(stamp, SE2(pose), twist, visible, low)
+        self.truth = Truth(stamp, SE2(pose), twist, visible, low)
         return Observation(
             stamp,
             Odometry(stamp, *self._odometry.update(left, right)),
             Joints(stamp, (left, right), (left_speed, right_speed)),
-            self._sweep_on(pose, stamp),
+            self._sweep_on(pose),
             self._faults.imu(self._imu.samples(self._step, twist)),
             self._cloud_on(pose),
         )
 
-    def _sweep_on(self, pose: Array, stamp: int) -> Scan | None:
+    def _sweep_on(self, pose: Array) -> Scan | None:
         """The scan that is delivered in this step, usually the one whose turn ended in it."""
-        scan, first = None, pose
-        if self.config.lidar.turning:
-            done = self._sweep.add(self._step, pose)
-            if done is not None:
-                scan, first = Scan(done.stamp_ns, done.measured, self._lidar.spec), done.pose_at_stamp
-        elif self._step % self._steps_per_scan == 0:
-            scan = Scan(stamp, self._lidar.measure(pose[None]), self._lidar.spec)
+        scan, first, done = None, pose, self._sweep.add(self._step, pose)
+        if done is not None:
+            scan, first = Scan(done.stamp_ns, done.measured, self._lidar.spec), done.pose_at_stamp
         delivered, truth = self._faults.scan(self._step, scan, SE2(first))
         if delivered is not None:
-            self._scan_truth = truth
+            self.scan_truth = truth
         return delivered
 
     def _cloud_on(self, pose: Array) -> tuple[int, Cloud] | None:
         """Stamp and cloud of the 3D lidar, if there is one, when its sweep ends."""
-        if self._lidar3d is None:
-            return None
-        if self.config.lidar.turning:
-            done = self._sweep3d.add(self._step, pose)
-            return None if done is None else (done.stamp_ns, done.measured)
-        at_once = self._step % self._steps_per_cloud == 0
-        return (stamp_of(self._step), self._lidar3d.measure(pose[None])) if at_once else None
+        done = None if self._lidar3d is None else self._sweep3d.add(self._step, pose)
+        return None if done is None else (done.stamp_ns, done.measured)
 
     def _something_near(self) -> bool:
         """Whether anything can be touched within the next control step."""
-        x, y, _ = self._truth.T_world_base.xyt.tolist()
+        x, y, _ = self.truth.T_world_base.xyt.tolist()
         near = self._touchable
         reach = self._radius + CONTACT_REACH_M + 2.0 * self.robot.limits.max_v / CONTROL_HZ
         return distance_to_point(x, y, near.segments, near.circles) <= reach
@@ -308,7 +291,7 @@ class Simulator:
         beyond = max(x_min - x, x - x_max, y_min - y, y - y_max)
         if not beyond <= OUTSIDE_M:  # also when it is not a number
             raise InputError(f"{what} {x:g}, {y:g}: outside of world {self.world.name}")
-        footprint = start @ self._footprint
+        footprint = start @ self.robot.model.footprint
         standing = self._standing
         solids = [*self.world.below(self.robot.height), *self._dropped]
         if (

@@ -4,6 +4,7 @@ import filecmp
 from contextlib import contextmanager
 from pathlib import Path
 
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import studio_output
 from turtlebag.pipeline.studio.inputs import parse_input
 from turtlebag.pipeline.studio.setup import StudioSetup
@@ -42,7 +43,7 @@ class Person:
 
 @contextmanager
 def at_the_studio(out, world="turtlebot3_world", **setup):
-    with studio_output(StudioSetup(world, seed=1, **setup), out, say=lambda line: None) as session:
+    with studio_output(StudioSetup(world, seed=1, **setup), Output(out), say=lambda line: None) as session:
         yield Person(session)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.parts import PARTS
@@ -27,14 +27,12 @@ from turtlebag.sim.worlds import load_world
 
 def blame(
     folder_of_record: Path,
-    out: Path,
+    out: Output,
     *,
     replace: str = "none",
     patrol: bool = False,
     config: Path | None = None,
     settings: Sequence[str] = (),
-    force: bool = False,
-    command: Sequence[str] = (),
 ) -> int:
     """Write to `out` a map of a record and the errors that are left when parts are replaced by the truth.
 
@@ -52,7 +50,7 @@ def blame(
     resolved = with_sensors(load_config(SlamConfig, config, settings), parts)
     recording, steps = with_truth(record, parts), true_steps(record.truth.poses, parts)
     result = run_slam(recording, resolved, track, steps=steps)
-    with staged_output(out, force=force, inputs=[folder_of_record]) as folder:
+    with out.staged([folder_of_record]) as folder:
         save_map(result.grid, folder)
         save_tum(result.trajectory, folder / "trajectory.tum")
         errors = References(record.truth, record.true_map).errors(result.trajectory, result.grid)
@@ -62,7 +60,7 @@ def blame(
         write_json(folder / "metrics.json", left)
         (folder / "config.yaml").write_text(config_text(resolved))
         inputs = {"source": folder_of_record}
-        write_manifest(folder, "blame", command, inputs, seed=record.seed, wall_s=watch.seconds())
+        write_manifest(folder, "blame", out.command, inputs, seed=record.seed, wall_s=watch.seconds())
     return 0
 
 

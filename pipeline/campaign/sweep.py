@@ -16,8 +16,14 @@ from llvmlite.binding import get_host_cpu_name
 from turtlebag.datasets.claims import claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, package_versions, sha256_text, sha256_tree, write_manifest
+from turtlebag.datasets.outputs import (
+    Output,
+    Stopwatch,
+    package_versions,
+    sha256_text,
+    sha256_tree,
+    write_manifest,
+)
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
 from turtlebag.pipeline.campaign.case import CASES, ROWS, SHARED, STREAMS, Done, Row, Run, Where, recipes
@@ -41,14 +47,12 @@ MAKERS = ("datasets", "sim", "planners", "pipeline", "reports/metrics")
 
 def sweep(
     campaign_name: str,
-    out: Path,
+    out: Output,
     run: Run,
     *,
     store: str | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    force: bool = False,
-    command: Sequence[str] = ("turtlebag", "sweep"),
 ) -> int:
     """Run what is left of a campaign, each command line by `run`, and write its results to `out`; 1 when
     any case failed.
@@ -58,14 +62,13 @@ def sweep(
     """
     watch = Stopwatch()
     campaign = load_campaign(campaign_name)
-    check_free(out, force=force, kind="folder")
     todo = cases(campaign)
     require_scheduler(scheduler)
-    with claimed(out, force=force) as claim:
+    with claimed(out.folder, force=out.force) as claim:
         inputs = _inputs(campaign_name, todo)
         claim.watch(inputs.values())
         where = _where(campaign, store, claim.partial, inputs, scheduler)
-        _begin(where, campaign, force=force)
+        _begin(where, campaign, force=out.force)
         progress = Progress(campaign, where, todo)
         scratch = claim.partial / SCRATCH
 
@@ -80,11 +83,11 @@ def sweep(
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
         wall_s = watch.seconds()
         write_manifest(
-            claim.partial, "sweep", command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
+            claim.partial, "sweep", out.command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
         )
         claim.finish()
     failed = sum(bool(row["failed"]) for row in rows)
-    log.info(f"{out}: {len(rows)} cases, {failed} failed")
+    log.info(f"{out.folder}: {len(rows)} cases, {failed} failed")
     return int(failed > 0)
 
 

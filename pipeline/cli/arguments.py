@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.terminal.messages import note_degrees
 
@@ -40,6 +41,11 @@ def add_output(
     """--out and --force."""
     parser.add_argument("--out", type=Path, required=required, metavar=what, help=text)
     parser.add_argument("--force", action="store_true", help="replace --out if it exists")
+
+
+def output(args: argparse.Namespace) -> Output:
+    """What --out and --force say; InputError when it exists and may not be replaced."""
+    return Output(args.out, args.force, args.command_line)
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.pipeline.campaign.parts import PARTS
-from turtlebag.pipeline.cli.arguments import add_config, add_output
+from turtlebag.pipeline.cli.arguments import add_config, add_output, output
 
 EXAMPLE = "turtlebag blame data/records/world --replace odometry --out data/blame"
 
@@ -35,11 +35,9 @@ def run(args: argparse.Namespace) -> int:
 
     return blame(
         args.record,
-        args.out,
+        output(args),
         replace=args.replace,
         patrol=args.patrol,
         config=args.config,
         settings=args.settings,
-        force=args.force,
-        command=args.command_line,
     )

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output
+from turtlebag.pipeline.cli.arguments import add_output, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 from turtlebag.pipeline.terminal.messages import number_of
 
@@ -52,7 +52,7 @@ def _compare_outputs(args: argparse.Namespace) -> None:
     if args.rival_base or args.rival_times or args.rival_shift:
         raise InputError(f"{args.b[0]}: is an output of ours; --rival options are for others' files")
     b = Path(args.b[0])
-    found = compare_outputs(args.a, b, args.out, force=args.force, command=args.command_line)
+    found = compare_outputs(args.a, b, None if args.out is None else output(args))
     for key, one, other in found.settings:
         print(f"{key}: {one} -> {other}")
     width = max((len(row.label) for row in found.rows), default=0)
@@ -66,8 +66,8 @@ def _compare_outputs(args: argparse.Namespace) -> None:
 def _compare_rivals(args: argparse.Namespace) -> None:
     from turtlebag.pipeline.stages.compare import compare_rivals
 
-    files = rivals(args.b, args)
-    found = compare_rivals(args.a, files, args.out, force=args.force, command=args.command_line)
+    out = None if args.out is None else output(args)
+    found = compare_rivals(args.a, rivals(args.b, args), out)
     for name, note in found.notes:
         print(f"{name}: {note}")
     sections = found.sections

@@ -5,7 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_map, add_output, add_seed, laser, pose
+from turtlebag.pipeline.cli.arguments import (
+    add_config,
+    add_laser,
+    add_map,
+    add_output,
+    add_seed,
+    laser,
+    output,
+    pose,
+)
 
 EXAMPLE = (
     "turtlebag localise data/world/bag --map data/maps/map_world.yaml --initial-pose=-2,-0.5,0 --out data/loc"
@@ -31,21 +40,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Localise; 0 done, 1 lost at the end or rejected."""
     from turtlebag.pipeline.stages.localise import load_localise_config, localise
+    from turtlebag.pipeline.stages.sources import Source
 
     initial = args.initial_pose
     if initial is not None and initial != "global":
         initial = pose(initial, "--initial-pose")
-    placed, upside_down = laser(args.laser)
     return localise(
-        args.bag,
+        Source(args.bag, *laser(args.laser)),
         args.map,
-        args.out,
+        output(args),
         initial_pose=initial,
-        T_base_lidar=placed,
-        upside_down=upside_down,
         truth=args.truth,
         config=load_localise_config(args.config, args.settings),
         seed=args.seed,
-        force=args.force,
-        command=args.command_line,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser
+from turtlebag.pipeline.cli.arguments import add_config, add_laser, add_output, laser, output
 
 EXAMPLE = "turtlebag map data/records/tour --out data/maps/tour --truth data/records/tour/truth"
 
@@ -53,23 +53,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Build the map; 0 done, 1 when the truth says that it is bad."""
     from turtlebag.pipeline.stages.map import build_map
+    from turtlebag.pipeline.stages.map_references import References
+    from turtlebag.pipeline.stages.sources import MapInputs, Source
 
-    placed, upside_down = laser(args.laser)
+    source = Source(args.input, *laser(args.laser), args.topic)
     return build_map(
-        args.input,
-        args.out,
-        truth=args.truth,
-        relations=args.relations,
+        MapInputs(source, args.also, args.continued, args.edits),
+        output(args),
+        references=References.load(args.truth, args.relations),
         config=args.config,
         settings=args.settings,
-        laser=placed,
-        upside_down=upside_down,
-        also=args.also,
-        continued=args.continued,
-        topic=args.topic,
         named=args.name,
-        edits=args.edits,
         explain=args.explain,
-        force=args.force,
-        command=args.command_line,
     )

@@ -9,7 +9,16 @@ from typing import Literal
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_world, pose, start_of
+from turtlebag.pipeline.cli.arguments import (
+    OrOwn,
+    add_config,
+    add_map,
+    add_output,
+    add_world,
+    output,
+    pose,
+    start_of,
+)
 
 EXAMPLE = (
     "turtlebag navigate --world turtlebot3_world --map data/maps/map_world.yaml --task patrol "
@@ -92,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.navigate import navigate
     from turtlebag.pipeline.stages.settings import load_config
     from turtlebag.pipeline.terminal.messages import say
+    from turtlebag.sim.robots import load_robot
+    from turtlebag.sim.worlds import load_world, own_files
 
     _refuse_unused(args)
     settings = [*args.settings, *([f"avoid.mode={args.mode}"] if args.mode else [])]
@@ -111,16 +122,15 @@ def run(args: argparse.Namespace) -> int:
         keepout=_keepout(args.keepout),
         keepout_path=None if args.keepout in (None, "none") else Path(args.keepout),
     )
+    world = load_world(args.world)
     return navigate(
-        args.world,
+        world,
+        load_robot(args.robot or world.robot),
         request,
-        args.out,
-        robot=args.robot,
+        output(args),
         config=load_config(NavigateConfig, args.config, settings),
-        force=args.force,
-        command_line=args.command_line,
         say=(lambda line: None) if args.verbosity < 0 else say,
-        files={} if args.config is None else {"config": args.config},
+        files=own_files(args.world, args.robot) | ({} if args.config is None else {"config": args.config}),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import get_args
 
-from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_seed, pose
+from turtlebag.pipeline.cli.arguments import OrOwn, add_config, add_map, add_output, add_seed, output, pose
 from turtlebag.planners.planner_names import PlannerName
 
 EXAMPLE = (
@@ -32,19 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    from turtlebag.pipeline.stages.plan import PlanStageConfig, plan, planner_settings
+    from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, plan, planner_settings
     from turtlebag.pipeline.stages.settings import load_config
+    from turtlebag.sim.robots import load_robot
 
     settings = [*args.settings, *planner_settings(args.planner)]
-    return plan(
-        args.map,
-        args.robot,
-        pose(args.start, "--start"),
-        pose(args.goal, "--goal"),
-        args.out,
-        seed=args.seed,
-        config=load_config(PlanStageConfig, args.config, settings),
-        compare=args.compare,
-        force=args.force,
-        command_line=args.command_line,
-    )
+    robot = load_robot(args.robot)
+    query = Query(robot, pose(args.start, "--start"), pose(args.goal, "--goal"), args.seed)
+    config = load_config(PlanStageConfig, args.config, settings)
+    return plan(args.map, query, output(args), config=config, compare=args.compare)

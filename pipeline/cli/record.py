@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, named_inputs, start_of
+from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, named_inputs, output, start_of
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag record --world turtlebot3_world --teleop tour --seed 1 --out data/records/world"
@@ -39,4 +39,4 @@ def run(args: argparse.Namespace) -> int:
 
     options = load_config(RecordOptions, args.config, args.settings)
     scene = Scene.load(args.world, args.robot, args.seed, options.sim, start_of(args))
-    return record(scene, args.teleop, args.out, force=args.force, command=args.command_line)
+    return record(scene, args.teleop, output(args))

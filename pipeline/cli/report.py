@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output
+from turtlebag.pipeline.cli.arguments import add_output, output
 from turtlebag.pipeline.cli.rivals import add_rival_options, existing_rivals, rivals
 
 EXAMPLE = "turtlebag report data/record data/map data/patrol --out data/report"
@@ -44,16 +44,14 @@ def run(args: argparse.Namespace) -> int:
         ):
             if given:
                 raise InputError(f"{option}: has no effect with --index; remove it")
-        print(make_index(args.folders, args.out, force=args.force, command=args.command_line))
+        print(make_index(args.folders, output(args)))
         return 0
     page = make_report(
         args.folders,
-        args.out,
+        output(args),
         rivals=rivals(args.rival, args),
-        force=args.force,
         animate=not args.no_animation,
         paper=args.paper,
-        command=args.command_line,
     )
     print(page)
     return 0

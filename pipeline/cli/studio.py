@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, seed
+from turtlebag.datasets.outputs import Output
+from turtlebag.pipeline.cli.arguments import add_config, add_map, add_output, output, seed
 
 if TYPE_CHECKING:
     from socket import socket
@@ -115,7 +116,7 @@ def _live(
     # What was driven until an interrupt or a failure cannot be driven again: it is finished and kept.
     with (
         deferred_interrupt() as interrupted,
-        studio_output(setup, out, force=args.force, command_line=args.command_line, say=log.info) as session,
+        studio_output(setup, Output(out, args.force, args.command_line), say=log.info) as session,
     ):
         try:
             serve(session, access, sockets, interrupted=interrupted, ready=ready)
@@ -134,7 +135,7 @@ def _replay(args: argparse.Namespace) -> int:
     _refuse(args, LIVE, "not with --replay, whose file says it all; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
-    return replay(args.replay, args.out, force=args.force, command_line=args.command_line, say=log.info)
+    return replay(args.replay, output(args), say=log.info)
 
 
 def _refuse(args: argparse.Namespace, options: Sequence[str], why: str) -> None:

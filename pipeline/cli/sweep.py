@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.pipeline.cli.arguments import add_output
+from turtlebag.pipeline.cli.arguments import add_output, output
 
 EXAMPLE = "turtlebag sweep advice --out data/studies/advice"
 
@@ -49,13 +49,11 @@ def run(args: argparse.Namespace) -> int:
 
     code = sweep(
         args.campaign,
-        args.out,
+        output(args),
         main,
         store=args.store,
         scheduler=args.scheduler,
         workers=args.workers,
-        force=args.force,
-        command=args.command_line,
     )
     print(args.out / "index.html")
     return code

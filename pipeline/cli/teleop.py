@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, start_of
+from turtlebag.pipeline.cli.arguments import add_config, add_output, add_world, output, start_of
 from turtlebag.pipeline.stages.settings import load_config
 
 EXAMPLE = "turtlebag teleop --world turtlebot3_world --view --out data/records/mine"
@@ -54,8 +54,6 @@ def run(args: argparse.Namespace) -> int:
             scene,
             keyboard_driver(state, read_keys, clock(args.speed)),
             f"keyboard:{args.style}",
-            args.out,
+            output(args),
             watch=View(scene.robot, state, args.view, redraw, keys=table),
-            force=args.force,
-            command=args.command_line,
         )

@@ -9,12 +9,14 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Stopwatch
+from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.map_references import References
 from turtlebag.pipeline.stages.navigate import navigate
 from turtlebag.pipeline.stages.record import Scene, record
+from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
@@ -57,19 +59,21 @@ def trial() -> float:
 def _record_and_map(folder: Path) -> None:
     script = folder / "trial.yaml"
     script.write_text(SCRIPT)
-    record(Scene.load(WORLD, ROBOT, 0), str(script), folder / "record")
-    build_map(folder / "record", folder / "map", truth=folder / "record" / "truth")
+    record(Scene.load(WORLD, ROBOT, 0), str(script), Output(folder / "record"))
+    truth = References.load(folder / "record" / "truth")
+    build_map(MapInputs(Source(folder / "record")), Output(folder / "map"), references=truth)
 
 
 def _navigate(folder: Path) -> None:
     place = folder / "true"
     place.mkdir()
+    world, robot = load_world(WORLD), load_robot(ROBOT)
     goal = Request(
         task="goal",
         seed=0,
-        map_path=save_map(load_world(WORLD).rasterize(load_robot(ROBOT).lidar_height), place),
+        map_path=save_map(world.rasterize(robot.lidar_height), place),
         initial_pose="start",
         goal=SE2.from_xyt(-1.8, -0.5, 0.0),
     )
-    if navigate(WORLD, goal, folder / "run", say=lambda line: None) != 0:
+    if navigate(world, robot, goal, Output(folder / "run"), say=lambda line: None) != 0:
         raise RuntimeError("the trial drive did not reach its goal 0.2 m ahead")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
 from turtlebag.reports.beside import Beside, beside, write_pairs
@@ -15,9 +15,7 @@ from turtlebag.reports.page import render_beside, render_comparison
 from turtlebag.reports.stages import load_stage
 
 
-def compare_outputs(
-    a: Path, b: Path, out: Path | None = None, *, force: bool = False, command: Sequence[str] = ()
-) -> Comparison:
+def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
     """Numbers, settings and files of two outputs of one stage.
 
     With `out` also `index.html`, `figures/*.png`, `metrics.json` and the manifest.
@@ -28,23 +26,16 @@ def compare_outputs(
     if out is None:
         return found
     names = f"A: {a.resolve().name}", f"B: {b.resolve().name}"
-    with staged_output(out, force=force) as folder:
+    with out.staged() as folder:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
         (folder / "index.html").write_text(render_comparison(*names, found, album.pictures))
         write_json(folder / "metrics.json", {row.path: row.values for row in found.rows})
-        write_manifest(folder, "compare", command, {"A": a, "B": b}, wall_s=watch.seconds())
+        write_manifest(folder, "compare", out.command, {"A": a, "B": b}, wall_s=watch.seconds())
     return found
 
 
-def compare_rivals(
-    folder: Path,
-    files: Sequence[RivalFiles],
-    out: Path | None = None,
-    *,
-    force: bool = False,
-    command: Sequence[str] = (),
-) -> Beside:
+def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None = None) -> Beside:
     """An output of ours beside what other systems made of the same recording.
 
     With `out` also `index.html`, `figures/*.png`, `rivals/*.tum`, `metrics.json` and the manifest.
@@ -54,11 +45,11 @@ def compare_rivals(
     known, systems = measured(stage, files)
     if out is None:
         return beside(systems, known, Album(None), "rivals")
-    with staged_output(out, force=force) as partial:
+    with out.staged() as partial:
         found = beside(systems, known, Album(partial / "figures"), "rivals")
         (partial / "index.html").write_text(render_beside(stage.folder.resolve().name, found))
         write_pairs(systems, partial / "rivals")
         write_json(partial / "metrics.json", found.metrics)
         inputs = {"ours": folder, **inputs_of(files)}
-        write_manifest(partial, "compare", command, inputs, wall_s=watch.seconds())
+        write_manifest(partial, "compare", out.command, inputs, wall_s=watch.seconds())
     return found

@@ -12,10 +12,8 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.parts import source_files
-from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.settings import Settings
@@ -31,6 +29,7 @@ from turtlebag.pipeline.slam.mounting import facing
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, delay_metrics, in_step
 from turtlebag.pipeline.stages.map_references import truth_folder
 from turtlebag.pipeline.stages.settings import load_config
+from turtlebag.pipeline.stages.sources import Source
 from turtlebag.pipeline.terminal.messages import length, log, log_notes, track
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.reports.metrics.navigation import localisation_errors
@@ -63,18 +62,14 @@ class Localisation:
 
 
 def localise(
-    bag: Path,
+    source: Source,
     map_yaml: Path,
-    out: Path,
+    out: Output,
     *,
     initial_pose: SE2 | str | None = None,
-    T_base_lidar: SE2 | None = None,
-    upside_down: bool = False,
     truth: Path | None = None,
     config: LocaliseConfig | None = None,
     seed: int = 1,
-    force: bool = False,
-    command: Sequence[str] = (),
 ) -> int:
     """Run AMCL over a recording and write the outputs; 0 localised, 1 lost at the end or rejected.
 
@@ -84,11 +79,10 @@ def localise(
     """
     watch = Stopwatch()
     config = config or LocaliseConfig()
-    check_free(out, force=force, kind="folder")
     grid = load_map(map_yaml)
     if isinstance(initial_pose, SE2):
         require_on_map("--initial-pose", initial_pose, costmap_from_grid(grid, CostmapConfig()), map_yaml)
-    recording = load_recording(bag, T_base_lidar=T_base_lidar, upside_down=upside_down)
+    recording = source.load()
     turns = compared_turns(recording)
     recording = facing(in_step(recording, turns)) if turns.alike else recording
     truth = None if truth is None else truth_folder(truth)
@@ -97,26 +91,26 @@ def localise(
     if initial_pose is None:
         result, outcome = None, _rejected("no initial pose")
     else:
-        result = run_amcl(recording, grid, initial_pose, config.amcl, stream(seed, "amcl"), config.localiser)
+        result = run_amcl(recording, grid, initial_pose, config, stream(seed, "amcl"))
         try:
             outcome = _metrics(result, true_trajectory)
         except ValueError as error:
             raise InputError(f"--truth {truth}: {error}") from None
     log_notes(recording.notes)
     metrics = {"scans": len(recording), "log_s": recording.duration(), **delay_metrics(recording), **outcome}
-    with staged_output(out, force=force) as folder:
+    with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
         write_json(folder / "metrics.json", metrics)
         (folder / "config.yaml").write_text(config_text(config))
         parts: dict[str, str | None] = {"localiser": config.localiser}
-        inputs = {"bag": bag, **map_files(map_yaml), **source_files(parts)}
+        inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
         extra = {"parts": parts, **({"update_ms": _milliseconds(result)} if result else {})}
         wall_s = watch.seconds()
-        write_manifest(folder, "localise", command, inputs, seed=seed, wall_s=wall_s, extra=extra)
+        write_manifest(folder, "localise", out.command, inputs, seed=seed, wall_s=wall_s, extra=extra)
     if result is not None:
-        _summarise(metrics, out)
+        _summarise(metrics, out.folder)
     return 0 if metrics.get("true_success", metrics["success"]) else 1
 
 
@@ -149,14 +143,13 @@ def run_amcl(
     recording: Recording,
     grid: OccupancyGrid,
     initial_pose: SE2 | str,
-    config: AmclConfig,
+    config: LocaliseConfig,
     rng: np.random.Generator,
-    localiser: str = "amcl",
 ) -> Localisation:
     """The filter over all scans in file order."""
     T_odom_base = checked_odometry(recording).poses
     T_odom_base_end = sweep_ends(recording)
-    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng, localiser)
+    amcl = started(grid, recording.lidar, recording.T_base_lidar, initial_pose, config, rng)
     poses, converged, updated, particles, update_s = [], [], [], [], []
     for i in track(range(len(recording)), "localising"):
         watch = Stopwatch()
@@ -190,13 +183,12 @@ def started(
     lidar: LidarSpec,
     T_base_lidar: SE2,
     initial_pose: SE2 | str,
-    config: AmclConfig,
+    config: LocaliseConfig,
     rng: np.random.Generator,
-    localiser: str = "amcl",
 ) -> Localiser:
     """The filter with its first cloud; InputError when the map has nothing to localise on."""
     try:
-        amcl = make_localiser(localiser, grid, lidar, T_base_lidar, config, rng)
+        amcl = make_localiser(config.localiser, grid, lidar, T_base_lidar, config.amcl, rng)
         if isinstance(initial_pose, SE2):
             amcl.initialise(initial_pose)
         else:

@@ -27,14 +27,14 @@ class MapErrors(TrajectoryErrors, RelationErrors, total=False):
 class References:
     """Any of them may be missing; `inputs` are the files they were read from."""
 
-    truth: Trajectory | None
-    true_grid: OccupancyGrid | None
+    truth: Trajectory | None = None
+    true_grid: OccupancyGrid | None = None
     relations: Relations | None = None
     inputs: dict[str, Path] = field(default_factory=dict)
 
     @staticmethod
-    def load(truth: Path | None, relations: Path | None) -> References:
-        """Those of the command line, checked before the work starts; InputError for what is none."""
+    def load(truth: Path | None, relations: Path | None = None) -> References:
+        """A record's `truth` folder (or the record), and a benchmark's file; InputError for what is none."""
         folder = None if truth is None else truth_folder(truth)
         true_map = None if folder is None else folder / "map.yaml"
         named = {"truth": folder, "relations": relations}
@@ -58,6 +58,9 @@ class References:
         if self.relations is not None:
             found.update(relations_metrics(trajectory, self.relations))
         return found
+
+
+NO_REFERENCES = References()
 
 
 def truth_folder(path: Path) -> Path:

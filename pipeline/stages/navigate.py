@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files, save_map
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, sha256_text, write_json, write_manifest
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
@@ -23,21 +22,18 @@ from turtlebag.pipeline.navigation.takeover import Source, script_text
 from turtlebag.pipeline.stages.record import deferred_interrupt, save_truth
 from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 from turtlebag.planners.costmap import polygon_mask
-from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
-from turtlebag.sim.worlds import load_world, own_files
 
 
 def navigate(
-    world: str,
+    world: World,
+    robot: RobotSpec,
     request: Request,
-    out: Path,
+    out: Output,
     *,
-    robot: str | None = None,
     config: NavigateConfig | None = None,
-    force: bool = False,
-    command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
     files: Mapping[str, Path] | None = None,
 ) -> int:
@@ -48,62 +44,31 @@ def navigate(
     driven until then cannot be driven again, and is kept.
 
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
-    besides those of the request, the world and the robot.
-
-    Raises InputError, with nothing written, for unknown names, bad goals and unreadable maps.
+    besides those of the request. InputError, with nothing written, for bad goals and unreadable maps.
     """
-    check_free(out, force=force, kind="folder")
-    arena = load_world(world)
-    return navigate_in(
-        arena,
-        load_robot(robot or arena.robot),
-        request,
-        out,
-        config=config,
-        force=force,
-        command_line=command_line,
-        say=say,
-        files={**own_files(world, robot), **(files or {})},
-    )
-
-
-def navigate_in(
-    arena: World,
-    robot: RobotSpec,
-    request: Request,
-    out: Path,
-    *,
-    config: NavigateConfig | None = None,
-    force: bool = False,
-    command_line: Sequence[str] = (),
-    say: Callable[[str], None] = say,
-    files: Mapping[str, Path] | None = None,
-) -> int:
-    """`navigate` with a world and a robot that are at hand already."""
-    check_free(out, force=force, kind="folder")
     watch = Stopwatch()
-    mission = prepare(request, robot, config or NavigateConfig(), arena.keepout)
+    mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
     text = config_text(mission.config)
     custom = {
         "seed": str(request.seed),
         "config_sha256": sha256_text(text),
-        "world": arena.name,
+        "world": world.name,
         "task": request.task,
     }
     by_hand = request.takeover == "keyboard"
     at_once: nullcontext[list[int]] = nullcontext([])
     with (
         deferred_interrupt() if by_hand else at_once as interrupted,
-        Simulator(arena, mission.robot, mission.config.sim, request.seed) as simulator,
-        staged_output(out, force=force, save_bag=True) as folder,
+        Simulator(world, mission.robot, mission.config.sim, request.seed) as simulator,
+        out.staged(save_bag=True) as folder,
     ):
         with (
             BagWriter(folder / "bag", custom=custom) as bag,
             _takeovers(mission) as takeovers,
             simulated_time(_length_s(mission)) as clock,
         ):
-            news = News(_opening(arena, mission), log.info, clock)
+            news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), takeovers)
         metrics, loop_s, parts = episode.metrics, watch.seconds(), _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
@@ -118,16 +83,16 @@ def navigate_in(
         write_manifest(
             folder,
             stage="navigate",
-            command=command_line,
+            command=out.command,
             inputs={**_inputs(request), **(files or {}), **source_files(parts)},
             seed=request.seed,
             wall_s=watch.seconds(),
             extra={
-                "world": arena.name,
+                "world": world.name,
                 "robot": mission.robot.name,
                 "task": request.task,
                 "parts": parts,
-                "out": str(out),
+                "out": str(out.folder),
                 "realtime_factor": round(metrics["time_s"] / max(loop_s, 1e-9), 2),
             },
         )
@@ -136,7 +101,7 @@ def navigate_in(
             log.info(f"kidnapped at {when:g} s to ({x:g}, {y:g}, {yaw:g})")
     if interrupted:
         log.warning("interrupted; the run so far is kept")
-    log.info(f"{verdict(metrics)} -> {out}")
+    log.info(f"{verdict(metrics)} -> {out.folder}")
     return 128 + interrupted[0] if interrupted else int(not metrics["true_success"])
 
 
@@ -151,7 +116,7 @@ def _parts(mission: Mission) -> dict[str, str | None]:
     }
 
 
-def _opening(arena: World, mission: Mission) -> str:
+def _opening(world: World, mission: Mission) -> str:
     """What is going to be done, in one line."""
     request, laps = mission.request, mission.config.sequence.laps
     tasks = {
@@ -161,7 +126,7 @@ def _opening(arena: World, mission: Mission) -> str:
         "explore": "explore and map",
     }
     doing = tasks.get(request.task, f"task {request.task}")
-    return f"{doing}: {mission.robot.name} in {arena.name}, seed {request.seed}"
+    return f"{doing}: {mission.robot.name} in {world.name}, seed {request.seed}"
 
 
 def _length_s(mission: Mission) -> float | None:

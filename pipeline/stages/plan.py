@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,8 +11,7 @@ from pydantic import ValidationError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map, map_files
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.parts import is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -25,7 +24,7 @@ from turtlebag.planners.footprint import path_clearance, sample_footprint
 from turtlebag.planners.global_plan import PlanConfig, plan_path
 from turtlebag.planners.ompl_planner import OmplConfig, PlannerName
 from turtlebag.planners.planner import NoPath, Plan
-from turtlebag.sim.robots import RobotSpec, load_robot
+from turtlebag.sim.robots import RobotSpec
 
 
 class PlanStageConfig(Settings, allow_inf_nan=False):
@@ -35,44 +34,51 @@ class PlanStageConfig(Settings, allow_inf_nan=False):
     plan: PlanConfig = PlanConfig()
 
 
+@dataclass(frozen=True, eq=False)
+class Query:
+    """From where to where on the map, for which robot."""
+
+    robot: RobotSpec
+    T_map_start: SE2
+    T_map_goal: SE2
+    seed: int = 0
+
+    def require_free(self, costmap: Costmap, map_path: Path, options: str = "") -> None:
+        """InputError when start or goal is off the map or in an obstacle."""
+        for what, pose in (("start", self.T_map_start), ("goal", self.T_map_goal)):
+            require_free(f"{options}{what}", pose, costmap, self.robot.model, map_path)
+
+
 def plan(
     map_path: Path,
-    robot: str,
-    T_map_start: SE2,
-    T_map_goal: SE2,
-    out: Path,
+    query: Query,
+    out: Output,
     *,
-    seed: int = 0,
     config: PlanStageConfig | None = None,
     compare: bool = False,
-    force: bool = False,
-    command_line: Sequence[str] = (),
 ) -> int:
     """Plan from start to goal; 0 with a path, 1 without, both with complete outputs.
 
     With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
     metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
     """
-    check_free(out, force=force, kind="folder")
     watch = Stopwatch()
     config = config or PlanStageConfig()
-    spec = load_robot(robot)
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
-    for option, pose in (("--start", T_map_start), ("--goal", T_map_goal)):
-        require_free(option, pose, costmap, spec.model, map_path)
-    found, reason, planning_s = search(costmap, spec, T_map_start, T_map_goal, config, seed)
-    metrics = plan_metrics(costmap, spec, found, reason, config)
+    query.require_free(costmap, map_path, "--")
+    found, reason, planning_s = search(costmap, query, config)
+    metrics = plan_metrics(costmap, query.robot, found, reason, config)
     others: dict[str, Plan | None] = {}
     times: dict[str, float] = {config.plan.name: planning_s}
     if compare:
         metrics["planners"] = []
         for other in rivals(config):
             name = other.plan.name
-            others[name], why, times[name] = search(costmap, spec, T_map_start, T_map_goal, other, seed)
-            metrics["planners"].append(plan_metrics(costmap, spec, others[name], why, other))
+            others[name], why, times[name] = search(costmap, query, other)
+            metrics["planners"].append(plan_metrics(costmap, query.robot, others[name], why, other))
             log.info("%s", _line(metrics["planners"][-1], times[name]))
     parts = {"plan.planner": config.plan.planner}
-    with staged_output(out, force=force) as folder:
+    with out.staged() as folder:
         _write_path(folder / "path.csv", found)
         for name, other_found in others.items():
             _write_path(folder / f"path-{name}.csv", other_found)
@@ -81,13 +87,13 @@ def plan(
         write_manifest(
             folder,
             stage="plan",
-            command=command_line,
+            command=out.command,
             inputs={**map_files(map_path), **source_files(parts)},
-            seed=seed,
+            seed=query.seed,
             wall_s=watch.seconds(),
             extra={
-                "robot": spec.name,
-                "out": str(out),
+                "robot": query.robot.name,
+                "out": str(out.folder),
                 "parts": parts,
                 "planning_s": round(planning_s, 6),
                 **({"planners_s": {n: round(s, 6) for n, s in times.items()}} if compare else {}),
@@ -96,7 +102,7 @@ def plan(
     if found is None:
         log.info(f"no path: {reason}")
         return 1
-    log.info(f"path of {found.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out}")
+    log.info(f"path of {found.length:.2f} m found in {planning_s * 1e3:.0f} ms -> {out.folder}")
     return 0
 
 
@@ -136,14 +142,14 @@ def _line(metrics: dict[str, Any], seconds: float) -> str:
     )
 
 
-def search(
-    costmap: Costmap, spec: RobotSpec, start: SE2, goal: SE2, config: PlanStageConfig, seed: int
-) -> tuple[Plan | None, str, float]:
+def search(costmap: Costmap, query: Query, config: PlanStageConfig) -> tuple[Plan | None, str, float]:
     """The path, or None and why there is none; and the wall time it took [s]."""
     watch = Stopwatch()
-    plan_seed = int(stream(seed, "plan").integers(2**31))
+    plan_seed = int(stream(query.seed, "plan").integers(2**31))
     try:
-        found = plan_path(costmap, spec.model, start, goal, config.plan, plan_seed)
+        found = plan_path(
+            costmap, query.robot.model, query.T_map_start, query.T_map_goal, config.plan, plan_seed
+        )
     except NoPath as error:
         return None, str(error), watch.seconds()
     return found, "", watch.seconds()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +11,7 @@ from types import FrameType
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, sha256_text, staged_output, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, sha256_text, write_manifest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
@@ -53,7 +52,7 @@ def save_truth(folder: Path, truth: Trajectory, world: World, robot: RobotSpec) 
     save_map(world.rasterize(robot.lidar_height), folder)
 
 
-def record(scene: Scene, teleop: str, out: Path, *, force: bool = False, command: Sequence[str] = ()) -> int:
+def record(scene: Scene, teleop: str, out: Output) -> int:
     """Record a drive by a script, or by the /cmd_vel of a bag; returns the exit code.
 
     0 done, 1 the robot got stuck, 130 interrupted, 143 terminated; what was recorded until then is
@@ -66,7 +65,7 @@ def record(scene: Scene, teleop: str, out: Path, *, force: bool = False, command
         driver, label = replayed.commands(), replayed.label
     else:
         driver, label = commands(load_script(teleop), scene.world, scene.robot, scene.seed), teleop
-    return record_drive(scene, driver, label, out, inputs=inputs, force=force, command=command)
+    return record_drive(scene, driver, label, out, inputs=inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,24 +111,20 @@ def record_drive(
     scene: Scene,
     driver: Generator[Twist, Truth, None],
     teleop: str,
-    out: Path,
+    out: Output,
     *,
     inputs: Mapping[str, Path] | None = None,
     watch: Callable[[Observation], None] | None = None,
-    force: bool = False,
-    command: Sequence[str] = (),
 ) -> int:
     """Record what a driver does (sim.teleop: a generator of commands that is sent the truth).
 
     `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
     """
     timer = Stopwatch()
-    check_free(out, force=force, kind="folder")
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
-    with deferred_interrupt() as interrupted, staged_output(out, force=force, save_bag=True) as folder:
+    with deferred_interrupt() as interrupted, out.staged(save_bag=True) as folder:
         (folder / "config.yaml").write_text(config_text(config))
-        truth: list[tuple[int, SE2]] = []
         # Without the driver's name: a bag that is driven again from its own commands is the same bag.
         custom = {"seed": str(scene.seed), "config_sha256": sha256_text(config_text(scene.config("")))}
         with (
@@ -137,13 +132,13 @@ def record_drive(
             BagWriter(folder / "bag", custom=custom) as bag,
             simulated_time() as clock,
         ):
-            duration, stuck = _drive(simulator, scene.start, driver, bag, truth, watch, clock, interrupted)
-        save_truth(folder / "truth", trajectory_of(truth), scene.world, scene.robot)
+            truth, duration, stuck = _drive(simulator, scene.start, driver, bag, watch, clock, interrupted)
+        save_truth(folder / "truth", truth, scene.world, scene.robot)
         wall = timer.seconds()
         write_manifest(
             folder,
             stage="record",
-            command=command,
+            command=out.command,
             inputs={**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
             seed=scene.seed,
             wall_s=wall,
@@ -151,7 +146,7 @@ def record_drive(
         )
     if interrupted:
         log.warning("interrupted; the recording so far is kept")
-    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out}")
+    log.info(f"recorded {duration:.1f} s in {wall:.1f} s ({duration / wall:.0f} x real time) -> {out.folder}")
     if stuck:
         log.error("the drive ended early: %s", stuck)
     return 128 + interrupted[0] if interrupted else int(stuck is not None)
@@ -162,12 +157,13 @@ def _drive(
     start: SE2 | None,
     driver: Generator[Twist, Truth, None],
     bag: BagWriter,
-    truth: list[tuple[int, SE2]],
     watch: Callable[[Observation], None] | None,
     clock: Simulated,
     interrupted: list[int],
-) -> tuple[float, str | None]:
-    """Run the driver to its end or to an interrupt: the simulated time [s], and where it got stuck."""
+) -> tuple[Trajectory, float, str | None]:
+    """Run the driver to its end or to an interrupt: the truth at the scans, how long it took [simulated s],
+    and where it got stuck."""
+    truth: list[tuple[int, SE2]] = []
     observation = simulator.reset(start)
     bag.static_transforms(observation.stamp_ns, static_transforms(simulator.robot))
     next(driver)
@@ -195,7 +191,7 @@ def _drive(
         bag.command(observation.stamp_ns, command)
         observation = simulator.step(command)
     bag.command(observation.stamp_ns, Twist())
-    return seconds(observation.stamp_ns), stuck
+    return trajectory_of(truth), seconds(observation.stamp_ns), stuck
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
 from turtlebag.pipeline.terminal.messages import drawing
@@ -26,13 +26,11 @@ from turtlebag.reports.tables import write_tables
 
 def make_report(
     folders: Sequence[Path],
-    out: Path,
+    out: Output,
     *,
     rivals: Sequence[RivalFiles] = (),
-    force: bool = False,
     animate: bool = True,
     paper: bool = False,
-    command: Sequence[str] = ("turtlebag", "report"),
 ) -> Path:
     """Write `index.html`, `figures/`, `tables/`, `metrics.json`, the manifest; returns the page's path.
 
@@ -47,7 +45,7 @@ def make_report(
     groups = group_stages([load_stage(folder) for folder in folders])
     known, systems = measured_in(groups, rivals) if rivals else (Known(), [])
     files = inputs_of(rivals)
-    with staged_output(out, force=force, inputs=[*folders, *files.values()]) as partial:
+    with out.staged([*folders, *files.values()]) as partial:
         with drawing() as told:
             album = Album(partial / "figures", animate=animate, paper=paper, told=told)
             chapters = [build_chapter(group, album) for group in groups]
@@ -64,22 +62,20 @@ def make_report(
         write_json(partial / "metrics.json", numbers)
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
         # A report moved together with its inputs still finds them.
-        places = {name: os.path.relpath(folder, out) for name, folder in inputs.items()}
-        extra = {"folders": places, "rivals": remembered(rivals, out)}
-        write_manifest(partial, "report", command, inputs | files, wall_s=watch.seconds(), extra=extra)
-    return out / "index.html"
+        places = {name: os.path.relpath(folder, out.folder) for name, folder in inputs.items()}
+        extra = {"folders": places, "rivals": remembered(rivals, out.folder)}
+        write_manifest(partial, "report", out.command, inputs | files, wall_s=watch.seconds(), extra=extra)
+    return out.folder / "index.html"
 
 
-def make_index(
-    roots: Sequence[Path], out: Path, *, force: bool = False, command: Sequence[str] = ("turtlebag", "report")
-) -> Path:
+def make_index(roots: Sequence[Path], out: Output) -> Path:
     """Write a page with a sortable table of every output below `roots`; returns its path."""
     watch = Stopwatch()
     lines = index_lines(roots)
     if not lines:
         places = ", ".join(str(root) for root in roots)
         raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
-    with staged_output(out, force=force, inputs=shown_outputs(roots)) as partial:
+    with out.staged(shown_outputs(roots)) as partial:
         (partial / "index.html").write_text(render_index(lines))
-        write_manifest(partial, "index", command, {}, wall_s=watch.seconds())
-    return out / "index.html"
+        write_manifest(partial, "index", out.command, {}, wall_s=watch.seconds())
+    return out.folder / "index.html"

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.outputs import sha256_file
 from turtlebag.pipeline.terminal.messages import log
 from turtlebag.reports.provenance import renamed
-from turtlebag.reports.stages import Group, Manifest, Stage, read_json, read_manifest
+from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, read_json, read_manifest
 
 Run = Callable[[list[str]], int]
 """Runs a command line, without its `turtlebag`, saying nothing; gives the exit code."""
@@ -49,12 +48,7 @@ def remade(stage: Stage, places: Mapping[str, str], run: Run) -> Remade | None:
             return None
         if _read(read_manifest(out / "manifest.json")) != _read(stage.manifest):
             return None
-        changed = [
-            path
-            for path, digest in stage.outputs.items()
-            if not (out / path).is_file() or sha256_file(out / path) != digest
-        ]
-        return Remade(read_json(out / "metrics.json"), changed)
+        return Remade(read_json(out / "metrics.json"), changed_files(out, stage.outputs))
 
 
 def command_again(stage: Stage, places: Mapping[str, str], out: Path) -> list[str]:

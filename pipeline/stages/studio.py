@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.output_rules import check_free
-from turtlebag.datasets.outputs import Stopwatch, staged_output, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.takeover import Script
 from turtlebag.pipeline.slam.slam import SlamConfig
@@ -27,24 +26,21 @@ from turtlebag.pipeline.terminal.messages import log, say, simulated_time
 @contextmanager
 def studio_output(
     setup: StudioSetup | BagSetup,
-    out: Path,
+    out: Output,
     *,
-    force: bool = False,
-    command_line: Sequence[str] = (),
     say: Callable[[str], None] = say,
     session_file: Path | None = None,
 ) -> Iterator[Session | Playback]:
     """A session whose files grow in OUT.partial and are put in place when the block is left.
 
     A session that did not end within the block ends there. `say` takes the lines of the event log,
-    `session_file` is the one that is driven again. InputError, with nothing written, for unknown names,
-    unreadable maps and an `out` that is taken.
+    `session_file` is the one that is driven again. InputError, with nothing written, for unknown names and
+    unreadable maps.
     """
-    check_free(out, force=force, kind="folder")
     timer = Stopwatch()
     files = {**setup.files, **({} if session_file is None else {"session": session_file})}
     by_hand = session_file is None  # only what a person did cannot be done again
-    with staged_output(out, force=force, inputs=files.values(), save_bag=by_hand) as folder:
+    with out.staged(files.values(), save_bag=by_hand) as folder:
         session: Session | Playback
         if isinstance(setup, BagSetup):
             with Playback(setup, folder, say) as session:
@@ -62,41 +58,31 @@ def studio_output(
         write_manifest(
             folder,
             stage="studio",
-            command=command_line,
+            command=out.command,
             inputs=files,
             seed=None if isinstance(setup, BagSetup) else setup.seed,
             wall_s=wall_s,
             extra={
                 **about,
-                "out": str(out),
+                "out": str(out.folder),
                 "realtime_factor": round(simulated_s / max(wall_s, 1e-9), 2),
             },
         )
-    log.info(f"{simulated_s:.1f} simulated seconds -> {out}")
+    log.info(f"{simulated_s:.1f} simulated seconds -> {out.folder}")
 
 
-def replay(
-    session_file: Path,
-    out: Path,
-    *,
-    force: bool = False,
-    command_line: Sequence[str] = (),
-    say: Callable[[str], None] = say,
-) -> int:
+def replay(session_file: Path, out: Output, *, say: Callable[[str], None] = say) -> int:
     """Drive a session again, to the same bytes; returns the exit code.
 
     One whose file does not say that it ended was killed: it ends with the last line of the file.
     InputError, with nothing written, when it cannot be driven again.
     """
-    check_free(out, force=force, kind="folder")
     recorded = load_session(session_file)
     setup = setup_of(recorded.header, session_file)
     actions, script = deque(recorded.actions), Script(recorded.script)
     with (
         deferred_interrupt() as interrupted,
-        studio_output(
-            setup, out, force=force, command_line=command_line, say=say, session_file=session_file
-        ) as session,
+        studio_output(setup, out, say=say, session_file=session_file) as session,
         simulated_time(recorded.until_ns * 1e-9) as clock,
     ):
         while not session.ended:

@@ -116,10 +116,9 @@ def verify(report: Path, run: Run | None = None) -> Verification:
 
 
 def _check_report_files(report: Path, manifest: Manifest, groups: list[Group], found: Verification) -> None:
-    for path, digest in manifest.outputs.items():
-        found.files += 1
-        if not (report / path).is_file() or sha256_file(report / path) != digest:
-            found.problems.append(f"{report.name}/{path}: changed since the report was made")
+    found.files += len(manifest.outputs)
+    for path in changed_files(report, manifest.outputs):
+        found.problems.append(f"{report.name}/{path}: changed since the report was made")
     for group in groups:
         for stage in group.stages:
             name = f"{group.name}/{stage.label}"
@@ -139,7 +138,8 @@ def _check_stage(
 ) -> None:
     name = f"{group.name}/{stage.label}"
     found.files += len(stage.outputs)
-    found.problems += [f"{name}/{path}: does not match its manifest" for path in changed_files(stage)]
+    changed = changed_files(stage.folder, stage.outputs)
+    found.problems += [f"{name}/{path}: does not match its manifest" for path in changed]
     found.problems += [f"{name}: {said}" for said in changed_parts(stage)]
     disagreement = truth_disagreement(stage)
     if disagreement is not None and disagreement > TRUTH_AGREES_M:
@@ -310,8 +310,4 @@ def _unit(key: str) -> str | None:
         return GOAL_UNITS.get(last)
     if path.startswith("planners."):
         return PLANNER_UNITS.get(last)
-    for specs in SPECS.values():
-        for spec in specs:
-            if spec.path == path:
-                return spec.unit
-    return None
+    return next((spec.unit for specs in SPECS.values() for spec in specs if spec.path == path), None)

@@ -16,7 +16,6 @@ import yaml
 from numpy.typing import NDArray
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Scan, Trajectory
 from turtlebag.pipeline.slam.edits import AddedLoop, Edits, KeyEdits, RejectedLoop
@@ -28,9 +27,9 @@ from turtlebag.pipeline.studio.bag_setup import BagSetup, scene_of
 from turtlebag.pipeline.studio.journal import FILE, Journal
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of_mapper, points_of
-from turtlebag.pipeline.studio.view import BagMarks, LoopMarks, MapLayer, View
+from turtlebag.pipeline.studio.view import NO_PATH, BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
-from turtlebag.pipeline.studio.visuals import EventLog, Trail
+from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
 from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
 
 EDITS = "edits.yaml"
@@ -54,16 +53,15 @@ class Playback:
         self._journal = Journal(folder / FILE, setup.header())
         self._edits = Edits()
         self._trails = {"odom": Trail(), "slam": Trail()}
-        self._slam_path = ShownPath(0, np.zeros((0, 2)))
-        self._grid: OccupancyGrid | None = None
+        self._slam_path = NO_PATH
         self._layer: MapLayer | None = None
         self._graph: ShownGraph | None = None
         self._loop: LoopMarks | None = None
-        self._scan_points: tuple[tuple[float, ...], Array] | None = None
+        self._cached = Cached()
         self._mapper: Mapper | None = None
         self._waiting: Iterator[tuple[Scan, SE2 | Trajectory | None]] = iter(())
         self._first = 0
-        self._built: tuple[Edits, OccupancyGrid] | None = None
+        self._built: tuple[Edits, MapLayer] | None = None
         self._trajectory: Trajectory | None = None
         self._T_map_odom = SE2.identity()
         self._interrupted = False
@@ -207,7 +205,7 @@ class Playback:
         self._mapper = Mapper(self._log.lidar, self._log.T_base_lidar)
         self._first = self._scan + 1
         self._waiting = heard(self._log, self._first)
-        self._grid = self._graph = self._loop = self._trajectory = None
+        self._layer = self._graph = self._loop = self._trajectory = None
         self._trails["slam"].clear()
         return "mapping from here on"
 
@@ -222,7 +220,7 @@ class Playback:
         """The online map, its graph and its path."""
         if self._mapper is None or len(self._mapper) < 2:
             return
-        self._set_grid(self._mapper.map())
+        self._layer = MapLayer(self._mapper.map())
         self._T_map_odom = self._mapper.T_map_odom
         self._graph = graph_of_mapper(self._mapper, self._first)
         self._slam_path = ShownPath(self._slam_path.version + 1, self._mapper.trajectory.poses.xy)
@@ -230,15 +228,15 @@ class Playback:
 
     def _build(self) -> str:
         """Map the whole bag, with what was said of loops."""
-        if self._built is not None and self._built[0] == self._edits and self._grid is self._built[1]:
+        if self._built is not None and self._built[0] == self._edits and self._layer is self._built[1]:
             return "the map of the whole bag is shown already"
         try:
             result = run_slam(self._log, SlamConfig(), self._until_interrupted, edits=self._edits)
         except InputError as error:
             raise InputError(str(error).removeprefix("--edits: ")) from None
         self._mapper, self._trajectory = None, result.trajectory
-        self._built = self._edits, result.grid
-        self._set_grid(result.grid)
+        self._layer = MapLayer(result.grid)
+        self._built = self._edits, self._layer
         self._graph = graph_of(result)
         self._loop = None
         self._trails["slam"].clear()
@@ -259,11 +257,8 @@ class Playback:
         if self._built is None or self._built[0] != self._edits:
             self._events.add(self._position_ns, self._build())
         assert self._built is not None
-        self._library.save_map(action.name, self._built[1], ())
+        self._library.save_map(action.name, self._built[1].grid, ())
         return f"map {action.name} saved"
-
-    def _set_grid(self, grid: OccupancyGrid) -> None:
-        self._grid, self._layer = grid, MapLayer(grid)
 
     # Loops
 
@@ -315,41 +310,20 @@ class Playback:
         return View(
             stamp_ns=self._position_ns,
             ended=self.ended,
-            owner="navigation",
-            command=(0.0, 0.0),
-            task="",
             state="mapping" if mapping else "at its end" if self.idle else "playing",
-            recording=None,
             mapping=mapping,
-            map_name=None,
             maps=self._library.maps,
-            waypoint_files=(),
-            loaded_waypoints=None,
-            localised=False,
             sure=self._mapper.fit if self._mapper is not None and len(self._mapper) else None,
             lost="scans fit nothing seen before" if self._mapper is not None and self._mapper.lost else None,
             T_map_base=T_map_base,
             T_odom_base=T_odom_base,
             T_world_base=T_map_base,
-            goals=(),
-            goal_index=-1,
-            goal=None,
-            sectors=None,
             events=self._events.events,
             scan=self._points(T_map_base),
-            particles=None,
-            plan=None,
-            local=None,
             odom_path=self._trails["odom"].path,
             slam_path=self._slam_path if self._trails["slam"].path.points.size == 0 else self._longer(),
-            true_path=ShownPath(0, np.zeros((0, 2))),
             graph=None if self._graph is None else self._graph.graph,
-            boxes=None,
-            mover_segments=None,
-            mover_circles=None,
-            keepout=(),
-            map=self._layer if self._grid is not None else None,
-            costmap=None,
+            map=self._layer,
             bag=self._marks(),
         )
 
@@ -365,9 +339,7 @@ class Playback:
         if self._scan < 0:
             return None
         of = (self._scan, *T_map_base.xyt.tolist())
-        if self._scan_points is None or self._scan_points[0] != of:
-            self._scan_points = of, T_map_base @ points_of(self._log, self._scan)
-        return self._scan_points[1]
+        return self._cached.get("scan", of, lambda: T_map_base @ points_of(self._log, self._scan))
 
     def _longer(self) -> ShownPath:
         """The path as it was drawn last, and on from there."""

@@ -31,7 +31,7 @@ from turtlebag.pipeline.studio.frames import Frames, bye, hello
 from turtlebag.pipeline.studio.inputs import Input
 from turtlebag.pipeline.studio.playback import Playback
 from turtlebag.pipeline.studio.session import Session
-from turtlebag.pipeline.studio.session_thread import SessionThread, Timing
+from turtlebag.pipeline.studio.session_thread import Pace, SessionThread
 from turtlebag.pipeline.studio.view import View
 
 PAGE = Path(__file__).parent / "static"
@@ -59,7 +59,7 @@ class Studio:
         self._thread = SessionThread(session, self._show)
         self._viewers: list[Viewer] = []
         self._driver: Viewer | None = None
-        self._last: tuple[View, Timing] | None = None
+        self._last: tuple[View, Pace] | None = None
 
     def start(self) -> None:
         """Let the simulated time pass."""
@@ -118,12 +118,12 @@ class Studio:
         else:
             self._thread.ask(asked, lambda said: self._loop.add_callback(viewer.refuse, said))
 
-    def _show(self, view: View, timing: Timing) -> None:
+    def _show(self, view: View, pace: Pace) -> None:
         """Called in the session's thread."""
-        self._loop.add_callback(self._send, view, timing)
+        self._loop.add_callback(self._send, view, pace)
 
-    def _send(self, view: View, timing: Timing) -> None:
-        self._last = view, timing
+    def _send(self, view: View, pace: Pace) -> None:
+        self._last = view, pace
         self._tell(None)
         if self._viewers:
             self._thread.want_view()
@@ -135,9 +135,9 @@ class Studio:
 
     def _tell(self, busy: str | None) -> None:
         if self._last is not None:
-            view, timing = self._last
+            view, pace = self._last
             for viewer in list(self._viewers):
-                viewer.show(view, timing, driver=viewer is self._driver, busy=busy)
+                viewer.show(view, pace, driver=viewer is self._driver, busy=busy)
 
 
 class Viewer(CheckedHandler, WebSocketHandler):
@@ -183,11 +183,11 @@ class Viewer(CheckedHandler, WebSocketHandler):
         """The page is gone."""
         self.studio.leave(self)
 
-    def show(self, view: View, timing: Timing, *, driver: bool, busy: str | None) -> None:
+    def show(self, view: View, pace: Pace, *, driver: bool, busy: str | None) -> None:
         """Send what is new in a view; dropped while the frame before is still under way."""
         if self._parted or (self._written is not None and not self._written.done()):
             return
-        told = {**dataclasses.asdict(timing), "driver": driver, "busy": busy, "error": self.error}
+        told = {**dataclasses.asdict(pace), "driver": driver, "busy": busy, "error": self.error}
         self.send(self.frames.frame(view, told))
         self.error = None
 

@@ -32,7 +32,7 @@ log = logging.getLogger("turtlebag")
 
 
 @dataclass(frozen=True)
-class Timing:
+class Pace:
     """How the simulated time passes: `factor` of the wall's, `asked` for (0: as fast as it goes)."""
 
     factor: float
@@ -46,7 +46,7 @@ Refused = Callable[[str], None]
 class SessionThread:
     """The thread. `show` is called in it with each view that `want_view` asked for."""
 
-    def __init__(self, session: Session | Playback, show: Callable[[View, Timing], None]) -> None:
+    def __init__(self, session: Session | Playback, show: Callable[[View, Pace], None]) -> None:
         self._session, self._show = session, show
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="session")
@@ -119,7 +119,7 @@ class SessionThread:
                     self._count()
                 self._begin("")
                 self._show_if_wanted()
-            self._show(self._session.view(), self._timing())
+            self._show(self._session.view(), self._pace())
         except BaseException as error:
             self.failure = error
 
@@ -205,16 +205,16 @@ class SessionThread:
         while now - self._ticks[0][0] > 1.0 and len(self._ticks) > 2:
             self._ticks.popleft()
 
-    def _timing(self) -> Timing:
+    def _pace(self) -> Pace:
         factor = 0.0
         if not self._paused and not self._session.idle and len(self._ticks) > 1:
             (begun, first), (now, last) = self._ticks[0], self._ticks[-1]
             factor = (last - first) * 1e-9 / max(now - begun, FRAME_S)
-        return Timing(round(factor, 2), self._asked, self._paused)
+        return Pace(round(factor, 2), self._asked, self._paused)
 
     def _show_if_wanted(self) -> None:
         now = time.monotonic()
         if self._wanted.is_set() and now >= self._view_due:
             self._wanted.clear()
             self._view_due = max(self._view_due + FRAME_S, now)
-            self._show(self._session.view(), self._timing())
+            self._show(self._session.view(), self._pace())

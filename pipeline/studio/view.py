@@ -60,6 +60,9 @@ class Path(NamedTuple):
     points: Array
 
 
+NO_PATH = Path(0, np.zeros((0, 2)))
+
+
 class Graph(NamedTuple):
     """Poses of the key scans (n, 3) in the map frame; edges (m, 3): from, to, 0 (step) or 1 (loop)."""
 
@@ -180,71 +183,73 @@ class BagMarks:
     """`reject` or `add`, scan and place."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class View:
-    """A session now; everything is in the map frame unless its name says otherwise."""
+    """A session now; everything is in the map frame unless its name says otherwise.
+
+    What is left out is not there: where a bag is played there is nothing to drive.
+    """
 
     stamp_ns: int
     ended: bool
     """Whether the session is over."""
-    owner: str
+    owner: str = "navigation"
     """Whose commands the robot gets: `navigation` or `teleop`."""
-    command: tuple[float, float]
+    command: tuple[float, float] = (0.0, 0.0)
     """v, w [m/s, rad/s] of the last tick."""
-    task: str
+    task: str = ""
     """What is being done: `goal`, `patrol`, `avoid`, `explore`, `wiggle`, or empty."""
     state: str
     """In a word or two what goes on in it."""
-    recording: str | None
+    recording: str | None = None
     """Name of the bag that is open."""
     mapping: bool
-    map_name: str | None
+    map_name: str | None = None
     """Name of the map that is loaded; empty for the one the session was started with."""
     maps: tuple[str, ...]
     """Names of the maps that can be loaded; empty for the one the session was started with."""
-    waypoint_files: tuple[str, ...]
-    loaded_waypoints: tuple[tuple[float, float, float, float | None], ...] | None
+    waypoint_files: tuple[str, ...] = ()
+    loaded_waypoints: tuple[tuple[float, float, float, float | None], ...] | None = None
     """x, y, yaw and wait of each waypoint that was loaded last; None before."""
-    localised: bool
+    localised: bool = False
     """Whether there is a pose on a map."""
-    sure: float | None
+    sure: float | None = None
     """Share of the scans that the map explains, 0 to 1."""
-    lost: str | None
+    lost: str | None = None
     """Why the robot does not trust its pose; None when it does."""
     T_map_base: SE2
     T_odom_base: SE2
     T_world_base: SE2
     """The truth, for the ghost alone."""
-    goals: tuple[GoalMark, ...]
-    goal_index: int
+    goals: tuple[GoalMark, ...] = ()
+    goal_index: int = -1
     """Of the goal that is pursued, -1 for none."""
-    goal: tuple[float, float, float] | None
+    goal: tuple[float, float, float] | None = None
     """The goal that is pursued."""
-    sectors: SectorMarks | None
+    sectors: SectorMarks | None = None
     events: tuple[Event, ...]
     """The last ones, oldest first."""
     scan: Array | None
     """Where beams of the newest sweep ended, (n, 2)."""
-    particles: Array | None
+    particles: Array | None = None
     """(n, 3)."""
-    plan: Array | None
+    plan: Array | None = None
     """The global path, (n, 2)."""
-    local: Array | None
+    local: Array | None = None
     """Where the present command leads, (n, 2)."""
     odom_path: Path
     slam_path: Path
     """Where the robot took itself to be."""
-    true_path: Path
+    true_path: Path = NO_PATH
     graph: Graph | None
-    boxes: Array | None
+    boxes: Array | None = None
     """Boxes that were dropped: (n, 4) x, y of the middle, length along x, width along y."""
-    keepout: tuple[Array, ...]
+    keepout: tuple[Array, ...] = ()
     """Outlines (k, 2) that are kept out of."""
-    mover_segments: Array | None
+    mover_segments: Array | None = None
     """Of what moves in the true world, for the ghost alone: (n, 4), see `Scene`."""
-    mover_circles: Array | None
+    mover_circles: Array | None = None
     """(m, 3)."""
     map: MapLayer | None
-    costmap: CostLayer | None
+    costmap: CostLayer | None = None
     bag: BagMarks | None = None
-    """None where nothing is played."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.record import Scene, record_drive
@@ -61,7 +62,7 @@ def test_a_keyboard_drive_is_a_bag_like_any_other_and_ends_standing(tmp_path):
     frames = []
     driver = keyboard_driver(state, lambda: next(typed), lambda step: None)
     view = View(scene.robot, state, False, frames.append)
-    assert record_drive(scene, driver, "keyboard:keys", tmp_path / "rec", watch=view) == 0
+    assert record_drive(scene, driver, "keyboard:keys", Output(tmp_path / "rec"), watch=view) == 0
     _, v, w = read_commands(tmp_path / "rec")
     assert v.max() == pytest.approx(0.1)
     assert w.max() == pytest.approx(0.3)

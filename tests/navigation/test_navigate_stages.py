@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.maps import load_map, save_map
-from turtlebag.datasets.outputs import sha256_text, sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.navigation.setup import Request
@@ -21,6 +21,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import FOLDER, load_world
 
 WORLD = "turtlebot3_world"
+ARENA, BURGER = load_world(WORLD), load_robot("burger")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_plan_refuses_bad_goals(true_map, tmp_path, capsys, goal):
 @pytest.mark.slow
 def test_a_goal_without_a_map_is_reached_by_what_the_scans_show(tmp_path):
     request = Request(task="goal", seed=2, goal=SE2.from_xyt(0.55, -0.55, 0.0), timeout_s=90.0)
-    assert navigate(WORLD, request, tmp_path / "run") == 0
+    assert navigate(ARENA, BURGER, request, Output(tmp_path / "run")) == 0
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["localisation_error_m"] is None
     assert metrics["goals"][0]["error_m"] < 0.1
@@ -83,7 +84,7 @@ def test_a_wrong_initial_pose_is_wiggled_right(true_map, tmp_path):
         goal=SE2.from_xyt(-1.5, -0.5, 0.0),
         wiggle=True,
     )
-    assert navigate(WORLD, request, tmp_path / "run") == 0
+    assert navigate(ARENA, BURGER, request, Output(tmp_path / "run")) == 0
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["goals"][0]["error_m"] < 0.05
 

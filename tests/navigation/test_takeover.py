@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
@@ -29,6 +29,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
 WORLD = "turtlebot3_world"
+ARENA, BURGER = load_world(WORLD), load_robot("burger")
 S = 10**9
 SCRIPT = (Interval(begin=2.0, end=3.0, v=-0.05, w=0.6), Interval(begin=3.0, end=4.5, v=0.15))
 
@@ -49,7 +50,7 @@ def goal_run(out: Path, true_map: Path, script=(), source=None) -> dict:
         takeover=source,
     )
     config = NavigateConfig(takeover=TakeoverConfig(script=script))
-    assert navigate(WORLD, request, out, config=config, say=lambda line: None) == 0
+    assert navigate(ARENA, BURGER, request, Output(out), config=config, say=lambda line: None) == 0
     return json.loads((out / "metrics.json").read_text())
 
 
@@ -109,7 +110,9 @@ def test_the_monitor_stops_a_takeover_short_of_a_wall_unless_it_is_off(tmp_path)
     for monitored in (True, False):
         config = NavigateConfig(takeover=TakeoverConfig(script=push, monitor=monitored))
         request = Request(task="avoid", seed=1, duration_s=9.0, start=SE2.from_xyt(-2.0, -0.5, np.pi))
-        navigate(WORLD, request, tmp_path / str(monitored), config=config, say=lambda line: None)
+        navigate(
+            ARENA, BURGER, request, Output(tmp_path / str(monitored)), config=config, say=lambda line: None
+        )
         metrics = json.loads((tmp_path / str(monitored) / "metrics.json").read_text())
         contacts[monitored] = metrics["collisions"]["visible"]
     assert contacts == {True: 0, False: 1}

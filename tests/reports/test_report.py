@@ -11,7 +11,7 @@ import pytest
 from report_fakes import fake_map, fake_record, fake_run
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.cli.arguments import map_file
 from turtlebag.pipeline.cli.main import build_parser, main
 from turtlebag.pipeline.stages.report import make_report
@@ -35,7 +35,7 @@ def stages(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(stages, tmp_path_factory):
-    return make_report(stages, tmp_path_factory.mktemp("report") / "out")
+    return make_report(stages, Output(tmp_path_factory.mktemp("report") / "out"))
 
 
 class Tags(HTMLParser):
@@ -130,14 +130,14 @@ def test_the_same_stages_give_the_same_bytes_wherever_they_are(page, stages, tmp
         shutil.copytree(folder, tmp_path / folder.name)
         manifest = tmp_path / folder.name / "manifest.json"
         manifest.write_text(manifest.read_text().replace(str(folder.parent), str(tmp_path)))
-    again = make_report([tmp_path / folder.name for folder in stages], tmp_path / "report")
+    again = make_report([tmp_path / folder.name for folder in stages], Output(tmp_path / "report"))
     assert sha256_tree(again.parent) == sha256_tree(page.parent)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", [[1], [2]])
 def test_any_subset_of_stages_makes_a_page(stages, chosen, tmp_path):
-    page = make_report([stages[k] for k in chosen], tmp_path / "out", animate=False)
+    page = make_report([stages[k] for k in chosen], Output(tmp_path / "out"), animate=False)
     assert "<svg" in page.read_text()
 
 
@@ -198,9 +198,9 @@ def test_a_damaged_manifest_is_bad_input(text, tmp_path):
 
 def test_a_changed_output_is_found_by_its_hash(tmp_path):
     stage = load_stage(fake_record(tmp_path / "record"))
-    assert changed_files(stage) == []
+    assert changed_files(stage.folder, stage.outputs) == []
     (tmp_path / "record/truth/trajectory.tum").write_text("0 0 0 0 0 0 0 1\n")
-    assert changed_files(stage) == ["truth/trajectory.tum"]
+    assert changed_files(stage.folder, stage.outputs) == ["truth/trajectory.tum"]
 
 
 def test_values_are_shown_in_human_units():

@@ -7,6 +7,7 @@ import pytest
 from browser import Browser, find_browser
 from report_fakes import fake_map, fake_record, fake_run
 
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.cli.arguments import pose
 from turtlebag.pipeline.stages.compare import compare_outputs, compare_rivals
@@ -57,12 +58,12 @@ def address(tmp_path_factory):
     base = tmp_path_factory.mktemp("page")
     record = fake_record(base / "record")
     run = fake_run(base / "run", fake_map(base / "map", record), missed=True)
-    make_index([base], base / "index")
+    make_index([base], Output(base / "index"))
     fake_map(base / "other", record, sigma_m=0.02)
-    compare_outputs(base / "map", base / "other", base / "comparison")
+    compare_outputs(base / "map", base / "other", Output(base / "comparison"))
     files = RivalFiles("cartographer", base / "other/trajectory.tum", base / "other/map.yaml")
-    compare_rivals(base / "map", [files], base / "rivals")
-    return make_report([record, base / "map", run], base / "report").as_uri()
+    compare_rivals(base / "map", [files], Output(base / "rivals"))
+    return make_report([record, base / "map", run], Output(base / "report")).as_uri()
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,7 @@ def test_tables_of_four_systems_are_not_cut(browser, address, tmp_path):
     base = Path(urlsplit(address).path).parents[1]
     names = ("cartographer", "slam_toolbox", "kiss_icp")
     files = [RivalFiles(name, base / "other/trajectory.tum", base / "other/map.yaml") for name in names]
-    compare_rivals(base / "map", files, tmp_path / "rivals")
+    compare_rivals(base / "map", files, Output(tmp_path / "rivals"))
     browser.open((tmp_path / "rivals/index.html").as_uri(), 1200)
     assert browser.evaluate(CUT) == []
 

@@ -7,6 +7,7 @@ import pytest
 from report_fakes import fake_localise, fake_map, fake_maps, fake_plan, fake_record, mapped_room
 
 from turtlebag.datasets.grid import OccupancyGrid
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_outputs
@@ -46,7 +47,7 @@ def test_an_output_compared_with_itself_differs_in_nothing(tree):
 
 @pytest.mark.slow
 def test_the_page_shows_maps_paths_and_distance(tree, tmp_path):
-    compare_outputs(tree / "a", tree / "b", tmp_path / "out")
+    compare_outputs(tree / "a", tree / "b", Output(tmp_path / "out"))
     page = (tmp_path / "out/index.html").read_text()
     assert sorted(path.name for path in (tmp_path / "out/figures").iterdir()) == [
         "apart.png",
@@ -113,5 +114,5 @@ def test_plans_and_estimates_are_drawn_over_each_other_too(tmp_path):
     for maker, name in ((fake_plan, "plan"), (fake_localise, "localise")):
         inputs = (record, built) if maker is fake_localise else (built,)
         one, other = (maker(tmp_path / f"{name}-{k}", *inputs) for k in "ab")
-        compare_outputs(one, other, tmp_path / f"compare-{name}")
+        compare_outputs(one, other, Output(tmp_path / f"compare-{name}"))
         assert (tmp_path / f"compare-{name}" / "figures" / "paths.png").is_file()

@@ -16,6 +16,7 @@ from viewer import unresolved
 
 from turtlebag.datasets.bags.topics import TOPICS
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.report import make_report
 
 LAYOUT = json.loads((files("turtlebag.reports") / "templates" / "foxglove-layout.json").read_text())
@@ -176,7 +177,7 @@ def test_what_a_viewer_could_not_show_is_noticed(tmp_path):
 @pytest.mark.slow
 def test_the_layout_beside_a_report_is_in_a_frame_its_bags_have_and_shows_all_the_ground(tmp_path):
     record = fake_record(tmp_path / "record")
-    make_report([record], tmp_path / "report", animate=False)
+    make_report([record], Output(tmp_path / "report"), animate=False)
     assert [path.name for path in (tmp_path / "report").glob("foxglove*")] == ["foxglove-layout.json"]
     layout = json.loads((tmp_path / "report/foxglove-layout.json").read_text())
     panel = layout["configById"]["3D!turtlebag"]

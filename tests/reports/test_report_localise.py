@@ -11,7 +11,7 @@ from report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_r
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map
-from turtlebag.datasets.outputs import sha256_file, write_json
+from turtlebag.datasets.outputs import Output, sha256_file, write_json
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import verify
@@ -26,7 +26,7 @@ def test_localisation_and_plan_stand_with_their_world_and_verify(tmp_path):
     built = fake_map(tmp_path / "map", record)
     located = fake_localise(tmp_path / "localise", record, built)
     plan = fake_plan(tmp_path / "plan", built)
-    page = make_report([plan, located, built, record], tmp_path / "out", animate=False).read_text()
+    page = make_report([plan, located, built, record], Output(tmp_path / "out"), animate=False).read_text()
     metrics = json.loads((tmp_path / "out/metrics.json").read_text())
     assert list(metrics) == ["room"]
     assert list(metrics["room"]) == ["record", "map", "localise", "plan"]
@@ -51,7 +51,7 @@ def test_a_plan_that_found_nothing_is_reported_with_its_reason(tmp_path):
     (plan / "metrics.json").write_text('{"success": false, "reason": "no way round the pillar"}')
     rehash(plan, "path.csv")
     rehash(plan, "metrics.json")
-    page = make_report([plan], tmp_path / "out", animate=False).read_text()
+    page = make_report([plan], Output(tmp_path / "out"), animate=False).read_text()
     assert "No path was found: no way round the pillar." in page
     assert verify(tmp_path / "out", main).problems == []
 
@@ -71,7 +71,7 @@ def test_planners_are_compared_on_the_map_and_in_a_table(tmp_path):
         rows = "" if name == "PRM" else f"-2,-1.5,0\n0,{-1.5 + 0.2 * number},0\n2,-1.5,0\n"
         (plan / f"path-{name}.csv").write_text("x,y,yaw\n" + rows)
     assert list(planner_paths(load_stage(plan))) == ["RRTConnect", "BITstar"]
-    page = make_report([plan], tmp_path / "out", animate=False).read_text()
+    page = make_report([plan], Output(tmp_path / "out"), animate=False).read_text()
     assert "2 of 3 planners found a path; the chosen one did." in page
     assert "Planners compared." in page
     assert 'data-key="map/plan:planners.0.length_m" data-value="4.25">4.25' in page
@@ -89,7 +89,7 @@ def test_who_was_not_told_where_it_is_and_what_was_mapped_on_the_way_are_shown_a
     rehash(located, "metrics.json")
     for name in ("map.pgm", "map.yaml"):
         shutil.copy(built / name, run / name)
-    page = make_report([record, located, run], tmp_path / "out", animate=False).read_text()
+    page = make_report([record, located, run], Output(tmp_path / "out"), animate=False).read_text()
     assert "Rejected: no initial pose." in page
     assert "<strong>Not localised.</strong>" in page
     assert "<strong>The map it built.</strong>" in page
@@ -139,7 +139,7 @@ def test_without_a_run_the_headline_says_what_there_is_and_whether_it_was_found(
     plan, located = fake_plan(tmp_path / "plan", built), fake_localise(tmp_path / "localise", record, built)
 
     def head(name, *folders):
-        page = make_report(list(folders), tmp_path / name, animate=False).read_text()
+        page = make_report(list(folders), Output(tmp_path / name), animate=False).read_text()
         return re.search(r'<h1 class="(\w+)">(.*?)</h1>', page).groups(), page
 
     assert head("one", record)[0] == ("neutral", "1 recording, no navigation")

@@ -9,6 +9,7 @@ import subprocess
 import pytest
 from report_fakes import fake_map, fake_record, fake_run, undrawn
 
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.reports.content import stage_metrics
@@ -32,7 +33,7 @@ def base(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(base, tmp_path_factory):
     out = tmp_path_factory.mktemp("report") / "out"
-    make_report([base / "maps/good"], out, animate=False, paper=True)
+    make_report([base / "maps/good"], Output(out), animate=False, paper=True)
     return out
 
 
@@ -48,7 +49,7 @@ def test_the_csv_holds_every_number_in_si_units(report):
 @pytest.mark.slow
 def test_the_csv_holds_the_goals_and_says_the_unit_of_every_value(base, tmp_path):
     with undrawn():
-        make_report([base / "runs/missed"], tmp_path / "out", animate=False)
+        make_report([base / "runs/missed"], Output(tmp_path / "out"), animate=False)
     with (tmp_path / "out/tables/numbers.csv").open() as file:
         rows = {row["number"]: row for row in csv.DictReader(file)}
     goals = json.loads((base / "runs/missed/metrics.json").read_text())["goals"]
@@ -93,7 +94,7 @@ def tables(report, base, tmp_path_factory):
     """Every kind of table, every label, every unit, and texts that nobody foresaw."""
     out = tmp_path_factory.mktemp("tables")
     with undrawn():
-        make_report([base / "runs/missed"], out / "run", animate=False)
+        make_report([base / "runs/missed"], Output(out / "run"), animate=False)
     values = {"count": 3, "yes": True}
     for kind, specs in SPECS.items():
         rows = [(spec.label, shown(values.get(spec.unit, -0.123), spec.unit)) for spec in specs]
@@ -181,7 +182,7 @@ def test_the_same_output_below_two_roots_has_one_line(base):
 
 
 def test_the_index_is_a_sortable_page_without_machine_paths(base, tmp_path, capsys):
-    page = make_index([base], tmp_path / "out").read_text()
+    page = make_index([base], Output(tmp_path / "out")).read_text()
     assert page.count("<tr>") == 5
     assert 'class="sortable"' in page
     assert str(base) not in page

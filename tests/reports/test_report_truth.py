@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from report_fakes import fake_map, fake_record, fake_run, undrawn
 
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.pipeline.stages.verify import verify, words_of
@@ -32,7 +33,7 @@ def folders(tmp_path_factory):
 def page(folders):
     stages = [folders / name for name in ("record", "map", "there", "lost")]
     with undrawn():
-        return make_report(stages, folders / "report", animate=False)
+        return make_report(stages, Output(folders / "report"), animate=False)
 
 
 @pytest.mark.slow
@@ -60,7 +61,9 @@ def test_what_the_robot_said_and_what_was_true_stand_in_columns_of_their_own(pag
 
 @pytest.mark.slow
 def test_a_goal_the_robot_was_not_at_is_marked_so_on_the_map_for_the_mouse(folders, page):
-    text = make_report([folders / "map", folders / "lost"], folders / "alone", animate=False).read_text()
+    text = make_report(
+        [folders / "map", folders / "lost"], Output(folders / "alone"), animate=False
+    ).read_text()
     assert re.findall(r'<circle class="(good|bad)"', text) == ["good", "good", "bad"]
     assert re.findall(r'<circle class="(good|bad)"', page.read_text()) == ["good", "good", "good"]
 
@@ -76,7 +79,7 @@ def test_a_page_that_contradicts_the_robot_verifies(page):
 
 
 def test_the_index_calls_it_bad_too(folders):
-    text = make_index([folders / "lost"], folders / "index").read_text()
+    text = make_index([folders / "lost"], Output(folders / "index")).read_text()
     assert re.search(r'<td class="verdict bad"[^>]*>2 of 3 goals</td>', text)
 
 
@@ -188,7 +191,7 @@ def test_a_localisation_that_only_believes_it_is_there_is_bad():
 
 @pytest.mark.slow
 def test_a_comparison_says_of_both_how_they_truly_went(folders):
-    compare_outputs(folders / "lost", folders / "there", folders / "comparison")
+    compare_outputs(folders / "lost", folders / "there", Output(folders / "comparison"))
     text = (folders / "comparison/index.html").read_text()
     lines = re.findall(r'<li class="(good|bad)">(A|B): (\d of 3) goals reached', text)
     assert lines == [("bad", "A", "2 of 3"), ("good", "B", "3 of 3")]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from turtlebag.datasets.bags.clouds import load_clouds
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.stages.record import Scene, record
@@ -97,7 +98,7 @@ def test_beams_agree_with_bullets_rays():
 def test_a_recording_holds_clouds_with_times_in_their_own_frame(tmp_path):
     script = tmp_path / "s.yaml"
     script.write_text("name: s\nsteps: [{drive: 0.2}]\n")
-    assert record(Scene.load("turtlebot3_house", "waffle_pi_3d"), str(script), tmp_path / "rec") == 0
+    assert record(Scene.load("turtlebot3_house", "waffle_pi_3d"), str(script), Output(tmp_path / "rec")) == 0
     recording = load_clouds(tmp_path / "rec" / "bag")
     assert len(recording) > 5
     np.testing.assert_array_equal(np.diff(recording.stamps_ns), 200_000_000)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from bag_samples import write_drive
 
-import turtlebag.pipeline.stages.map
+import turtlebag.pipeline.stages.sources
 from turtlebag.datasets import files
 from turtlebag.datasets.bags import convert
 from turtlebag.datasets.bags.reader import bag_info
@@ -77,14 +77,14 @@ def test_a_bag_that_changed_between_two_readings_is_refused(bag):
 
 
 def test_what_changed_while_it_was_mapped_is_not_written(bag, tmp_path, monkeypatch, capsys):
-    load = turtlebag.pipeline.stages.map.load_recording
+    load = turtlebag.pipeline.stages.sources.load_recording
 
     def meanwhile(path, **options):
         recording = load(path, **options)
         replaced(path)
         return recording
 
-    monkeypatch.setattr(turtlebag.pipeline.stages.map, "load_recording", meanwhile)
+    monkeypatch.setattr(turtlebag.pipeline.stages.sources, "load_recording", meanwhile)
     assert main(["map", str(bag), "--out", str(tmp_path / "map")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "map").exists()

@@ -10,9 +10,11 @@ from foreign_bags import TYPES, header, laser_scan, write_foreign
 from benchmarks.slam3d_drives import ROUND, changed, make_drive, room, without_wheels
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.sources import MapInputs, Source
 
 CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
 
@@ -51,8 +53,9 @@ def files(folder):
 
 @pytest.mark.slow
 def test_a_bag_of_clouds_alone_is_mapped_in_3d_and_again_to_the_same_bytes(bag, drive, tmp_path):
-    assert build_map(bag, tmp_path / "a", explain=True) == 0
-    assert build_map(bag, tmp_path / "b", explain=True, topic="/velodyne_points") == 0
+    assert build_map(MapInputs(Source(bag)), Output(tmp_path / "a"), explain=True) == 0
+    source = Source(bag, topic="/velodyne_points")
+    assert build_map(MapInputs(source), Output(tmp_path / "b"), explain=True) == 0
     assert files(tmp_path / "a") == files(tmp_path / "b")
     names = (
         "config.yaml explain.json graph.g2o graph.json map.pgm map.ply map.yaml metrics.json trajectory.tum"
@@ -74,9 +77,9 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     ]
     both += [("/scan", SCAN, stamp, laser_scan(stamp, [2.0] * 360)) for stamp in stamps]
     path = write_foreign(tmp_path / "both", both)
-    assert build_map(path, tmp_path / "flat") == 0
+    assert build_map(MapInputs(Source(path)), Output(tmp_path / "flat")) == 0
     assert "map.ply" not in files(tmp_path / "flat")
-    assert build_map(path, tmp_path / "deep", topic="/points") == 0
+    assert build_map(MapInputs(Source(path, topic="/points")), Output(tmp_path / "deep")) == 0
     assert "map.ply" in files(tmp_path / "deep")
 
 
@@ -90,13 +93,14 @@ def test_planar_scans_come_first_and_a_topic_chooses(bag, drive, tmp_path):
     ],
 )
 def test_what_does_not_fit_is_one_line_and_nothing_written(bag, tmp_path, arguments, words):
-    arguments = {key: [bag] if key == "also" else value for key, value in arguments.items()}
+    source = Source(bag, topic=arguments.get("topic"))
+    inputs = MapInputs(source, also=[bag] if "also" in arguments else [])
     with pytest.raises(InputError, match=words):
-        build_map(bag, tmp_path / "out", **arguments)
+        build_map(inputs, Output(tmp_path / "out"), settings=arguments.get("settings", []))
     assert not list(tmp_path.iterdir())
 
 
 def test_settings_of_3d_are_refused_for_planar_scans(tmp_path):
     path = write_foreign(tmp_path / "flat", [("/scan", SCAN, 0, laser_scan(0, [2.0] * 360))])
     with pytest.raises(InputError, match="slice"):
-        build_map(path, tmp_path / "out", settings=["slice.high_m=0.5"])
+        build_map(MapInputs(Source(path)), Output(tmp_path / "out"), settings=["slice.high_m=0.5"])

@@ -8,7 +8,7 @@ import pytest
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
@@ -20,6 +20,7 @@ from turtlebag.sim.robots import load_robot
 from turtlebag.sim.worlds import load_world
 
 WORLD = "turtlebot3_world"
+ARENA, BURGER = load_world(WORLD), load_robot("burger")
 MIDDLE = SE2.from_xyt(-2.5, -2.5, 0.0)
 
 
@@ -31,7 +32,7 @@ def true_map(tmp_path_factory) -> Path:
 
 def run(out: Path, **wishes) -> dict:
     request = Request(**{"seed": 1, "task": "goal", "initial_pose": "start", **wishes})
-    code = navigate(WORLD, request, out, say=lambda line: None)
+    code = navigate(ARENA, BURGER, request, Output(out), say=lambda line: None)
     metrics = json.loads((out / "metrics.json").read_text())
     assert code == (0 if metrics["true_success"] else 1)
     return metrics
@@ -146,11 +147,16 @@ def test_a_told_pose_must_be_on_the_map_but_may_be_in_a_wall(true_map):
 
 def test_unknown_world_and_missing_map_are_input_errors(tmp_path):
     with pytest.raises(InputError, match="turtlebot3_world"):
-        navigate("moon", Request(task="avoid", seed=1), tmp_path / "run")
+        load_world("moon")
     with pytest.raises(InputError, match="needs --map"):
-        navigate(WORLD, Request(task="patrol", seed=1), tmp_path / "run")
+        navigate(ARENA, BURGER, Request(task="patrol", seed=1), Output(tmp_path / "run"))
     with pytest.raises(InputError, match="no such map"):
-        navigate(WORLD, Request(task="patrol", seed=1, map_path=tmp_path / "m.yaml"), tmp_path / "run")
+        navigate(
+            ARENA,
+            BURGER,
+            Request(task="patrol", seed=1, map_path=tmp_path / "m.yaml"),
+            Output(tmp_path / "run"),
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -158,7 +164,7 @@ def test_unknown_world_and_missing_map_are_input_errors(tmp_path):
 def test_avoid_prints_its_decisions_and_touches_nothing_in_ten_seconds(tmp_path):
     lines: list[str] = []
     request = Request(task="avoid", seed=2, duration_s=10.0)
-    assert navigate(WORLD, request, tmp_path / "run", say=lines.append) == 0
+    assert navigate(ARENA, BURGER, request, Output(tmp_path / "run"), say=lines.append) == 0
     decisions = [line.rpartition("  ")[2] for line in lines]
     assert len(decisions) > 2
     assert all(one != other for one, other in pairwise(decisions))

@@ -17,6 +17,7 @@ import turtlebag.pipeline.stages.record
 from turtlebag.datasets.claims import MARKER
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import seconds
@@ -49,7 +50,7 @@ def script(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory, script):
     out = tmp_path_factory.mktemp("record") / "rec"
-    assert record(Scene.load("turtlebot3_world"), script, out) == 0
+    assert record(Scene.load("turtlebot3_world"), script, Output(out)) == 0
     return out
 
 
@@ -95,13 +96,13 @@ def test_truth_has_one_line_per_scan_at_the_scans_stamp_and_the_map_of_the_world
 @pytest.mark.slow
 def test_same_seed_same_bytes_here_and_in_another_process(recorded, script, tmp_path):
     code = "import sys, pathlib, turtlebag.pipeline.stages.record as r; "
-    code += "r.record(r.Scene.load('turtlebot3_world'), sys.argv[1], pathlib.Path(sys.argv[2]))"
+    code += "r.record(r.Scene.load('turtlebot3_world'), sys.argv[1], r.Output(pathlib.Path(sys.argv[2])))"
     other = subprocess.Popen([sys.executable, "-c", code, script, str(tmp_path / "b")])
-    assert record(Scene.load("turtlebot3_world"), script, tmp_path / "a") == 0
+    assert record(Scene.load("turtlebot3_world"), script, Output(tmp_path / "a")) == 0
     assert other.wait() == 0
     assert hashes(tmp_path / "a") == hashes(recorded)
     assert hashes(tmp_path / "b") == hashes(recorded)
-    assert record(Scene.load("turtlebot3_world", seed=2), script, tmp_path / "c") == 0
+    assert record(Scene.load("turtlebot3_world", seed=2), script, Output(tmp_path / "c")) == 0
     assert hashes(tmp_path / "c")["bag/bag_0.mcap"] != hashes(recorded)["bag/bag_0.mcap"]
 
 
@@ -118,7 +119,8 @@ def test_interrupt_closes_the_bag_and_keeps_it(tmp_path, monkeypatch, number, co
     monkeypatch.setattr(turtlebag.pipeline.stages.record, "_drive", interrupted)
     started = time.monotonic()
     assert (
-        record(Scene.load("turtlebot3_world", sim=SimConfig(physics={"substeps": 80})), "tour", out) == code
+        record(Scene.load("turtlebot3_world", sim=SimConfig(physics={"substeps": 80})), "tour", Output(out))
+        == code
     )
     assert time.monotonic() - started < 20.0
     log = load_recording(out)
@@ -218,7 +220,7 @@ def test_every_route_keeps_clear_of_everything_the_robot_could_touch(name):
 def test_a_robot_that_gets_stuck_ends_the_recording_with_complete_outputs(tmp_path):
     path = tmp_path / "into_the_wall.yaml"
     path.write_text("name: wall\nsteps: [{turn_deg: 180}, {drive: 3.0}]\n")
-    assert record(Scene.load("turtlebot3_world"), str(path), tmp_path / "rec") == 1
+    assert record(Scene.load("turtlebot3_world"), str(path), Output(tmp_path / "rec")) == 1
     assert len(load_recording(tmp_path / "rec")) > 20
 
 
@@ -229,7 +231,7 @@ def test_what_a_killed_recording_left_is_set_aside_and_the_same_command_finishes
         left_over.parent.mkdir(parents=True)
         left_over.write_bytes(b"what a killed process left %d" % number)
         (tmp_path / "rec.partial" / MARKER).write_text("turtlebag\n")
-        assert record(Scene.load("turtlebot3_world"), script, tmp_path / "rec", force=True) == 0
+        assert record(Scene.load("turtlebot3_world"), script, Output(tmp_path / "rec", force=True)) == 0
     assert (tmp_path / "rec.unfinished" / "bag" / "bag_0.mcap").read_bytes().endswith(b"0")
     assert (tmp_path / "rec.unfinished-2" / "bag" / "bag_0.mcap").read_bytes().endswith(b"1")
     assert not (tmp_path / "rec.unfinished" / MARKER).exists()
@@ -254,7 +256,7 @@ def test_what_a_killed_run_left_is_set_aside_too_but_not_by_a_command_that_is_re
 def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path):
     for number, source in enumerate((recorded, recorded / "bag", recorded / "bag" / "bag_0.mcap")):
         out = tmp_path / str(number)
-        assert record(Scene.load("turtlebot3_world"), str(source), out) == 0
+        assert record(Scene.load("turtlebot3_world"), str(source), Output(out)) == 0
         again, before = hashes(out), hashes(recorded)
         assert again.pop("config.yaml") != before.pop("config.yaml")  # it names another driver
         assert again == before
@@ -262,14 +264,14 @@ def test_driving_a_bags_own_commands_again_gives_the_same_bag(recorded, tmp_path
 
 @pytest.mark.slow
 def test_a_bags_commands_drive_another_robot_too(recorded, tmp_path):
-    assert record(Scene.load("empty", "waffle_pi"), str(recorded), tmp_path / "rec") == 0
+    assert record(Scene.load("empty", "waffle_pi"), str(recorded), Output(tmp_path / "rec")) == 0
     path = load_tum(tmp_path / "rec" / "truth" / "trajectory.tum")
     assert path.length() == pytest.approx(load_tum(recorded / "truth" / "trajectory.tum").length(), rel=0.1)
 
 
 def test_a_bag_without_commands_cannot_be_driven_again(tmp_path):
     with pytest.raises(InputError):
-        record(Scene.load("empty"), str(tmp_path), tmp_path / "rec")
+        record(Scene.load("empty"), str(tmp_path), Output(tmp_path / "rec"))
     assert not (tmp_path / "rec").exists()
 
 
@@ -283,7 +285,7 @@ def test_a_start_pose_may_be_given(tmp_path, script):
 def test_the_manifest_holds_the_hashes_of_the_users_own_files(tmp_path, script):
     world = tmp_path / "w.yaml"
     world.write_text("name: w\nspawn: [-2, -0.5, 0]\nbounds: [-9, 9, -9, 9]\nshapes: []\n")
-    assert record(Scene.load(str(world)), script, tmp_path / "rec") == 0
+    assert record(Scene.load(str(world)), script, Output(tmp_path / "rec")) == 0
     inputs = json.loads((tmp_path / "rec" / "manifest.json").read_text())["inputs"]
     assert inputs["world"]["sha256"] == {"w.yaml": hashlib.sha256(world.read_bytes()).hexdigest()}
     assert set(inputs) == {"world", "teleop"}

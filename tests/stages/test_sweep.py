@@ -12,7 +12,7 @@ import pytest
 
 from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import sha256_text, sha256_tree, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json, write_manifest
 from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case
 from turtlebag.pipeline.campaign.cases import Case, cases
@@ -204,7 +204,9 @@ def test_threads_that_are_quiet_do_not_hush_the_campaign(tmp_path, capfd):
     (tmp_path / "campaign.yaml").write_text(UNDRAWN.replace("[1, 2, 3]", "[1, 98]"))
     with verbosity_kept():
         set_verbosity(0)
-        assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", hushed, scheduler="threads") == 1
+        assert (
+            sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), hushed, scheduler="threads") == 1
+        )
     said = capfd.readouterr().err
     assert said.count("make: turtlebag: bad size 98\n") == 8
     assert said.endswith("16 cases, 8 failed\n")
@@ -215,7 +217,7 @@ def test_a_scheduler_that_is_not_there_leaves_nothing(tmp_path):
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="no scheduler answers there"):
-        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler="bananas")
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler="bananas")
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.yaml"]
 
 
@@ -224,7 +226,7 @@ def test_a_campaign_runs_on_a_scheduler_and_fails_only_where_it_must(tmp_path, s
     from turtlebag.pipeline.campaign.sweep import sweep
 
     (tmp_path / "mine.yaml").write_text(CAMPAIGN.replace("[1, 2, 3]", "[1, 2, 99]"))
-    assert sweep(str(tmp_path / "mine.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 1
+    assert sweep(str(tmp_path / "mine.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler) == 1
     names, rows = query(
         Store(str(tmp_path / "out")),
         "SELECT size, median(error_m) AS m, "
@@ -258,7 +260,10 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
     from turtlebag.pipeline.campaign.sweep import sweep
 
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "whole", fake_main, scheduler=scheduler) == 0
+    assert (
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "whole"), fake_main, scheduler=scheduler)
+        == 0
+    )
 
     def stopped(found, description, total):
         for count, row in enumerate(found):
@@ -268,11 +273,14 @@ def test_a_stopped_campaign_goes_on_and_ends_in_the_same_bytes(tmp_path, schedul
 
     monkeypatch.setattr("turtlebag.pipeline.campaign.sweep.track", stopped)
     with pytest.raises(KeyboardInterrupt):
-        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler)
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "parts"), fake_main, scheduler=scheduler)
     done = len(list((tmp_path / "parts.partial/rows").glob("*.json")))
     assert 10 <= done <= 24
     monkeypatch.undo()
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "parts", fake_main, scheduler=scheduler) == 0
+    assert (
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "parts"), fake_main, scheduler=scheduler)
+        == 0
+    )
     assert sha256_tree(tmp_path / "parts") == sha256_tree(tmp_path / "whole")
 
 
@@ -291,10 +299,15 @@ def test_a_shared_stage_runs_once_for_all_that_ask_the_same(tmp_path, scheduler)
         "metrics.json", "metrics.json {kind}"
     )
     (tmp_path / "campaign.yaml").write_text(text)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "alone", counted, scheduler=scheduler) == 0
+    assert (
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "alone"), counted, scheduler=scheduler) == 0
+    )
     assert len(list(ran.iterdir())) == 2 * 24
     (tmp_path / "campaign.yaml").write_text(text + "shared: [make]\n")
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "together", counted, scheduler=scheduler) == 0
+    assert (
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "together"), counted, scheduler=scheduler)
+        == 0
+    )
     assert len(list(ran.iterdir())) == 2 * 24 + 24 + 12
     rows = [(tmp_path / name / "summary.json").read_bytes() for name in ("alone", "together")]
     assert rows[0] == rows[1]
@@ -325,7 +338,7 @@ def test_another_campaigns_leftovers_are_not_mixed_in(tmp_path, scheduler):
     (tmp_path / "out.partial/config.yaml").write_text("name: other\n")
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     with pytest.raises(InputError, match="another campaign"):
-        sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler)
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler)
 
 
 @pytest.mark.slow
@@ -356,7 +369,9 @@ def test_the_manifest_of_a_sweep_names_the_campaign_and_the_files_its_stages_rea
     (tmp_path / "own.yaml").write_text("a: 1\n")
     text = UNDRAWN.replace("--odd 'two words'", f"--world={tmp_path}/own.yaml:gate=open")
     (tmp_path / "campaign.yaml").write_text(text)
-    assert sweep(str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main, scheduler=scheduler) == 0
+    assert (
+        sweep(str(tmp_path / "campaign.yaml"), Output(tmp_path / "out"), fake_main, scheduler=scheduler) == 0
+    )
     inputs = json.loads((tmp_path / "out/manifest.json").read_text())["inputs"]
     assert inputs["campaign"]["sha256"] == {"campaign.yaml": sha256_text(text)}
     assert inputs[str(tmp_path / "own.yaml")]["sha256"] == {"own.yaml": sha256_text("a: 1\n")}

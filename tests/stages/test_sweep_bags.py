@@ -12,7 +12,7 @@ import pytest
 from bag_samples import write_drive
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.campaign import leases
 from turtlebag.pipeline.campaign.bags import find_bags
@@ -201,7 +201,7 @@ def test_every_bag_is_a_row_and_the_store_holds_all(place, tmp_path):
 
     def run(out):
         options = {"store": f"{place}/campaigns", "scheduler": "threads", "workers": 3}
-        return sweep(str(tmp_path / "fleet.yaml"), tmp_path / out, counted, **options)
+        return sweep(str(tmp_path / "fleet.yaml"), Output(tmp_path / out), counted, **options)
 
     assert run("out") == 1
     store = Store(f"{place}/campaigns/fleet")
@@ -280,6 +280,6 @@ def test_a_store_that_only_one_process_sees_needs_threads(tmp_path):
         "name: s\nfactors: {k: [1]}\nstages: {a: 'x {k}'}\nresults: {r: 'a:r'}"
     )
     with pytest.raises(InputError, match="add --scheduler threads"):
-        sweep(str(tmp_path / "small.yaml"), tmp_path / "out", count_scans, store="memory://x")
+        sweep(str(tmp_path / "small.yaml"), Output(tmp_path / "out"), count_scans, store="memory://x")
     with pytest.raises(InputError, match="Protocol not known"):
-        sweep(str(tmp_path / "small.yaml"), tmp_path / "out", count_scans, store="nowhere://x")
+        sweep(str(tmp_path / "small.yaml"), Output(tmp_path / "out"), count_scans, store="nowhere://x")

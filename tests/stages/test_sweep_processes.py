@@ -10,7 +10,7 @@ from pathlib import Path
 import distributed
 import pytest
 
-from turtlebag.datasets.outputs import sha256_tree
+from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.campaign.store import Store
 from turtlebag.pipeline.campaign.table import query
 
@@ -29,7 +29,7 @@ STAND_IN = """
 import os, sys, time
 from pathlib import Path
 from turtlebag.pipeline.campaign import leases
-from turtlebag.datasets.outputs import write_json, write_manifest
+from turtlebag.datasets.outputs import Output, write_json, write_manifest
 
 leases.LEASE_S, leases.BEAT_S = 4.0, 0.3
 
@@ -53,7 +53,7 @@ if __name__ == "__main__":
     from turtlebag.pipeline.terminal.messages import set_verbosity
     set_verbosity(0)
     options = {"scheduler": sys.argv[3], "store": sys.argv[4]} if len(sys.argv) > 3 else {"workers": 1}
-    sys.exit(sweep(sys.argv[1], Path(sys.argv[2]), main, **options))
+    sys.exit(sweep(sys.argv[1], Output(Path(sys.argv[2])), main, **options))
 """
 
 
@@ -104,7 +104,7 @@ def undisturbed(place, monkeypatch):
         assert (
             sweep(
                 str(place / "small.yaml"),
-                place / "whole",
+                Output(place / "whole"),
                 stand_in["main"],
                 scheduler=cluster.scheduler_address,
             )

@@ -11,6 +11,7 @@ import pytest
 from report_fakes import fake_map, fake_record, fake_run, rehash, undrawn
 
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.recompute import same
@@ -25,7 +26,7 @@ def original(tmp_path_factory):
     record = fake_record(base / "record")
     stages = [record, fake_map(base / "map", record), fake_run(base / "run", base / "map", missed=True)]
     with undrawn():
-        make_report(stages, base / "report", animate=False)
+        make_report(stages, Output(base / "report"), animate=False)
     return base
 
 
@@ -83,7 +84,7 @@ def test_stages_that_lie_consistently_are_caught_by_their_data(tree):
         edit_metrics(tree / stage, change)
     shutil.rmtree(tree / "report")
     with undrawn():
-        make_report([tree / "record", tree / "map", tree / "run"], tree / "report", animate=False)
+        make_report([tree / "record", tree / "map", tree / "run"], Output(tree / "report"), animate=False)
     problems = verify(tree / "report", main).problems
     for _, key, _ in LIES:
         assert any(problem.startswith(f"{key}: reported") for problem in problems), key
@@ -185,7 +186,7 @@ def test_a_folder_may_have_the_name_of_the_verb_that_made_it(tree, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     poses = ["--start=-1.5,-0.5,0", "--goal", "1.5,0.5,0"]
     assert main(["plan", "--map", str(tree / "map"), *poses, "--out", "plan", "-q"]) == 0
-    make_report([tmp_path / "plan"], tmp_path / "report", animate=False)
+    make_report([tmp_path / "plan"], Output(tmp_path / "report"), animate=False)
     found = verify(tmp_path / "report", main)
     assert found.problems == []
     assert "map/plan:length_m" in {check.key for check in found.checks}

@@ -7,9 +7,11 @@ from studio_bag import LAST, LOG, write_bag
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.pipeline.stages.map import build_map
+from turtlebag.pipeline.stages.sources import MapInputs, Source
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio import inputs, playback
 from turtlebag.pipeline.studio.bag_setup import BagSetup
@@ -105,7 +107,8 @@ def test_a_rejected_loop_is_gone_from_the_map_and_the_same_bytes_come_by_command
     assert after.bag.edits == (("reject", scan, place),)
     assert load_edits(tmp_path / "edits.yaml").reject[0].scan == scan
     edits = tmp_path / "edits.yaml"
-    assert build_map(bag, tmp_path / "map", edits=edits, settings=["loops.held_m=0.0"]) == 0
+    edited = MapInputs(Source(bag), edits=edits)
+    assert build_map(edited, Output(tmp_path / "map"), settings=["loops.held_m=0.0"]) == 0
     for kind in ("pgm", "yaml"):
         mine, theirs = (tmp_path / "maps" / f"parted.{kind}", tmp_path / "map" / f"map.{kind}")
         assert mine.read_bytes().replace(b"parted", b"map") == theirs.read_bytes()
@@ -146,7 +149,7 @@ def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_pa
     entries = [{"at": 1.0, "do": "seek", "t": 29.5}, {"at": 4.0}, {"at": 5.0, "do": "end"}]
     file = tmp_path / "session.yaml"
     file.write_text(yaml.safe_dump(told | {"inputs": entries}))
-    assert replay(file, tmp_path / "out", say=lambda line: None) == 0
+    assert replay(file, Output(tmp_path / "out"), say=lambda line: None) == 0
 
 
 @pytest.mark.slow
@@ -162,13 +165,13 @@ def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
 
 @pytest.mark.slow
 def test_a_session_with_a_bag_is_played_again_to_the_same_bytes(bag, tmp_path):
-    with studio_output(BagSetup(bag), tmp_path / "one", say=lambda line: None) as session:
+    with studio_output(BagSetup(bag), Output(tmp_path / "one"), say=lambda line: None) as session:
         run(session, 3.0)
         session.apply(inputs.MapStart())
         run(session, 3.0)
         session.apply(inputs.LoopReject(scan=LAST, place=0))
         session.apply(inputs.MapSave(name="whole"))
-    assert replay(tmp_path / "one" / "session.yaml", tmp_path / "two", say=lambda line: None) == 0
+    assert replay(tmp_path / "one" / "session.yaml", Output(tmp_path / "two"), say=lambda line: None) == 0
     files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
     assert {str(path) for path in files} >= {"session.yaml", "edits.yaml", "maps/whole.pgm", "metrics.json"}
     for path in files:
@@ -180,4 +183,4 @@ def test_a_session_with_a_bag_is_played_again_to_the_same_bytes(bag, tmp_path):
     told = yaml.safe_load(text)
     other.write_text(yaml.safe_dump(told | {"sha256": dict.fromkeys(told["sha256"], "0" * 64)}))
     with pytest.raises(InputError, match="is not the one that the session played"):
-        replay(other, tmp_path / "three")
+        replay(other, Output(tmp_path / "three"))

@@ -10,6 +10,7 @@ from studio_walk import at_the_studio, differences, silent
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
@@ -128,7 +129,7 @@ def test_every_line_is_in_the_file_at_once(tmp_path):
 def test_a_session_that_cannot_be_driven_is_refused_in_a_line_with_nothing_written(tmp_path, text, said):
     (tmp_path / "session.yaml").write_text(text)
     with pytest.raises(InputError) as error:
-        replay(tmp_path / "session.yaml", tmp_path / "out", say=silent)
+        replay(tmp_path / "session.yaml", Output(tmp_path / "out"), say=silent)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
     assert [path.name for path in tmp_path.iterdir()] == ["session.yaml"]
@@ -159,17 +160,17 @@ def test_a_map_or_world_that_has_changed_is_refused(tmp_path):
     with at_the_studio(tmp_path / "live", str(world), map_path=path) as person:
         assert person.view.map_name == ""
         person.wait(0.2)
-    assert replay(tmp_path / "live/session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(tmp_path / "live/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "live", tmp_path / "again") == []
     for changed in (tmp_path / "room.pgm", world):
         before = changed.read_bytes()
         changed.write_bytes(before + b"\n")
         with pytest.raises(InputError, match="is not the file that the session was driven with"):
-            replay(tmp_path / "live/session.yaml", tmp_path / "third", say=silent)
+            replay(tmp_path / "live/session.yaml", Output(tmp_path / "third"), say=silent)
         changed.write_bytes(before)
     path.unlink()
     with pytest.raises(InputError, match="no such map file"):
-        replay(tmp_path / "live/session.yaml", tmp_path / "third", say=silent)
+        replay(tmp_path / "live/session.yaml", Output(tmp_path / "third"), say=silent)
 
 
 @pytest.mark.slow
@@ -180,7 +181,7 @@ def test_a_file_written_by_hand_is_driven_as_it_says(tmp_path):
         "- {at: 1.01, do: record, name: a}\n- {at: 3, do: end}\n"
     )
     (tmp_path / "session.yaml").write_text(HEAD + text)
-    assert replay(tmp_path / "session.yaml", tmp_path / "one", say=silent) == 0
+    assert replay(tmp_path / "session.yaml", Output(tmp_path / "one"), say=silent) == 0
     log = RunLog.load(tmp_path / "one/runlog.csv")
     taken = log.t_ns[[owner == "teleop" for owner in log.owner]]
     assert (taken[0], taken[-1], log.t_ns[-1]) == (stamp_of(15), stamp_of(75), stamp_of(89))
@@ -190,5 +191,5 @@ def test_a_file_written_by_hand_is_driven_as_it_says(tmp_path):
         (stamp_of(31), "record"),
         (3 * 10**9, "end"),
     ]
-    assert replay(tmp_path / "one/session.yaml", tmp_path / "two", say=silent) == 0
+    assert replay(tmp_path / "one/session.yaml", Output(tmp_path / "two"), say=silent) == 0
     assert differences(tmp_path / "one", tmp_path / "two") == []

@@ -10,6 +10,7 @@ import pytest
 from studio_walk import differences, silent
 
 from turtlebag.datasets.bags.reader import read_commands
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.studio import replay, studio_output
 from turtlebag.pipeline.studio.journal import load_session
@@ -20,11 +21,12 @@ pytestmark = pytest.mark.slow
 LIVE = """
 import sys, time
 from pathlib import Path
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import studio_output
 from turtlebag.pipeline.studio.inputs import Avoid, Drive, Record, Release
 from turtlebag.pipeline.studio.setup import StudioSetup
 
-with studio_output(StudioSetup("turtlebot3_world", seed=1), Path(sys.argv[1]), say=print) as session:
+with studio_output(StudioSetup("turtlebot3_world", seed=1), Output(Path(sys.argv[1])), say=print) as session:
     session.apply(Record(name="drive"))
     session.apply(Avoid())
     while True:
@@ -36,9 +38,10 @@ with studio_output(StudioSetup("turtlebot3_world", seed=1), Path(sys.argv[1]), s
 AGAIN = """
 import sys
 from pathlib import Path
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import replay
 
-sys.exit(replay(Path(sys.argv[1]), Path(sys.argv[2]), say=print))
+sys.exit(replay(Path(sys.argv[1]), Output(Path(sys.argv[2])), say=print))
 """
 
 
@@ -72,13 +75,13 @@ def test_of_a_killed_session_at_most_a_second_is_lost(killed, tmp_path):
     assert not killed.with_name("live").exists()
     assert main(["bag", "recover", str(killed / "bags/drive"), "--out", str(tmp_path / "saved")]) == 0
     recovered = read_commands(tmp_path / "saved/bag")
-    assert replay(killed / "session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(killed / "session.yaml", Output(tmp_path / "again"), say=silent) == 0
     again = read_commands(tmp_path / "again/bags/drive")
     assert abs(recovered[0][-1] - again[0][-1]) <= 1.1e9
     count = min(len(recovered[0]), len(again[0]))
     for one, other in zip(recovered, again, strict=True):
         assert one[:count].tolist() == other[:count].tolist()
-    assert replay(tmp_path / "again/session.yaml", tmp_path / "third", say=silent) == 0
+    assert replay(tmp_path / "again/session.yaml", Output(tmp_path / "third"), say=silent) == 0
     assert differences(tmp_path / "again", tmp_path / "third") == []
 
 
@@ -87,7 +90,7 @@ def test_what_is_left_of_a_session_is_set_aside_by_the_next(tmp_path, caplog):
     wait_until(tmp_path / "live.partial/session.yaml", 1.0)
     process.kill()
     process.wait()
-    with studio_output(StudioSetup("empty"), tmp_path / "live", say=silent):
+    with studio_output(StudioSetup("empty"), Output(tmp_path / "live"), say=silent):
         pass
     aside = tmp_path / "live.unfinished"
     assert load_session(aside / "session.yaml").actions[0][1].do == "record"
@@ -102,7 +105,7 @@ def test_a_killed_replay_leaves_nothing_that_looks_finished_and_can_be_begun_aga
     process.kill()
     process.wait()
     assert not out.exists()
-    assert replay(killed / "session.yaml", out, say=silent) == 0
+    assert replay(killed / "session.yaml", Output(out), say=silent) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
@@ -114,12 +117,12 @@ def test_an_interrupted_replay_is_finished_where_it_is(killed, tmp_path):
     assert read_commands(tmp_path / "out/bags/drive")[0][-1] > 1e9
     recorded = load_session(tmp_path / "out/session.yaml")
     assert recorded.actions[-1][1].do == "end"
-    assert replay(tmp_path / "out/session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(tmp_path / "out/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "out", tmp_path / "again") == []
 
 
 def fail_within(out):
-    with studio_output(StudioSetup("empty"), out, say=silent) as session:
+    with studio_output(StudioSetup("empty"), Output(out), say=silent) as session:
         session.tick()
         raise ZeroDivisionError
 

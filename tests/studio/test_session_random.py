@@ -10,6 +10,7 @@ from studio_walk import at_the_studio, differences, silent
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import replay
 from turtlebag.pipeline.studio.inputs import KNOWN, parse_input
 from turtlebag.sim.worlds import load_world
@@ -76,5 +77,5 @@ def test_it_is_driven_again_to_the_same_bytes_whatever_was_asked(arena_map, step
                 assert "\n" not in answer(person, data)
                 person.wait(ticks / 30)
                 assert person.view.stamp_ns == person.session.stamp_ns
-        assert replay(live / "session.yaml", again, say=silent) == 0
+        assert replay(live / "session.yaml", Output(again), say=silent) == 0
         assert differences(live, again) == []

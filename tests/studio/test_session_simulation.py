@@ -5,6 +5,7 @@ import pytest
 from studio_walk import at_the_studio, differences, silent
 
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import read_mapping
@@ -75,7 +76,7 @@ def test_a_carried_robot_stands_elsewhere_and_its_wheels_notice_nothing(tmp_path
         person.wait(1.0)
         assert np.allclose(person.view.T_world_base.xyt, [0.5, -0.5, 1.0], atol=0.01)
         assert np.allclose(person.view.T_odom_base.xyt, before.xyt, atol=0.01)
-    assert replay(tmp_path / "live/session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(tmp_path / "live/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "live", tmp_path / "again") == []
 
 
@@ -158,5 +159,5 @@ def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, arena
         person.do("record", name="second")
         person.do("waypoints_load", name="one")
         person.wait(0.2)
-    assert replay(tmp_path / "live/session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(tmp_path / "live/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "live", tmp_path / "again") == []

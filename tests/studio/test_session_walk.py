@@ -9,6 +9,7 @@ from studio_walk import at_the_studio, differences, files, silent
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.grid import FREE
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.stages.studio import replay
@@ -136,7 +137,7 @@ def test_what_it_leaves_is_read_by_what_reads_such_files(walked):
 
 def test_it_is_driven_again_to_the_same_bytes(walked, tmp_path):
     out, _ = walked
-    assert replay(out / "session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(out / "session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(out, tmp_path / "again") == []
 
 
@@ -156,5 +157,5 @@ def test_avoiding_in_the_house_and_a_goal_without_a_map(tmp_path):
         assert person.until_done(60.0) is not None
         assert [goal.status for goal in person.view.goals] == ["reached"]
         assert "avoid ended: another goal was set" in person.lines
-    assert replay(tmp_path / "live/session.yaml", tmp_path / "again", say=silent) == 0
+    assert replay(tmp_path / "live/session.yaml", Output(tmp_path / "again"), say=silent) == 0
     assert differences(tmp_path / "live", tmp_path / "again") == []

@@ -240,9 +240,8 @@ class Localiser:
                     scan.lidar,
                     self._heard.T_base_lidar,
                     self._told,
-                    self._config.amcl,
+                    self._config,
                     self._rng,
-                    self._config.localiser,
                 )
             self._localiser.update(scan, T_odom_base, T_odom_base_end)
         self._T_odom_base = T_odom_base

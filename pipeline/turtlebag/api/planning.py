@@ -18,8 +18,7 @@ from turtlebag.api.making import (
 )
 from turtlebag.api.outputs import as_map
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.navigation.pose_check import require_free
-from turtlebag.pipeline.stages.plan import PlanStageConfig, planner_settings, search
+from turtlebag.pipeline.stages.plan import PlanStageConfig, Query, planner_settings, search
 from turtlebag.pipeline.stages.settings import load_config
 from turtlebag.planners.costmap import costmap_from_grid
 from turtlebag.planners.planner import NoPath
@@ -59,11 +58,10 @@ class Planner:
 
         NoPath says why there is none; InputError where start or goal is off the map or in an obstacle.
         """
-        T_start, T_goal = pose_of(start, "start"), pose_of(goal, "goal")
+        query = Query(self._robot, pose_of(start, "start"), pose_of(goal, "goal"), self._seed)
         with in_python():
-            for what, pose in (("start", T_start), ("goal", T_goal)):
-                require_free(what, pose, self._costmap, self._robot.model, self._map.yaml)
-            found, reason, _ = search(self._costmap, self._robot, T_start, T_goal, self._config, self._seed)
+            query.require_free(self._costmap, self._map.yaml)
+            found, reason, _ = search(self._costmap, query, self._config)
         if found is None:
             raise NoPath(reason)
         return found.poses.xyt

@@ -32,6 +32,7 @@ from turtlebag.api.results import Comparison, Localisation, Plan, Report, Run
 from turtlebag.api.rivals import Rivals, rival_files, rival_options
 from turtlebag.api.tasks import Avoid, Explore, Patrol, Task
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.outputs import Output
 
 Settings = Mapping[str, Any]
 
@@ -201,12 +202,10 @@ def report(
         options = {"rival": words, **known, "no_animation": not animate, "paper": paper, "out": now.out}
         make_report(
             [path_of(one, what) for what, one in shown.items()],
-            now.out,
+            Output(now.out, force, command_line("report", *outputs, **options)),
             rivals=others,
-            force=force,
             animate=animate,
             paper=paper,
-            command=command_line("report", *outputs, **options),
         )
         return Report.of(now)
 
@@ -235,11 +234,12 @@ def compare(
     with step("compare", out, force=force, inputs={**given, **inputs_of(files)}) as now:
         seconds = words if other is None else [other]
         command = command_line("compare", output, *seconds, **options, out=now.out)
+        place = Output(now.out, force, command)
         if other is None:
-            found = compare_rivals(ours, files, now.out, force=force, command=command)
+            found = compare_rivals(ours, files, place)
             now.notes += [f"{name}: {note}" for name, note in found.notes]
         else:
-            compare_outputs(ours, path_of(other, "other"), now.out, force=force, command=command)
+            compare_outputs(ours, path_of(other, "other"), place)
         return Comparison.of(now)
 
 
