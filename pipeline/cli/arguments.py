@@ -7,12 +7,14 @@ import math
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.terminal.messages import note_degrees
+
+if TYPE_CHECKING:
+    from turtlebag.datasets.outputs import Output
 
 
 class OrOwn(tuple[str, ...]):
@@ -45,6 +47,8 @@ def add_output(
 
 def output(args: argparse.Namespace) -> Output:
     """What --out and --force say; InputError when it exists and may not be replaced."""
+    from turtlebag.datasets.outputs import Output  # which `bag info` does without
+
     return Output(args.out, args.force, args.command_line)
 
 

@@ -346,20 +346,20 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     from turtlebag.pipeline.campaign import sweep
 
     (tmp_path / "campaign.yaml").write_text(UNDRAWN)
-    arguments = str(tmp_path / "campaign.yaml"), tmp_path / "out", fake_main
+    file, out = str(tmp_path / "campaign.yaml"), tmp_path / "out"
     for _ in range(2):
-        with claimed(arguments[1]) as claim:
-            campaign = load_campaign(arguments[0])
+        with claimed(out) as claim:
+            campaign = load_campaign(file)
             sweep._begin(sweep._where(campaign, None, claim.partial, {}, None), campaign, force=False)
             (claim.partial / "rows").mkdir(exist_ok=True)
             (claim.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
-        sweep.sweep(*arguments, scheduler=scheduler)
+        sweep.sweep(file, Output(out), fake_main, scheduler=scheduler)
     assert (tmp_path / "out.partial/rows/old.json").exists()
-    assert sweep.sweep(*arguments, scheduler=scheduler, force=True) == 0
-    assert not (arguments[1] / "rows").exists()
-    assert not (arguments[1] / sweep.MARK).exists()
+    assert sweep.sweep(file, Output(out, force=True), fake_main, scheduler=scheduler) == 0
+    assert not (out / "rows").exists()
+    assert not (out / sweep.MARK).exists()
 
 
 @pytest.mark.slow
