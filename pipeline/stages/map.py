@@ -80,7 +80,7 @@ def _mapped(inputs: MapInputs, config: Path | None, settings: Sequence[str], *, 
     except NoScans as error:
         if not error.clouds:
             raise
-        inputs.require_cloudy()
+        inputs.refuse_planar()
         return map_clouds(source.path, source.topic, config, settings, explain=explain)
     settled = _settled(config, settings)
     recordings = [first, *inputs.later()]

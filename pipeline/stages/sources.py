@@ -55,7 +55,7 @@ class MapInputs:
         """The recordings that are joined to the first."""
         return (replace(self.source, path=path).load() for path in self.also)
 
-    def require_cloudy(self) -> None:
+    def refuse_planar(self) -> None:
         """InputError for what only planar scans can be mapped with."""
         given = {
             "--also": self.also or None,
