@@ -19,7 +19,7 @@ REACH_M = 1.2
 
 
 class Marking(NamedTuple):
-    """What marks a cell; names as in costmap_2d where the idea is the same; metres and seconds."""
+    """What marks a cell, and how soon a mark counts; names as in costmap_2d, where it has them; SI units."""
 
     obstacle_range: float = 2.5
     """Beams that end beyond this mark nothing."""

@@ -28,8 +28,8 @@ SIDE_ROOM_M, NOSE_ROOM_M = 0.06, 0.2
 TURN_AWAY_RAD = 1.6
 # So many changes of the freer side, one after the other, count as dithering: it keeps its side.
 MOST_FLIPS = 3
-# After so long [s] about one place, within this [m], it turns to where most room is.
-RESTLESS_S, RESTLESS_M = 20.0, 0.4
+# After so long [s] about one place, within this [m], it turns to where most room is: at the sweep 20 s on.
+RESTLESS_S, RESTLESS_M = 19.9, 0.4
 MARGINS = StoppingMargins(padding=0.03, reaction=0.15, braking_share=0.6)
 
 

@@ -49,8 +49,8 @@ from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts
 
 # Another place may be the true one when it has no more than this many times as many free-space violations
 # (places that only look alike: from 6 % up, rooms alike to the centimetre 1 to 3 %). A true place has no more
-# than this many times what is usual in the log: simulated logs 0 to 1 % (0 is usual), CSAIL 1 (1), acapulco
-# 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
+# than this many times what is usual in the log and MOST_VIOLATIONS besides: simulated logs 0 to 1 % (0 is
+# usual), CSAIL 1 (1), acapulco 2 (1.5), ACES 6 to 9 (3), a hospital 5 (9).
 ALIKE_FACTOR, ALIKE_FLOOR = 2.5, 0.01
 # Submaps looked at from one place are one while their headings differ by less than this cosine says.
 SAME_WAY = 0.7

@@ -36,7 +36,7 @@ from turtlebag.pipeline.slam.track import Track
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks
 
 FILE = "graph.npz"
-FORMAT = 9
+FORMAT = 10
 # What each array holds: whole numbers (i), numbers (f), finite numbers (n) or truth values (b), and its
 # shape: b beams, s scans, w instants of a sweep, k keys, m steps between keys, others alike where the
 # letter is.
