@@ -1,4 +1,4 @@
-"""The tutorial through the page: drive and map, save, load, pose, wiggle, goal, patrol, avoid, all again."""
+"""The tutorial through the page: drive and map, save, load, pose, wiggle, goal, patrol, avoid."""
 
 import math
 import subprocess
@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from browser import find_browser
 from studio_page import ENABLED, click, drag, on_screen, shown_text, until
-from studio_walk import differences
-
-from turtlebag.pipeline.cli.main import main
+from studio_walk import files
 
 pytestmark = [
     pytest.mark.slow,
@@ -116,7 +114,7 @@ def studio(browser, world, out):
 
 
 @pytest.mark.longest
-def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_path):
+def test_the_tutorial_in_the_window(browser, tmp_path):
     with studio(browser, "turtlebot3_world", tmp_path / "live") as person:
         assert shown_text(browser, "advice") == "No map yet. Start mapping, then drive with W A S D."
         click(browser, "#bag button")
@@ -161,10 +159,8 @@ def test_the_tutorial_in_the_window_and_the_same_again_without_it(browser, tmp_p
         lines = browser.evaluate("document.getElementById('lines').innerText")
         assert "8 of 8 goals reached, no collisions" in lines
 
-    again = ["--replay", str(tmp_path / "live/session.yaml"), "--out", str(tmp_path / "again")]
-    assert main(["studio", "-q", *again]) == 0
-    assert differences(tmp_path / "live", tmp_path / "again") == []
-    assert (tmp_path / "again/bags/bag_1/metadata.yaml").exists()
+    # that a session which came over the socket leads to the same bytes again, test_studio_command holds
+    assert {"bags/bag_1/metadata.yaml", "session.yaml"} <= set(map(str, files(tmp_path / "live")))
 
 
 def test_avoiding_in_the_house_shows_the_sectors_and_the_decision(browser, tmp_path):
