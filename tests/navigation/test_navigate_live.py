@@ -132,14 +132,6 @@ def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
     assert turn(1.0, 1.2) < 0.0
 
 
-def test_the_guard_turns_away_at_the_sweep_twenty_seconds_after_it_began_to_stay():
-    guard, said = Guard(BURGER), []
-    for k in range(120):
-        view = sweep(circle(), Sectors(1.0, 2.0, 1.0), now=0.2 * k)
-        said.append(guard.decide(view, HERE, Twist()).action)
-    assert said.index("turn away") == 100
-
-
 def test_the_guard_lets_nothing_pass_that_touches():
     touching = np.concatenate([circle(), [[0.06, 0.0], [0.06, 0.03]]])
     guard, view = guard_and_view(touching)
