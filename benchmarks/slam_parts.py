@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial, reduce
 from pathlib import Path
@@ -31,8 +32,8 @@ NUMBERS = {
     "weight of the prior": "align.PRIOR_SHARE",
     "variance of surfaces": "align.SURFACE_VAR",
     "shared errors of points": "align.STEP_INFLATION",
-    "kernel, rough poses": "align.ROUGH_SIGMA_M",
-    "kernel, good poses": "align.FINE_SIGMA_M",
+    "kernel, rough poses": "partners.ROUGH.sigma",
+    "kernel, good poses": "partners.FINE.sigma",
     "weight of a surprise": "line_tracking.SURPRISE",
     "odometry's noise": "tracking.odometry: floor share",
     "way between key scans": "tracking: key_distance_m key_turn_rad",
@@ -95,10 +96,18 @@ def multiplied_row(data: Path | None, log: str, name: str, factor: float) -> Row
         for part in reversed(section.split(".")):
             settings = {part: settings}
     else:
-        module_name, _, constant = section.partition(".")
-        module = importlib.import_module(f"turtlebag.pipeline.slam.{module_name}")
-        setattr(module, constant, factor * getattr(module, constant))
+        multiply_constant(section, factor, setattr)
     return mapped_row(data, log, settings)
+
+
+def multiply_constant(where: str, factor: float, change: Callable[[object, str, Any], None]) -> None:
+    """A constant of the mapper (module.NAME, or a field of it) multiplied, in every module that reads it."""
+    module_name, constant, *field = where.split(".")
+    was = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{module_name}"), constant)
+    now = was._replace(**{field[0]: factor * getattr(was, field[0])}) if field else factor * was
+    for module in [module for name, module in sys.modules.items() if name.startswith("turtlebag.pipeline.")]:
+        if getattr(module, constant, None) is was:
+            change(module, constant, now)
 
 
 def number_cases(data: Path | None) -> list[Case]:

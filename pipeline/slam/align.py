@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, find_partner, sees
+from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner, sees
 
-# Points farther apart than the gate are no partners, and the kernel on distances to lines is so wide [m]:
-# where poses are rough, and where they are good.
-ROUGH_GATE_M, ROUGH_SIGMA_M = 0.3, 0.05
-FINE_GATE_M, FINE_SIGMA_M = 0.1, 0.03
 # Of a scan with more points than this every second, third, ... is aligned.
 MOST_POINTS = 400
 # A scan is aligned with so many key scans.
@@ -39,6 +36,18 @@ PRIOR_SHARE = 0.01
 CAUCHY = 2.0
 # The points of one scan share their errors: a match is worth far less than the sum of its points.
 STEP_INFLATION = 5.0
+
+
+class Prior(NamedTuple):
+    """A pose (3,) and its information (3, 3) in its own frame; `cauchy` > 0 makes it heavy-tailed (width in
+    standard deviations)."""
+
+    pose: Array
+    information: Array
+    cauchy: float = 0.0
+
+
+NO_PRIOR = Prior(np.zeros(3), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,38 +79,21 @@ def align(
     T_map_base: Array,
     keys: NDArray[np.int64],
     T_map_keys: Array,
-    *,
-    gate: float = ROUGH_GATE_M,
-    sigma: float = ROUGH_SIGMA_M,
-    iterations: int = 10,
-    prior: Array | None = None,
-    prior_information: Array | None = None,
-    prior_cauchy: float = 0.0,
-    most_points: int = 10**6,
+    limits: Limits,
+    prior: Prior = NO_PRIOR,
 ) -> Alignment:
     """Align `scan`, started at `T_map_base` (3,), with key scans at `T_map_keys` (k, 3).
 
-    `gate` is the largest accepted point distance [m], `sigma` the width of the Geman-McClure kernel
-    on point-to-line distances [m]. The optional prior is a pose (3,) with information (3, 3) in its
-    own frame; `prior_cauchy` > 0 makes it heavy-tailed (Cauchy, width in standard deviations). Of a
-    scan with more than `most_points` points every second, third, ... is used.
+    The robust kernel on point-to-line distances is that of Geman and McClure.
     """
-    stride = 1 + (int(clouds.starts[scan + 1]) - int(clouds.starts[scan]) - 1) // most_points
-    if prior is None or prior_information is None:
-        prior, prior_information = np.zeros(3), np.zeros((3, 3))
     xyt, seen, matched, usable, unknown, rms, cost = align_kernel(
         clouds,
         scan,
-        stride,
         np.asarray(T_map_base, dtype=np.float64),
         np.asarray(keys, dtype=np.int64),
         np.ascontiguousarray(T_map_keys, dtype=np.float64),
-        gate,
-        sigma,
-        iterations,
+        limits,
         prior,
-        prior_information,
-        prior_cauchy,
     )
     known = usable - unknown
     overlap = matched / usable if usable else 0.0
@@ -112,22 +104,18 @@ def align(
 def align_kernel(
     clouds: Clouds,
     scan: int,
-    stride: int,
     start_pose: Array,
     keys: NDArray,
     key_poses: Array,
-    gate: float,
-    sigma: float,
-    iterations: int,
-    prior: Array,
-    prior_information: Array,
-    prior_cauchy: float,
+    limits: Limits,
+    prior: Prior,
 ) -> tuple[Array, Array, int, int, int, float, float]:
     """`align` on plain arrays: pose (3,), information (3, 3), points matched, usable, and in space that no
     key scan saw; rms [m], summed cost of all others."""
     points, normals, centers, line_ok = clouds.points, clouds.normals, clouds.centers, clouds.line_ok
     pose = start_pose.copy()
     lo, hi = clouds.starts[scan], clouds.starts[scan + 1]
+    stride = 1 + (hi - lo - 1) // limits.most_points
     n_keys = len(keys)
     hessian, gradient = np.zeros((3, 3)), np.zeros(3)
     matched, usable, rms, cost = 0, 0, 0.0, 0.0
@@ -135,7 +123,7 @@ def align_kernel(
     partners = np.empty(((hi - lo - 1) // stride + 1, n_keys), dtype=np.int32)
     moved = 2.0 * SAME_PARTNERS
     faked = 0.0
-    for iteration in range(iterations + 1):
+    for iteration in range(limits.iterations + 1):
         for k in range(n_keys):
             ck, sk = math.cos(key_poses[k, 2]), math.sin(key_poses[k, 2])
             dx, dy = pose[0] - key_poses[k, 0], pose[1] - key_poses[k, 1]
@@ -156,9 +144,9 @@ def align_kernel(
             usable += 1
             of_point = partners[(i - lo) // stride]
             px, py = points[i, 0], points[i, 1]
-            kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[i])
+            kernel2 = max(limits.sigma * limits.sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[i])
             inv_s2 = 1.0 / kernel2
-            reach = max(gate, math.sqrt(kernel2))
+            reach = max(limits.gate, math.sqrt(kernel2))
             hit = False
             best_e = 1e9
             for k in range(n_keys):
@@ -195,9 +183,9 @@ def align_kernel(
                 cost += 1.0
         hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
         rms = math.sqrt(squares / weights) if weights > 0.0 else 0.0
-        if iteration == iterations:
+        if iteration == limits.iterations:
             break
-        step = _step(hessian, faked, gradient, pose, prior, prior_information, prior_cauchy)
+        step = _step(hessian, faked, gradient, pose, prior)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
@@ -213,7 +201,7 @@ def align_kernel(
                 c, s = relative[k, 2], relative[k, 3]
                 x = relative[k, 0] + c * points[i, 0] - s * points[i, 1]
                 y = relative[k, 1] + s * points[i, 0] + c * points[i, 1]
-                unseen = unseen and not sees(x, y, keys[k], clouds, gate)
+                unseen = unseen and not sees(x, y, keys[k], clouds, limits.gate)
             unknown += unseen
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
     return pose, observable(hessian, faked), matched, usable, unknown, rms, cost - unknown
@@ -234,31 +222,24 @@ def add_equation(h: Array, g: Array, w: float, j0: float, j1: float, j2: float, 
 
 
 @njit(cache=True)
-def _step(
-    hessian: Array,
-    faked: float,
-    gradient: Array,
-    pose: Array,
-    prior: Array,
-    prior_information: Array,
-    prior_cauchy: float,
-) -> Array:
+def _step(hessian: Array, faked: float, gradient: Array, pose: Array, prior: Prior) -> Array:
     """Gauss-Newton step in the base frame; directions the scan is blind in are left to the prior."""
     a = observable(hessian, faked)
     answer = _safe_solve(hessian, gradient)
     b = -(a @ answer)
-    if prior_information[0, 0] > 0.0:
+    if prior.information[0, 0] > 0.0:
         # error of the pose seen from the prior, turned into the base frame
         c, s = math.cos(pose[2]), math.sin(pose[2])
-        dx, dy = pose[0] - prior[0], pose[1] - prior[1]
-        e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior[2])])
+        dx, dy = pose[0] - prior.pose[0], pose[1] - prior.pose[1]
+        e = np.array([c * dx + s * dy, -s * dx + c * dy, _wrap(pose[2] - prior.pose[2])])
         w = 1.0
-        if prior_cauchy > 0.0:
-            w = 1.0 / (1.0 + contradiction(e - answer, prior_information, a) / (prior_cauchy * prior_cauchy))
+        if prior.cauchy > 0.0:
+            apart = contradiction(e - answer, prior.information, a)
+            w = 1.0 / (1.0 + apart / (prior.cauchy * prior.cauchy))
         # what the scan sees it decides; odometry fills in the directions it is blind in
         w *= PRIOR_SHARE
-        a = a + w * prior_information
-        b = b - w * (prior_information @ e)
+        a = a + w * prior.information
+        b = b - w * (prior.information @ e)
     return _safe_solve(a, b)
 
 

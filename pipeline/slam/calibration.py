@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import (
     CAUCHY,
-    FINE_GATE_M,
-    FINE_SIGMA_M,
     LEAST_OVERLAP,
-    ROUGH_GATE_M,
     STEP_INFLATION,
 )
 from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.partners import FINE, ROUGH
 from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
 from turtlebag.pipeline.slam.refine import match_pairs
@@ -30,7 +28,6 @@ from turtlebag.pipeline.slam.refine import match_pairs
 # Key scans are compared over a baseline, so much driving [m] or a radian of turning: far enough for shares to
 # stand out of the noise of a match, near enough for the views to overlap.
 BASELINE_M = 1.5
-GATES_M = (ROUGH_GATE_M, FINE_GATE_M, FINE_GATE_M)
 # What odometry may be wrong by before anything is known: share of distance and of turn, radian per metre.
 ODOMETRY_SHARE = 0.05
 # Odometry that is wrong by this share of the way lies: wheels whose clock is late are wrong by less at every
@@ -117,10 +114,10 @@ def _matched(
     T_i_j = (T_map_keys[i].inverse() @ T_map_keys[j]).xyt
     # every pair gets key scans of its own, so that each moves on by its own match
     own_keys, own_pairs = keys[pairs].ravel(), np.arange(2 * len(pairs)).reshape(-1, 2)
-    for gate in GATES_M:
+    for limits in (FINE._replace(gate=ROUGH.gate), FINE, FINE):
         poses = np.zeros((2 * len(pairs), 3))
         poses[1::2] = T_i_j
-        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, gate, FINE_SIGMA_M)
+        T_i_j, information, overlap = match_pairs(clouds, own_keys, SE2(poses), own_pairs, limits)
     return T_i_j, information, overlap
 
 

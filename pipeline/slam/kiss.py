@@ -18,6 +18,7 @@ from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
 from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
 from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.track import HYPOTHESES
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
@@ -61,8 +62,8 @@ class KissIcp:
         if course.clouds.placed_by(course.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2
         keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
-        found = align(course.clouds, course.scan, pose, keys, poses, iterations=0, most_points=MOST_POINTS)
-        return found.information
+        as_is = ROUGH._replace(iterations=0, most_points=MOST_POINTS)
+        return align(course.clouds, course.scan, pose, keys, poses, as_is).information
 
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.align import Alignment, align
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.loop_match import Limits, Stretch
+from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch, stays_put
+from turtlebag.pipeline.slam.partners import Limits
 
 
 class LineMatch:
@@ -21,10 +22,7 @@ class LineMatch:
         """As in `LoopMatch`; of the query the scan `about` alone, where it has surfaces."""
         if clouds.placed_by(query.about) == "points":
             return self._points.match(clouds, query, place, start, limits)
-        return align(
-            clouds, query.about, start, place.scans, place.T_about_scans,
-            gate=limits.gate, sigma=limits.sigma, iterations=limits.iterations,
-        )  # fmt: skip
+        return align(clouds, query.about, start, place.scans, place.T_about_scans, limits)
 
     def confirms(self, clouds: Clouds, query: Stretch, place: Stretch, pose: Array) -> bool:
         """As in `LoopMatch`: whether Open3D's ICP would leave the scan where it is."""

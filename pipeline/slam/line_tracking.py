@@ -16,15 +16,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array, between, compose
-from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Alignment, align
+from turtlebag.pipeline.slam.align import (
+    CAUCHY,
+    LEAST_OVERLAP,
+    MOST_POINTS,
+    NEIGHBOURS,
+    Alignment,
+    Prior,
+    align,
+)
 from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import best_pose
 from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
+from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.track import confirms
 
+# Gauss-Newton steps from one start.
+ITERATIONS = 10
 # Without odometry the last motion is expected to go on, with this share of an odometry step's information.
 STEADY_SHARE = 0.05
 # For so many scans after a gap the motion since is open.
@@ -140,22 +151,13 @@ class Lines:
             return None
         tried: list[Array] = []
         keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
+        limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
         for source, start in starts:
             # starts this near each other end at the same pose
             if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
                 continue
             tried.append(start)
-            result = align(
-                course.clouds,
-                scan,
-                start,
-                keys,
-                poses,
-                prior=prior,
-                prior_information=information,
-                prior_cauchy=CAUCHY,
-                most_points=MOST_POINTS,
-            )
+            result = align(course.clouds, scan, start, keys, poses, limits, Prior(prior, information, CAUCHY))
             e = between(prior, result.T_map_base.xyt)
             surprise = np.log1p(e @ information @ e / CAUCHY**2)
             # What the key scans could not see is half a miss: a place where all is seen again is likelier

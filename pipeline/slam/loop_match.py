@@ -7,16 +7,17 @@ limits of those who ask (`min_overlap`) judge by what it says.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlebag.datasets.parts import Answer
 from turtlebag.datasets.se2 import Array
-from turtlebag.pipeline.slam.align import ROUGH_GATE_M, ROUGH_SIGMA_M, Alignment
+from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
+from turtlebag.pipeline.slam.partners import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +31,6 @@ class Stretch:
     def points(self, clouds: Clouds) -> Array:
         """All their points (m, 2), seen from there."""
         return points_in_map(clouds.points, clouds.starts, self.scans, self.T_about_scans)
-
-
-class Limits(NamedTuple):
-    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of a robust kernel, for
-    those who have one; after so many iterations it is over, and with none the fit at the start is told."""
-
-    gate: float
-    sigma: float
-    iterations: int = 15
-
-
-ROUGH = Limits(ROUGH_GATE_M, ROUGH_SIGMA_M)
 
 
 class LoopMatch(Protocol):

@@ -29,8 +29,9 @@ from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import ROUGH, LoopMatch, Stretch, confirmed, require_alignment
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
+from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}

@@ -8,6 +8,7 @@ not have seen (behind its walls) finds no partner by itself.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
@@ -19,6 +20,21 @@ MAX_HALF_WINDOW = 10
 MIN_NORMAL_DOT = 0.6
 # The kernel is at least this many standard deviations of a point's noise wide, and so is the gate.
 KERNEL_SIGMAS = 3.0
+
+
+class Limits(NamedTuple):
+    """Points further apart than `gate` [m] are no partners; `sigma` [m] is the width of a robust kernel, for
+    those who have one; after so many iterations it is over, and with none the fit at the start is told. Of a
+    scan with more than `most_points` every second, third, ... point is used, by those who may."""
+
+    gate: float
+    sigma: float
+    iterations: int = 15
+    most_points: int = 10**6
+
+
+# Where poses are rough, and where they are good.
+ROUGH, FINE = Limits(0.3, 0.05), Limits(0.1, 0.03)
 
 
 @njit(cache=True)
@@ -87,18 +103,19 @@ def relative_pose(poses: Array, i: int, j: int) -> tuple[float, float, float]:
 
 @njit(cache=True)
 def partner_line(
-    clouds: Clouds, r: int, key: int, tx: float, ty: float, c: float, s: float, gate: float, sigma: float
+    clouds: Clouds, r: int, key: int, T_key_scan: tuple[float, float, float, float], limits: Limits
 ) -> tuple[int, float, float]:
     """The line of scan `key` that point `r` lies on: row or -1, distance to it [m], weight [1/m^2].
 
-    T_key_scan is (tx, ty) and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than the
+    T_key_scan is x, y, and the cosine and sine of its yaw. Gate and kernel [m] are never narrower than the
     point's noise.
     """
+    tx, ty, c, s = T_key_scan
     normals, centers = clouds.normals, clouds.centers
     px, py = clouds.points[r, 0], clouds.points[r, 1]
     x, y = tx + c * px - s * py, ty + s * px + c * py
-    kernel2 = max(sigma * sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
-    inv_s2, reach = 1.0 / kernel2, max(gate, math.sqrt(kernel2))
+    kernel2 = max(limits.sigma * limits.sigma, KERNEL_SIGMAS * KERNEL_SIGMAS * clouds.point_var[r])
+    inv_s2, reach = 1.0 / kernel2, max(limits.gate, math.sqrt(kernel2))
     row = find_partner(x, y, key, clouds, reach)
     if row < 0 or not clouds.line_ok[row]:
         return -1, 0.0, 0.0

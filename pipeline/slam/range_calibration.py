@@ -20,14 +20,9 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
-from turtlebag.pipeline.slam.align import (
-    FINE_GATE_M,
-    FINE_SIGMA_M,
-    NEIGHBOURS,
-    STEP_INFLATION,
-)
+from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_INFLATION
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
-from turtlebag.pipeline.slam.partners import partner_line, relative_pose
+from turtlebag.pipeline.slam.partners import FINE, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
 
 # Lidars that see farther than this [m] time the light: nothing of theirs grows with the square of the range.
@@ -116,7 +111,7 @@ def calibrate_ranges(
     value = np.zeros(2)
     for _ in range(ROUNDS):
         moved = RangeCalibration(*value).moved(clouds)
-        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE_GATE_M, FINE_SIGMA_M)
+        h, g = _equations(moved, keys, T_track_keys.xyt, pairs, FINE)
         value = value - np.linalg.solve(h / STEP_INFLATION + prior, g / STEP_INFLATION + prior @ value)
     significant = value @ (h / STEP_INFLATION) @ value > CHANCE
     return RangeCalibration(*(float(v) for v in value)) if significant else RangeCalibration()
@@ -124,7 +119,7 @@ def calibrate_ranges(
 
 @njit(cache=True, nogil=True)
 def _equations(
-    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, gate: float, sigma: float
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, limits: Limits
 ) -> tuple[Array, Array]:
     """Normal equations (2, 2), (2,) of offset and square; pose and range of each pair's scans to each other
     eliminated."""
@@ -136,9 +131,9 @@ def _equations(
         c, s = math.cos(dyaw), math.sin(dyaw)
         whole, right = 1e-9 * np.eye(6), np.zeros(6)
         whole[3, 3] = information
-        _half(clouds, straight, keys[b], keys[a], tx, ty, dyaw, gate, sigma, False, whole, right)
+        _half(clouds, straight, keys[b], keys[a], (tx, ty, c, s), limits, False, (whole, right))
         ix, iy = -c * tx - s * ty, s * tx - c * ty
-        _half(clouds, straight, keys[a], keys[b], ix, iy, -dyaw, gate, sigma, True, whole, right)
+        _half(clouds, straight, keys[a], keys[b], (ix, iy, c, -s), limits, True, (whole, right))
         absorbed = np.linalg.solve(whole[:4, :4].copy(), whole[:4, 4:].copy())
         h += whole[4:, 4:] - whole[4:, :4].copy() @ absorbed
         g += right[4:] - absorbed.T.copy() @ right[:4].copy()
@@ -151,27 +146,23 @@ def _half(
     straight: NDArray,
     scan: int,
     key: int,
-    tx: float,
-    ty: float,
-    dyaw: float,
-    gate: float,
-    sigma: float,
+    T_key_scan: tuple[float, float, float, float],
+    limits: Limits,
     inverted: bool,
-    h: Array,
-    g: Array,
+    equations: tuple[Array, Array],
 ) -> None:
-    """Add the equations of `scan`'s points against `key`'s lines, T_key_scan = (tx, ty, dyaw).
+    """Add the equations (6, 6), (6,) of `scan`'s points against `key`'s lines.
 
-    The unknowns are a right perturbation of the pair's pose, the share by which the pair's second scan has
-    longer ranges than its first, then offset and square.
+    T_key_scan is as in `partner_line`. The unknowns are a right perturbation of the pair's pose, the share by
+    which the pair's second scan has longer ranges than its first, then offset and square.
     """
     points, normals, centers, origin = clouds.points, clouds.normals, clouds.centers, clouds.origin
-    c, s = math.cos(dyaw), math.sin(dyaw)
+    (tx, ty, c, s), (h, g) = T_key_scan, equations
     row_of = np.zeros(6)
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not straight[r]:
             continue
-        row, e, w = partner_line(clouds, r, key, tx, ty, c, s, gate, sigma)
+        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
         if row < 0 or not straight[row]:
             continue
         px, py = points[r, 0], points[r, 1]
@@ -187,7 +178,7 @@ def _half(
         near -= e / near_sine
         px, py = origin[0] + near * ray_x, origin[1] + near * ray_y
         x, y = tx + c * px - s * py, ty + s * px + c * py
-        if abs(nx * (y - centers[row, 1]) - ny * (x - centers[row, 0])) > gate:
+        if abs(nx * (y - centers[row, 1]) - ny * (x - centers[row, 0])) > limits.gate:
             continue
         if inverted:
             row_of[0], row_of[1], row_of[2] = -nx, -ny, -(x * ny - y * nx)

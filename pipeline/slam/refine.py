@@ -20,12 +20,8 @@ from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import (
     CAUCHY,
-    FINE_GATE_M,
-    FINE_SIGMA_M,
     LEAST_OVERLAP,
     NEIGHBOURS,
-    ROUGH_GATE_M,
-    ROUGH_SIGMA_M,
     STEP_INFLATION,
     SURFACE_VAR,
     _safe_solve,
@@ -37,7 +33,7 @@ from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.open3d_icp import match_points
-from turtlebag.pipeline.slam.partners import partner_line, relative_pose
+from turtlebag.pipeline.slam.partners import FINE, ROUGH, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.pose_graph import GTSAM, Poses, optimise, relative, vectors
 from turtlebag.pipeline.slam.threads import in_parts
 
@@ -71,11 +67,11 @@ def refine(
     alike = round(ALIKE * radius / RADIUS_M)
 
     def matched(poses: SE2, f: float) -> list[Constraint]:
-        gate = ROUGH_GATE_M * (FINE_GATE_M / ROUGH_GATE_M) ** f
-        sigma = ROUGH_SIGMA_M * (FINE_SIGMA_M / ROUGH_SIGMA_M) ** f
+        gate = ROUGH.gate * (FINE.gate / ROUGH.gate) ** f
+        sigma = ROUGH.sigma * (FINE.sigma / ROUGH.sigma) ** f
         pairs = overlapping_pairs(poses, radius, NEIGHBOURS, alike)
         pairs = pairs[~edits.rejects(pairs[:, 0], pairs[:, 1])]
-        return pair_constraints(clouds, keys, poses, pairs, gate, sigma)
+        return pair_constraints(clouds, keys, poses, pairs, Limits(gate, sigma))
 
     return in_rounds(T_map_keys, steps, config.rounds, matched, partial(solved, back_end))
 
@@ -144,11 +140,10 @@ def pair_constraints(
     keys: NDArray[np.int64],
     T_map_keys: SE2,
     pairs: NDArray[np.int64],
-    gate: float,
-    sigma: float,
+    limits: Limits,
 ) -> list[Constraint]:
     """One constraint for each pair that overlaps enough, linearised at the given poses."""
-    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, gate, sigma)
+    relative, information, overlap = match_pairs(clouds, keys, T_map_keys, pairs, limits)
     return [
         Constraint(int(i), int(j), relative[k], information[k] / STEP_INFLATION, "pair", CAUCHY)
         for k, (i, j) in enumerate(pairs)
@@ -161,12 +156,11 @@ def match_pairs(
     keys: NDArray[np.int64],
     T_map_keys: SE2,
     pairs: NDArray[np.int64],
-    gate: float,
-    sigma: float,
+    limits: Limits,
 ) -> tuple[Array, Array, Array]:
     """As `linearise_pairs`; two scans without surfaces are matched point on point, by Open3D's ICP."""
     found = in_parts(
-        lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], gate, sigma),
+        lambda part: linearise_pairs(clouds, keys, T_map_keys.xyt, pairs[part], limits),
         len(pairs),
     )
     relative, information, overlap = (np.concatenate([part[k] for part in found]) for k in range(3))
@@ -176,7 +170,7 @@ def match_pairs(
         start = (T_map_keys[pairs[:, 0]].inverse() @ T_map_keys[pairs[:, 1]]).xyt
         for k in both:
             i, j = pairs[k]
-            match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], gate)
+            match = match_points(clouds.of(keys[j]), clouds.of(keys[i]), start[k], limits.gate)
             relative[k], information[k] = match.T_target_source, match.information
             overlap[k] = match.overlap
     return relative, information, overlap
@@ -184,7 +178,7 @@ def match_pairs(
 
 @njit(cache=True, nogil=True)
 def linearise_pairs(
-    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, gate: float, sigma: float
+    clouds: Clouds, keys: NDArray, poses: Array, pairs: NDArray, limits: Limits
 ) -> tuple[Array, Array, Array]:
     """Per pair (i, j): best T_i_j to first order (3,), its information (3, 3), overlap 0..1.
 
@@ -197,12 +191,11 @@ def linearise_pairs(
     for k in range(n):
         a, b = pairs[k, 0], pairs[k, 1]
         tx, ty, dyaw = relative_pose(poses, a, b)
-        h = np.zeros((3, 3))
-        g = np.zeros(3)
-        used_b, hit_b, faked_b = _half(clouds, keys[b], keys[a], tx, ty, dyaw, gate, sigma, False, h, g)
         c, s = math.cos(dyaw), math.sin(dyaw)
+        h, g = np.zeros((3, 3)), np.zeros(3)
+        used_b, hit_b, faked_b = _half(clouds, keys[b], keys[a], (tx, ty, c, s), limits, False, (h, g))
         ix, iy = -c * tx - s * ty, s * tx - c * ty
-        used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], ix, iy, -dyaw, gate, sigma, True, h, g)
+        used_a, hit_a, faked_a = _half(clouds, keys[a], keys[b], (ix, iy, c, -s), limits, True, (h, g))
         overlap[k] = max(hit_a / max(used_a, 1), hit_b / max(used_b, 1))
         seen = observable(h, faked_a + faked_b)
         step = -_safe_solve(h, g)
@@ -218,29 +211,25 @@ def _half(
     clouds: Clouds,
     scan: int,
     key: int,
-    tx: float,
-    ty: float,
-    dyaw: float,
-    gate: float,
-    sigma: float,
+    T_key_scan: tuple[float, float, float, float],
+    limits: Limits,
     inverted: bool,
-    h: Array,
-    g: Array,
+    equations: tuple[Array, Array],
 ) -> tuple[int, int, float]:
-    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan = (tx, ty, dyaw).
+    """Add the normal equations of `scan`'s points against `key`'s lines, T_key_scan as in `partner_line`.
 
     Returned are the points with a line, those with a partner, and the information that errors of the
     normals fake (see `observable`). The unknown is a right perturbation of T_i_j; `inverted` says that
     `scan` is i and `key` j.
     """
     points, normals, line_ok = clouds.points, clouds.normals, clouds.line_ok
-    c, s = math.cos(dyaw), math.sin(dyaw)
+    (tx, ty, c, s), (h, g) = T_key_scan, equations
     used, hit, faked = 0, 0, 0.0
     for r in range(clouds.starts[scan], clouds.starts[scan + 1]):
         if not line_ok[r]:
             continue
         used += 1
-        row, e, w = partner_line(clouds, r, key, tx, ty, c, s, gate, sigma)
+        row, e, w = partner_line(clouds, r, key, T_key_scan, limits)
         if row < 0:
             continue
         hit += 1

@@ -12,16 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from turtlebag.datasets import se3
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.slam.align import (
-    FINE_GATE_M,
-    FINE_SIGMA_M,
-    LEAST_OVERLAP,
-    MOST_POINTS,
-    NEIGHBOURS,
-    align_kernel,
-)
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP, MOST_POINTS, NEIGHBOURS, Prior, align_kernel
 from turtlebag.pipeline.slam.cloud_parts import chosen, joined_clouds
 from turtlebag.pipeline.slam.clouds import SCANS_AT_ONCE, Clouds
+from turtlebag.pipeline.slam.partners import FINE, Limits
 from turtlebag.pipeline.slam.pose_graph import Poses, relative
 from turtlebag.pipeline.slam.threads import in_parts
 from turtlebag.pipeline.slam.track import Track
@@ -88,18 +82,18 @@ def pose_all_scans(
     scans = np.flatnonzero(~is_key & track.usable)
 
     by_lines = np.zeros(len(poses), dtype=bool)
-    keys, of_keys = np.arange(len(track.keys)), chosen(clouds(), track.keys)
+    of_keys = chosen(clouds(), track.keys)
+    limits = FINE._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
 
     def aligned(some: NDArray[np.int64]) -> list[tuple[Array, Array]]:
-        both, numbers = joined_clouds([of_keys, clouds_of(some)]), len(keys) + np.arange(len(some))
+        both, numbers = joined_clouds([of_keys, clouds_of(some)]), len(T_map_keys) + np.arange(len(some))
         by_lines[some] = [both.placed_by(k) == "lines" for k in numbers.tolist()]
         return in_parts(
             lambda part: _align_each(
-                both, numbers[part], poses[some[part]], keys, near[some[part]], T_map_keys.xyt, information,
-                ITERATIONS,
+                both, numbers[part], poses[some[part]], near[some[part]], T_map_keys.xyt, information, limits
             ),
             len(some),
-        )  # fmt: skip
+        )
 
     found = [
         one for at in range(0, len(scans), SCANS_AT_ONCE) for one in aligned(scans[at : at + SCANS_AT_ONCE])
@@ -108,7 +102,7 @@ def pose_all_scans(
         return carried, overlaps
     new, overlap = (np.concatenate([part[k] for part in found]) for k in (0, 1))
     shift = np.linalg.norm(new[:, :2] - poses[scans, :2], axis=1)
-    good = (overlap >= LEAST_OVERLAP) & (shift <= FINE_GATE_M)
+    good = (overlap >= LEAST_OVERLAP) & (shift <= FINE.gate)
     poses[scans[good]] = new[good]
     walls = by_lines[scans]
     overlaps[scans[walls]] = overlap[walls]
@@ -120,24 +114,19 @@ def _align_each(
     clouds: Clouds,
     scans: NDArray,
     poses: Array,
-    keys: NDArray,
     near: NDArray,
     key_poses: Array,
     information: Array,
-    iterations: int,
+    limits: Limits,
 ) -> tuple[Array, Array]:
-    """Each scan aligned from its pose with key scans near[k] (rows of `keys`): poses (n, 3), overlap (n,).
-
-    As a constant of the kernel's, `iterations` would have the whole of `align_kernel` compiled once more.
-    """
+    """Scans (n,) aligned from their poses with key scans near[k], the first of the clouds: poses (n, 3),
+    overlap (n,)."""
     out, overlap = poses.copy(), np.zeros(len(scans))
     for k in range(len(scans)):
-        scan = scans[k]
-        stride = 1 + (clouds.starts[scan + 1] - clouds.starts[scan] - 1) // MOST_POINTS
+        prior = Prior(poses[k], information, 0.0)
         pose, _, matched, usable, _, _, _ = align_kernel(
-            clouds, scan, stride, poses[k], keys[near[k]], key_poses[near[k]],
-            FINE_GATE_M, FINE_SIGMA_M, iterations, poses[k], information, 0.0,
-        )  # fmt: skip
+            clouds, scans[k], poses[k], near[k], key_poses[near[k]], limits, prior
+        )
         out[k] = pose
         if usable > 0:
             overlap[k] = matched / usable

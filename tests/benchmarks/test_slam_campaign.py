@@ -17,8 +17,9 @@ from benchmarks.numbers import counted
 from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
 from benchmarks.slam_detector import detection, detector_cases, judged, spread
-from benchmarks.slam_parts import NUMBERS
+from benchmarks.slam_parts import NUMBERS, multiply_constant
 from benchmarks.workers import in_processes
+from turtlebag.pipeline.slam import align, calibration, partners, range_calibration, refine, scan_poses, steps
 from turtlebag.pipeline.slam.slam import SlamConfig
 
 
@@ -42,8 +43,18 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
             config = functools.reduce(getattr, path.split("."), SlamConfig())
             assert set(fields.split()) <= set(type(config).model_fields), section
         else:
-            module, _, constant = path.partition(".")
-            assert hasattr(importlib.import_module(f"turtlebag.pipeline.slam.{module}"), constant), section
+            module, constant, *field = path.split(".")
+            value = getattr(importlib.import_module(f"turtlebag.pipeline.slam.{module}"), constant)
+            assert set(field) <= set(getattr(value, "_fields", ())), section
+
+
+def test_a_constant_is_multiplied_wherever_it_is_read(monkeypatch):
+    multiply_constant("partners.FINE.sigma", 2.0, monkeypatch.setattr)
+    multiply_constant("align.STEP_INFLATION", 0.5, monkeypatch.setattr)
+    for module in (partners, refine, range_calibration, calibration, scan_poses):
+        assert module.FINE == (0.1, 0.06, 15, 10**6)
+    for module in (align, refine, range_calibration, calibration, steps):
+        assert module.STEP_INFLATION == 2.5
 
 
 def test_the_detector_has_five_hundred_maps_and_two_halves_of_ten_kinds_and_more():

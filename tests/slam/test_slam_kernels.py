@@ -10,10 +10,12 @@ from tests.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam.align import (
     FAKED,
+    NO_PRIOR,
     PRIOR_SHARE,
     SAME_PARTNERS,
     STEP_INFLATION,
     SURFACE_VAR,
+    Prior,
     _safe_solve,
     _step,
     _wrap,
@@ -27,7 +29,7 @@ from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import _grow
 from turtlebag.pipeline.slam.free_space import violation_shares
 from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
-from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, find_partner
+from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.track import OdometryNoise
 
@@ -93,8 +95,10 @@ def in_view(clouds, xy, key, margin):
     return len(ranges) >= 2 and min(ranges) >= np.hypot(*offset) - margin
 
 
-def plain_align(clouds, scan, stride, pose, keys, key_poses, gate, sigma, iterations, *prior):
+def plain_align(clouds, scan, pose, keys, key_poses, limits, prior):
     """The kernel with every partner looked up anew in each round."""
+    gate, sigma, iterations, most = limits
+    stride = math.ceil((clouds.starts[scan + 1] - clouds.starts[scan]) / most)
     rows = [r for r in range(clouds.starts[scan], clouds.starts[scan + 1], stride) if clouds.line_ok[r]]
     for iteration in range(iterations + 1):
         normals, matched, unknown, cost = Normals(), 0, 0, 0.0
@@ -113,30 +117,26 @@ def plain_align(clouds, scan, stride, pose, keys, key_poses, gate, sigma, iterat
             unknown += unseen
             cost += q / (1.0 + q) if errors else float(not unseen)
         if iteration < iterations:
-            pose = moved_by(pose, _step(normals.h, normals.faked, normals.g, pose, *prior))
+            pose = moved_by(pose, _step(normals.h, normals.faked, normals.g, pose, prior))
     rms = math.sqrt(normals.squares / normals.weights) if normals.weights else 0.0
     return pose, observable(normals.h, normals.faked), matched, len(rows), unknown, rms, cost
 
 
-NO_PRIOR = (np.zeros(3), np.zeros((3, 3)), 0.0)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("off", "stride", "gate", "sigma", "keys"),
+    ("off", "most", "gate", "sigma", "keys"),
     [
-        ((0.0, 0.0, 0.0), 1, 0.3, 0.05, (0, 1, 2)),
-        ((0.06, -0.04, 0.05), 3, 0.3, 0.05, (0, 1, 2)),
-        ((-0.1, 0.12, -0.1), 4, 0.15, 0.02, (2,)),
-        ((0.02, 0.01, 0.02), 5, 0.01, 0.001, (1, 0)),
-        ((0.3, 0.4, 0.5), 4, 0.3, 0.2, (3, 0)),
+        ((0.0, 0.0, 0.0), 10**6, 0.3, 0.05, (0, 1, 2)),
+        ((0.06, -0.04, 0.05), 120, 0.3, 0.05, (0, 1, 2)),
+        ((-0.1, 0.12, -0.1), 90, 0.15, 0.02, (2,)),
+        ((0.02, 0.01, 0.02), 72, 0.01, 0.001, (1, 0)),
+        ((0.3, 0.4, 0.5), 90, 0.3, 0.2, (3, 0)),
     ],
 )
-def test_what_a_scan_tells_of_its_pose_is_what_the_lines_it_meets_say(clouds, off, stride, gate, sigma, keys):
+def test_what_a_scan_tells_of_its_pose_is_what_the_lines_it_meets_say(clouds, off, most, gate, sigma, keys):
     pose, keys = POSES[4] + np.array(off), np.array(keys)
-    args = clouds, 4, stride, pose, keys, POSES[keys], gate, sigma
-    found = align_kernel(*args, 0, *NO_PRIOR)
-    expected = plain_align(*args, 0)
+    args = clouds, 4, pose, keys, POSES[keys], Limits(gate, sigma, 0, most), NO_PRIOR
+    found, expected = align_kernel(*args), plain_align(*args)
     np.testing.assert_allclose(found[0], pose, atol=1e-12)
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-5 * np.abs(expected[1]).max())
     assert found[2:5] == expected[2:5]
@@ -145,18 +145,24 @@ def test_what_a_scan_tells_of_its_pose_is_what_the_lines_it_meets_say(clouds, of
 
 @pytest.mark.slow
 def test_steps_follow_one_another_until_they_are_tiny(clouds):
-    keys, prior = np.array([0, 1, 2]), (POSES[4] + [0.02, 0.0, 0.03], np.diag([400.0, 200.0, 900.0]), 2.0)
+    keys = np.array([0, 1, 2])
+    prior = Prior(POSES[4] + [0.02, 0.0, 0.03], np.diag([400.0, 200.0, 900.0]), 2.0)
+    limits = Limits(0.3, 0.05, most_points=180)
     pose = POSES[4] + np.array([0.09, -0.07, 0.06])
     for iterations in (1, 2, 3):
-        args = clouds, 4, 2, pose, keys, POSES[keys], 0.3, 0.05, iterations, *prior
+        args = clouds, 4, pose, keys, POSES[keys], limits._replace(iterations=iterations), prior
         found, expected = align_kernel(*args), plain_align(*args)
         # steps that move little keep their partners
         tolerance = 1e-6 if iterations == 1 else 2e-3
         np.testing.assert_allclose(found[0], expected[0], atol=tolerance)
-    settled = align_kernel(*args[:8], 30, *prior)
-    again = align_kernel(*args[:3], settled[0], *args[4:8], 1, *prior)
+    settled = align_kernel(*args[:5], limits._replace(iterations=30), prior)
+    again = align_kernel(*args[:2], settled[0], *args[3:5], limits._replace(iterations=1), prior)
     np.testing.assert_allclose(again[0], settled[0], atol=SAME_PARTNERS / 10)
-    turned = align_kernel(*args[:3], settled[0] + [0, 0, 2 * math.pi], *args[4:8], 3, *prior)
+    turned = align_kernel(
+        *args[:2],
+        settled[0] + [0, 0, 2 * math.pi],
+        *args[3:],
+    )
     assert abs(turned[0][2]) < math.pi
 
 
@@ -165,19 +171,17 @@ def test_the_outcome_is_in_shares_of_the_points_and_every_nth_of_many_is_used(cl
     total = int(clouds.starts[5] - clouds.starts[4])
     keys = np.array([0, 1])
     for most, stride in ((10**6, 1), (total, 1), (total - 1, 2), (total // 3, 4 if total % 3 else 3)):
-        result = align(
-            clouds, 4, POSES[4], keys, POSES[keys], gate=0.3, sigma=0.05, iterations=2, most_points=most
-        )
-        raw = align_kernel(clouds, 4, stride, POSES[4], keys, POSES[keys], 0.3, 0.05, 2, *NO_PRIOR)
+        args = clouds, 4, POSES[4], keys, POSES[keys], Limits(0.3, 0.05, 2, most)
+        result, raw = align(*args), align_kernel(*args, NO_PRIOR)
+        assert raw[3] == np.count_nonzero(clouds.line_ok[clouds.starts[4] : clouds.starts[5] : stride])
         np.testing.assert_array_equal(result.T_map_base.xyt, raw[0])
         np.testing.assert_array_equal(result.information, raw[1])
         assert result.overlap == raw[2] / raw[3]
         known = raw[3] - raw[4]
         assert (result.known, result.rmse, result.cost) == (known / raw[3], raw[5], raw[6] / known)
         assert result.agreement == pytest.approx(raw[2] / known)
-    blind = align(
-        clouds._replace(line_ok=0 * clouds.line_ok), 4, POSES[4], keys, POSES[keys], gate=0.3, sigma=0.05
-    )
+    bare = clouds._replace(line_ok=0 * clouds.line_ok)
+    blind = align(bare, 4, POSES[4], keys, POSES[keys], Limits(0.3, 0.05))
     assert (blind.overlap, blind.cost, blind.rmse, blind.agreement) == (0.0, 1.0, 0.0, 0.0)
 
 
@@ -203,9 +207,9 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
         q = d @ np.linalg.solve(np.linalg.inv(information) + np.linalg.pinv(sure), d) if soft else 0.0
         w = PRIOR_SHARE / (1.0 + (q / soft**2 if soft else 0.0))
         expected = np.linalg.solve(seen + w * information, toward - w * information @ e)
-        found = _step(h, faked, g, pose, prior, information, soft)
+        found = _step(h, faked, g, pose, Prior(prior, information, soft))
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
-    alone = _step(h, faked, g, pose, prior, np.zeros((3, 3)), 1.5)
+    alone = _step(h, faked, g, pose, Prior(prior, np.zeros((3, 3)), 1.5))
     np.testing.assert_allclose(seen @ alone, toward, rtol=1e-3, atol=1e-3)
 
 
@@ -253,7 +257,7 @@ def test_a_pair_is_linearised_as_both_scans_lines_say(clouds, gate, sigma):
     rng = np.random.default_rng(2)
     keys, pairs = np.array([4, 0, 2, 1]), np.array([[0, 1], [2, 0], [3, 2]])
     poses = POSES[keys] + rng.normal(0.0, [0.03, 0.03, 0.02], (4, 3))
-    relative, information, overlap = linearise_pairs(clouds, keys, poses, pairs, gate, sigma)
+    relative, information, overlap = linearise_pairs(clouds, keys, poses, pairs, Limits(gate, sigma))
     for k, (a, b) in enumerate(pairs):
         T = (SE2(poses[a]).inverse() @ SE2(poses[b])).xyt
         normals, shares = Normals(), []

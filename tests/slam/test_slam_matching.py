@@ -11,6 +11,7 @@ from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.align import (
     FAKED,
     STEP_INFLATION,
+    Prior,
     align,
     observable,
 )
@@ -22,7 +23,7 @@ from turtlebag.pipeline.slam.correlative import (
     make_field,
     points_in_map,
 )
-from turtlebag.pipeline.slam.partners import find_partner
+from turtlebag.pipeline.slam.partners import Limits, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
 from turtlebag.pipeline.slam.track import blind
 
@@ -105,7 +106,7 @@ def test_partner_is_the_nearest_point_of_the_scan(room):
 def test_alignment_finds_the_true_pose(room, off):
     clouds, poses = room
     start = HERE + np.array(off)
-    result = align(clouds, 4, start, np.arange(4), poses[:4], gate=0.3, sigma=0.05, iterations=20)
+    result = align(clouds, 4, start, np.arange(4), poses[:4], Limits(0.3, 0.05, 20))
     np.testing.assert_allclose(result.T_map_base.xyt, HERE, atol=0.006)
     assert result.overlap > 0.9
     assert result.rmse < 0.02
@@ -117,8 +118,8 @@ def test_corridor_leaves_the_way_along_to_the_prior():
     clouds = make_clouds(recording(CORRIDOR, np.vstack([keys, truth]), SICK), 30.0)
     prior = np.array([1.25, 0.06, 0.03])  # off along, across and in yaw
     result = align(
-        clouds, 3, prior, np.arange(3), keys, gate=0.3, sigma=0.05, iterations=30,
-        prior=prior, prior_information=np.diag([100.0, 100.0, 400.0]),
+        clouds, 3, prior, np.arange(3), keys, Limits(0.3, 0.05, 30),
+        Prior(prior, np.diag([100.0, 100.0, 400.0])),
     )  # fmt: skip
     x, y, yaw = result.T_map_base.xyt
     assert x == pytest.approx(1.25, abs=0.005)
@@ -174,7 +175,7 @@ def test_a_scan_of_space_nobody_saw_agrees_with_what_was_seen():
     """Half a circle looking up the room, matched with one that looks down it from the same place."""
     poses = np.array([[1.5, 3.0, 0.9], [1.5, 3.0, -1.4]])
     clouds = make_clouds(recording(ROOM, poses, SICK), 30.0)
-    found = align(clouds, 1, poses[1], np.array([0]), poses[:1], gate=0.2, sigma=0.05, iterations=0)
+    found = align(clouds, 1, poses[1], np.array([0]), poses[:1], Limits(0.2, 0.05, 0))
     assert found.overlap < 0.5
     assert found.agreement > 0.95
 
@@ -183,7 +184,7 @@ def test_a_scan_laid_where_others_looked_through_disagrees():
     poses = np.array([[1.5, 3.0, 0.2], [1.5, 3.0, 0.4]])
     clouds = make_clouds(recording(ROOM, poses, SICK), 30.0)
     truly, aside = (
-        align(clouds, 1, poses[1] + off, np.array([0]), poses[:1], gate=0.2, sigma=0.05, iterations=0)
+        align(clouds, 1, poses[1] + off, np.array([0]), poses[:1], Limits(0.2, 0.05, 0))
         for off in (np.zeros(3), np.array([-0.6, 0.0, 0.2]))
     )
     assert truly.agreement > 0.95
@@ -225,14 +226,13 @@ def test_pairs_know_their_relative_pose(room):
     off = poses.copy()
     off[1] += [0.04, -0.03, 0.02]
     pairs = np.array([[0, 1], [0, 2]])
-    relative, information, overlap = linearise_pairs(
-        clouds, np.arange(5), off, pairs, 0.3, 0.06,
-    )  # fmt: skip
+    limits = Limits(0.3, 0.06)
+    relative, information, overlap = linearise_pairs(clouds, np.arange(5), off, pairs, limits)
     true = (SE2(poses[0]).inverse() @ SE2(poses[1])).xyt
     np.testing.assert_allclose(relative[0], true, atol=0.015)
     assert overlap.min() > 0.6
     assert np.linalg.eigvalsh(information[0])[0] > 1.0
-    found = pair_constraints(clouds, np.arange(5), SE2(off), pairs, 0.3, 0.06)
+    found = pair_constraints(clouds, np.arange(5), SE2(off), pairs, limits)
     np.testing.assert_allclose(found[0].information * STEP_INFLATION, information[0])
 
 
@@ -252,7 +252,7 @@ def test_lidar_off_the_base_is_looked_up_from_its_own_place():
     log = recording(ROOM, (SE2(poses) @ T_base_lidar).xyt, LDS)
     log = type(log)(log.source, log.stamps_ns, log.ranges, log.lidar, T_base_lidar)
     clouds = make_clouds(log, 30.0)
-    result = align(clouds, 1, poses[1] + [0.05, 0.05, 0.03], np.array([0]), poses[:1], gate=0.3, sigma=0.05)
+    result = align(clouds, 1, poses[1] + [0.05, 0.05, 0.03], np.array([0]), poses[:1], Limits(0.3, 0.05))
     np.testing.assert_allclose(result.T_map_base.xyt, poses[1], atol=0.015)
 
 

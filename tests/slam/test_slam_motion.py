@@ -14,12 +14,13 @@ from turtlebag.datasets.grid import OCCUPIED
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.localisation.beams import prepare
-from turtlebag.pipeline.slam.align import align
+from turtlebag.pipeline.slam.align import Prior, align
 from turtlebag.pipeline.slam.calibration import calibrate
 from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
+from turtlebag.pipeline.slam.partners import Limits
 from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig
 from turtlebag.pipeline.stages.localise import sweep_ends
@@ -133,8 +134,8 @@ def test_a_prior_that_the_scan_contradicts_gives_way():
     lying = truth + np.array([0.3, -0.2, 0.1])
     found = {
         soft: align(
-            clouds, 2, truth, np.arange(2), poses[:2], gate=0.3, sigma=0.05, iterations=20,
-            prior=lying, prior_information=np.diag([1e7, 1e7, 1e7]), prior_cauchy=soft,
+            clouds, 2, truth, np.arange(2), poses[:2], Limits(0.3, 0.05, 20),
+            Prior(lying, np.diag([1e7, 1e7, 1e7]), soft),
         ).T_map_base.xyt
         for soft in (0.0, 2.0)
     }  # fmt: skip
