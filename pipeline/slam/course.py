@@ -95,7 +95,11 @@ class Course:
             moved = self._moved_enough(placed.T_track_base)
         for scan, pose in placed.revised:
             if scan not in self.keys:
-                self.poses[scan] = pose
+                # how it lay on the map was so where it was first taken to be
+                self.poses[scan], self._placed[scan] = (
+                    pose,
+                    replace(self._placed[scan], overlap=placed.overlap),
+                )
         self._keep(placed)
         if moved and placed.sure and self._usable[-1]:
             self._add_key()

@@ -153,11 +153,11 @@ def test_breaks_part_the_log_until_a_place_joins_it():
     assert released.tolist() == [False, True, False, False, True, False]
 
 
-def scans_with_a_gap(odometry_agrees: bool) -> tuple[Recording, Track]:
+def scans_with_a_gap(odometry_agrees: bool, wait_s: int = 10) -> tuple[Recording, Track]:
     truth = around_the_room(60)
     odometry = SE2.from_array(truth)
     log = recording(ROOM, truth, odometry=truth)
-    stamps = log.stamps_ns + np.where(np.arange(60) >= 30, 10 * 10**9, 0)
+    stamps = log.stamps_ns + np.where(np.arange(60) >= 30, wait_s * 10**9, 0)
     if not odometry_agrees:
         late = SE2.from_xyt(5.0, 2.0, 1.0) @ odometry[30:]
         odometry = SE2(np.concatenate([odometry.xyt[:30], late.xyt]))
@@ -166,12 +166,15 @@ def scans_with_a_gap(odometry_agrees: bool) -> tuple[Recording, Track]:
     return log, track_log(log, make_clouds(log, 30.0), TrackingConfig(), 30.0, scans, Lines)
 
 
-@pytest.mark.parametrize("agrees", [True, False])
-def test_gap_breaks_the_chain_unless_scans_and_odometry_confirm_each_other(agrees):
-    breaks = track_breaks_of(*scans_with_a_gap(agrees))
-    assert breaks.broken.sum() == (0 if agrees else 1)
+@pytest.mark.parametrize(("agrees", "wait_s"), [(True, 3), (True, 10), (False, 3), (False, 10)])
+def test_gap_breaks_the_chain_unless_it_is_short_and_scans_and_odometry_confirm_each_other(agrees, wait_s):
+    """MIT CSAIL without 20 s of its scans: a match agreed with odometry that was 1.6 m off by then."""
+    breaks = track_breaks_of(*scans_with_a_gap(agrees, wait_s))
+    whole = agrees and wait_s == 3
+    assert breaks.broken.sum() == (0 if whole else 1)
     assert breaks.contradicted.sum() == (0 if agrees else 1)
-    assert breaks.gaps.tolist() == ([] if agrees else [[29, 30]])
+    assert not breaks.alone.any()
+    assert breaks.gaps.tolist() == ([] if whole else [[29, 30]])
 
 
 def test_a_scan_that_fits_nothing_seen_before_breaks_the_chain_though_none_is_missing():
