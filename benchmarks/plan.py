@@ -25,6 +25,7 @@ import numpy as np
 from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on
 from benchmarks.plan_database import SEED, write_database, write_log
+from benchmarks.plan_figure import planner_boxes
 from benchmarks.plan_shortest import Lattice
 from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
@@ -37,7 +38,6 @@ from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, pla
 from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
-from turtlebag.reports.figures.planners import planner_boxes
 from turtlebag.reports.figures.style import save_png, styled
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.worlds import load_world
