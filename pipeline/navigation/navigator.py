@@ -53,7 +53,7 @@ class NavigationDriver(Driver):
         sweep = self.sensing.observe(observation)
         T_frame_odom = self._localise(observation)
         if finder is not None and not finder.localiser.amcl.initialised:
-            self.sequence.reject_all("no initial pose", now)
+            self.sequence.close_all("rejected", "no initial pose", now)
             return self._stop("no_pose", finished=True)
         if finder is not None and sweep is not None:
             self._moving.observe(sweep)
@@ -120,7 +120,8 @@ class NavigationDriver(Driver):
         self._rest()
         self.sequence.update(now, "the lidar is silent")
         if self.sensing.silent_s > PATIENCE_S:
-            self.sequence.fail_all(f"the lidar has been silent for {PATIENCE_S:g} s", now)
+            reason = f"the lidar has been silent for {PATIENCE_S:g} s"
+            self.sequence.close_all("unreachable", reason, now)
         return self._stop("blind", finished=self.sequence.finished)
 
     def _find(self, finder: Finder, state: State, observation: Observation, span_ns: int) -> Twist:

@@ -133,7 +133,7 @@ class Run:
         if task is None:
             return
         if task.sequence is not None:
-            task.sequence.expire(why, self.stamp_ns)
+            task.sequence.close_all("timeout", why, self.stamp_ns)
         self.say(f"{task.kind} {why}")
         self._task_over(task)
 

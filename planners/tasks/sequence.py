@@ -133,19 +133,8 @@ class GoalSequence:
             self._retried = True
             self._queue += [o.waypoint for o in self.outcomes if o.status in ("timeout", "unreachable")]
 
-    def reject_all(self, reason: str, now_ns: int) -> None:
-        """Give every goal still to come the status `rejected`."""
-        self._close_rest("rejected", reason, now_ns)
-
-    def fail_all(self, reason: str, now_ns: int) -> None:
-        """Give every goal still to come the status `unreachable`."""
-        self._close_rest("unreachable", reason, now_ns)
-
-    def expire(self, reason: str, now_ns: int) -> None:
-        """Give every goal still to come the status `timeout`: the run is over."""
-        self._close_rest("timeout", reason, now_ns)
-
-    def _close_rest(self, status: Status, reason: str, now_ns: int) -> None:
+    def close_all(self, status: Status, reason: str, now_ns: int) -> None:
+        """Give the goal pursued, and every one still to come, this end; bad entries stay `rejected`."""
         if self._active:
             self.close(status, reason, now_ns)
         while self.index + 1 < len(self._queue):

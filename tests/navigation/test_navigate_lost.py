@@ -156,7 +156,7 @@ def test_a_goal_that_runs_out_of_time_says_what_the_trouble_was():
     assert tasks.update(0) is not None
     tasks.update(5 * S, "the lidar is silent")
     assert tasks.outcomes[0].reason == "not reached within 5 s: the lidar is silent"
-    tasks.fail_all("no lidar", 6 * S)
+    tasks.close_all("unreachable", "no lidar", 6 * S)
     assert [o.status for o in tasks.outcomes] == ["timeout", "unreachable"]
     assert math.isclose(tasks.outcomes[0].time_s, 5.0)
 

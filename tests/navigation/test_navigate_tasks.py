@@ -127,7 +127,7 @@ def test_a_run_that_ends_closes_the_goals_still_open_as_timeouts():
     entries = [*waypoints(2), Waypoint(None, "yaw is not a finite number")]
     sequence = GoalSequence(entries, SequenceConfig(initial_wait=0.0))
     sequence.update(0)
-    sequence.expire("the run ended", 5 * S)
+    sequence.close_all("timeout", "the run ended", 5 * S)
     assert [o.status for o in sequence.outcomes] == ["timeout", "timeout", "rejected"]
     assert sequence.finished
 

@@ -99,10 +99,14 @@ def test_a_line_comes_when_a_goal_is_set_and_when_it_ends():
 def test_goals_that_end_together_share_a_line():
     goals = [Waypoint(SE2.from_xyt(1.0, 0.0, 0.0), "", (1.0, 0.0, 0.0))] * 4
     untold, cut = (GoalSequence(goals, SequenceConfig(initial_wait=0.0)) for _ in range(2))
-    (after,) = told(untold, (0.0, lambda now: untold.reject_all("no initial pose", now), 0.0, False))
+    (after,) = told(
+        untold, (0.0, lambda now: untold.close_all("rejected", "no initial pose", now), 0.0, False)
+    )
     assert after == ["opening", "goals 1 to 4 of 4: rejected: no initial pose"]
     after = told(
-        cut, (0.0, cut.update, 0.0, False), (2.0, lambda now: cut.expire("the end", now), 0.0, False)
+        cut,
+        (0.0, cut.update, 0.0, False),
+        (2.0, lambda now: cut.close_all("timeout", "the end", now), 0.0, False),
     )
     assert after[1] == ["goal 1 of 4: timeout after 2.0 s: the end", "goals 2 to 4 of 4: timeout: the end"]
 

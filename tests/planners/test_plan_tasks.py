@@ -129,13 +129,12 @@ def test_a_postponed_goal_has_its_time_afterwards():
     assert [o.status for o in order.outcomes] == ["timeout", "reached", "timeout"]
 
 
-@pytest.mark.parametrize("name", ["reject_all", "fail_all", "expire"])
-def test_the_rest_of_the_goals_gets_one_end(name):
+@pytest.mark.parametrize("status", ["rejected", "unreachable", "timeout"])
+def test_the_rest_of_the_goals_gets_one_end(status):
     bad = Waypoint(None, "x is missing")
     order = GoalSequence([GOALS[0], bad, GOALS[2]], SequenceConfig(initial_wait=0.0))
     order.update(0)
-    getattr(order, name)("no way", 7 * S)
-    status = {"reject_all": "rejected", "fail_all": "unreachable", "expire": "timeout"}[name]
+    order.close_all(status, "no way", 7 * S)
     assert [o.status for o in order.outcomes] == [status, "rejected", status]
     assert [o.reason for o in order.outcomes] == ["no way", "x is missing", "no way"]
     assert [(o.started_ns, o.ended_ns) for o in order.outcomes] == [
