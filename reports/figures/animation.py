@@ -113,7 +113,7 @@ def mapping(
             until = int(np.searchsorted(odometry.stamps_ns, slam.stamps_ns[last], side="right"))
             _path(draw, canvas, odometry.poses.xy[:until][:: max(1, until // 2000)], PURPLE, 2)
         _path(draw, canvas, slam.poses.xy[: last + 1], BLUE, 3)
-        _robot(draw, canvas, slam.poses[int(last)], INK)
+        _robot(draw, canvas, slam.poses[int(last)])
         canvas.caption(draw, float(slam.stamps_ns[last] - slam.stamps_ns[0]) * 1e-9)
         yield frame
 
@@ -198,7 +198,7 @@ def run(
                 colour = _goal_colour(number, pursued, so_far, truly_reached(goal))
                 [(x, y)] = canvas.pixels(np.array([[goal["x"], goal["y"]]]))
                 draw.circle((x, y), 0.02 * canvas.size[0], fill=colour)
-        _robot(draw, canvas, truth.poses[int(row)], INK)
+        _robot(draw, canvas, truth.poses[int(row)])
         canvas.caption(draw, float(truth.stamps_ns[row] - truth.stamps_ns[0]) * 1e-9)
         yield frame
 
@@ -248,11 +248,11 @@ def _path(draw: ImageDraw.ImageDraw, canvas: Canvas, xy: Array, colour: int, wid
         draw.line(canvas.pixels(xy), fill=colour, width=width, joint="curve")
 
 
-def _robot(draw: ImageDraw.ImageDraw, canvas: Canvas, T_map_base: SE2, colour: int) -> None:
+def _robot(draw: ImageDraw.ImageDraw, canvas: Canvas, T_map_base: SE2) -> None:
     """A triangle that points where the robot looks."""
     length = 0.03 * canvas.size[0] / canvas.scale
     shape = length * np.array([[1.0, 0.0], [-0.7, 0.6], [-0.4, 0.0], [-0.7, -0.6]])
-    draw.polygon(canvas.pixels(T_map_base @ shape), fill=colour)
+    draw.polygon(canvas.pixels(T_map_base @ shape), fill=INK)
 
 
 def gif(frames: Iterator[Image.Image]) -> bytes:

@@ -129,13 +129,13 @@ def by_frame(count: int) -> Pairs:
     return index, index + 1
 
 
-def by_metre(estimate: Track, delta_m: float = 1.0) -> Pairs:
+def by_metre(estimate: Track) -> Pairs:
     """Poses a metre of the estimate's path apart, one pair after the other: `--delta 1 --delta_unit m`."""
     steps = np.linalg.norm(np.diff(estimate.T[:, :3, 3], axis=0), axis=1)
     chosen, driven = [0], 0.0
     for index, step in enumerate(steps.tolist(), start=1):
         driven += step
-        if driven >= delta_m:
+        if driven >= 1.0:
             chosen.append(index)
             driven = 0.0
     ids = np.array(chosen, dtype=np.int64)

@@ -19,6 +19,8 @@ from turtlebag.reports.metrics.trajectory import Extremes, associate, ate, summa
 
 MOST_SPEED = 10.0
 """Nothing on wheels here is faster [m/s]."""
+GAP_NS = 500_000_000
+"""A robot that is free of a thing for half a second and touches it again has collided twice."""
 THERE_M = 0.25
 """A robot that is farther than this from where it believes to be is not there."""
 
@@ -216,26 +218,22 @@ def pose_error(T_map_base: SE2, T_world_goal: SE2) -> tuple[float, float]:
     return distance, float(yaw_difference(T_map_base.yaw, T_world_goal.yaw))
 
 
-def collision_episodes(
-    stamps_ns: Stamps, contact: NDArray[np.bool_], *, gap_s: float = 0.5
-) -> list[tuple[int, int]]:
-    """First and last stamp of each contact episode [ns]; contacts less than `gap_s` apart are one."""
+def collision_episodes(stamps_ns: Stamps, contact: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last stamp of each contact episode [ns]; contacts less than `GAP_NS` apart are one."""
     touching = stamps_ns[contact]
     if len(touching) == 0:
         return []
-    breaks = np.flatnonzero(np.diff(touching) > gap_s * 1e9)
+    breaks = np.flatnonzero(np.diff(touching) > GAP_NS)
     firsts = touching[np.concatenate([[0], breaks + 1])]
     lasts = touching[np.concatenate([breaks, [len(touching) - 1]])]
     return [(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
 
 
-def collisions(
-    stamps_ns: Stamps, visible: NDArray[np.bool_], low: NDArray[np.bool_], *, gap_s: float = 0.5
-) -> Collisions:
+def collisions(stamps_ns: Stamps, visible: NDArray[np.bool_], low: NDArray[np.bool_]) -> Collisions:
     """Contact episodes with what crosses the lidar plane and with what does not."""
     return {
-        "visible": len(collision_episodes(stamps_ns, visible, gap_s=gap_s)),
-        "low": len(collision_episodes(stamps_ns, low, gap_s=gap_s)),
+        "visible": len(collision_episodes(stamps_ns, visible)),
+        "low": len(collision_episodes(stamps_ns, low)),
     }
 
 

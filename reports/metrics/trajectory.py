@@ -1,7 +1,7 @@
 """Errors of an estimated trajectory against the truth (Sturm et al. 2012, in the plane).
 
 Association is by interpolation: the truth is evaluated at the estimate's own stamps, and stamps
-outside the truth's span (plus `slack_ns` at both ends) have no truth and are left out.
+outside the truth's span (plus `SLACK_NS` at both ends) have no truth and are left out.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class PosePairs:
         return PosePairs(self.stamps_ns, T_world_map @ self.T_map_base, self.T_world_base)
 
 
-def associate(estimate: Trajectory, truth: Trajectory, *, slack_ns: int = SLACK_NS) -> PosePairs:
+def associate(estimate: Trajectory, truth: Trajectory) -> PosePairs:
     """The estimate's poses with the interpolated truth; ValueError when their times do not overlap."""
     stamps, first = np.unique(truth.stamps_ns, return_index=True)
     truth = Trajectory(stamps, truth.poses[first])
-    inside = (estimate.stamps_ns >= stamps[0] - slack_ns) & (estimate.stamps_ns <= stamps[-1] + slack_ns)
+    inside = (estimate.stamps_ns >= stamps[0] - SLACK_NS) & (estimate.stamps_ns <= stamps[-1] + SLACK_NS)
     if not inside.any():
         raise ValueError("the estimate and the truth share no time")
     kept = estimate.stamps_ns[inside]
@@ -99,10 +99,10 @@ def summary(errors: Array) -> Extremes:
     return {"rmse": float(np.sqrt(np.mean(errors**2))), "max": float(errors.max())}
 
 
-def rpe(estimate: Trajectory, truth: Trajectory, *, distance_m: float = 1.0) -> Drift:
+def rpe(estimate: Trajectory, truth: Trajectory) -> Drift:
     """Relative pose error per metre driven: RMSE of {trans_m [m/m], rot_rad [rad/m]}.
 
-    Every pose is paired with the first later one that lies `distance_m` of TRUE path ahead;
+    Every pose is paired with the first later one that lies a metre of TRUE path ahead;
     E = (T_true_i^-1 T_true_j)^-1 (T_est_i^-1 T_est_j), divided by the true path between the two.
     A run shorter than that has no pair: both are None.
     """
@@ -111,7 +111,7 @@ def rpe(estimate: Trajectory, truth: Trajectory, *, distance_m: float = 1.0) -> 
     T_est, T_true = pairs.T_map_base[order], pairs.T_world_base[order]
     steps = np.linalg.norm(np.diff(T_true.xy, axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
-    later = np.searchsorted(path, path + distance_m)
+    later = np.searchsorted(path, path + 1.0)
     i = np.flatnonzero(later < len(path))
     if len(i) == 0:
         return {"trans_m": None, "rot_rad": None}
