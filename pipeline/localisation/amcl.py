@@ -18,9 +18,9 @@ from turtlebag.pipeline.localisation import motion, sampling
 from turtlebag.pipeline.localisation.agreement import ALIKE, AgreementWatch
 from turtlebag.pipeline.localisation.beams import Beams, prepare
 from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
-from turtlebag.pipeline.localisation.field import LikelihoodField, distance_field
+from turtlebag.pipeline.localisation.field import LikelihoodField
 from turtlebag.pipeline.localisation.fine_pose import FinePose
-from turtlebag.pipeline.localisation.global_search import GlobalSearch
+from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.push_detection import PushDetector
 
@@ -65,9 +65,7 @@ class Amcl:
         rng: np.random.Generator,
     ) -> None:
         self.config = config
-        limits = config.range_limits(lidar)
-        field = distance_field(grid, config.likelihood_max_dist)
-        self.search = GlobalSearch(grid, field, config, limits[1])
+        self.search = global_search(grid, lidar, config)
         """How well the map explains a scan from any pose."""
         self.searches = 0
         """How often poses from a search over the whole map were taken in."""
@@ -75,8 +73,9 @@ class Amcl:
         """The scan of the last update; None before the first."""
         self.watch = AgreementWatch(config)
         self.push = PushDetector()
+        limits = config.range_limits(lidar)
         self._prepare = functools.partial(prepare, T_base_lidar=T_base_lidar, range_limits=limits)
-        self._sensor = LikelihoodField(config, field, limits[1])
+        self._sensor = LikelihoodField(config, self.search.field, self.search.range_max)
         self._fine = FinePose(grid) if config.refine else None
         self._rng = rng
         self._cloud = _Cloud.even(np.zeros((0, 3)))

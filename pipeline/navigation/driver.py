@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,10 +38,12 @@ class Task(Protocol):
         `turtlebag.pipeline.navigation.setup.Mission`, what was asked for: the map, if one was given."""
         ...
 
+    @abstractmethod
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period, within the limits of the robot."""
         ...
 
+    @abstractmethod
     def stand_by(self, observation: Observation) -> None:
         """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
         ...
@@ -65,29 +67,14 @@ def require_task(task: Task, observation: Observation, command: object) -> None:
         raise answer.wrong("its sensing must be shown every observation")
 
 
-class Driver(ABC):
+class Driver(Task):
     """What the tasks share. It never sees the truth."""
 
     def __init__(self, sensing: Sensing) -> None:
-        self.sensing = sensing
-        """What it has seen of odometry and sweeps."""
-        self.state = "wait"
-        """One word on what it is doing, for the run log."""
-        self.goal_index = -1
-        """Which goal it pursues, -1 for none."""
-        self.finished = False
-        """Whether the task is over."""
+        self.sensing, self.state = sensing, "wait"
+        self.goal_index, self.finished = -1, False
         self.estimate: SE2 | None = None
-        """Where it takes itself to be in the map; None when it does not know, or needs no map."""
         self._last = Twist()
-
-    @abstractmethod
-    def step(self, observation: Observation) -> Twist:
-        """The command for the next control period."""
-
-    @abstractmethod
-    def stand_by(self, observation: Observation) -> None:
-        """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
 
     def resume(self, last: Twist) -> None:
         """Drive again from the next step on, after the command that someone else gave last."""

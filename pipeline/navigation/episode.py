@@ -13,13 +13,13 @@ from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.navigation.driver import Task
 from turtlebag.pipeline.navigation.explore import ExploreDriver
-from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
+from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import NoBag, RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.setup import MAX_SIMULATED_S, DriverMaker, Mission, make_driver
 from turtlebag.pipeline.navigation.status_lines import News
 from turtlebag.pipeline.navigation.takeover import CommandOwner, Interval, Script, Source, load_script
 from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.reports.metrics.navigation import Floor, RunMetrics, run_metrics
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.robots import static_transforms
 from turtlebag.sim.simulator import Simulator
 
@@ -76,7 +76,7 @@ def drive(
         recorder.tick(observation, owner, command)
         ended = _cut_short(observation.stamp_ns, interrupted)
         if ended and sequence is not None and not driver.finished:
-            sequence.expire(ended, observation.stamp_ns)
+            sequence.close_all("timeout", ended, observation.stamp_ns)
         if news is not None:
             news.tick(observation.stamp_ns, owner, sequence, simulator.truth)
         if driver.finished or ended:
@@ -85,10 +85,8 @@ def drive(
     estimate = recorder.own() if localiser is None else trajectory_of(localiser.scan_poses)
     truth, log = recorder.truth(), recorder.log()
     grid = driver.grid if isinstance(driver, ExploreDriver) else None
-    goals = [goal_of(outcome) for outcome in sequence.outcomes] if sequence is not None else []
-    known = estimate if localiser is not None and len(estimate) else None
-    floor = _floor(simulator, grid) if mission.request.task in ("avoid", "explore") else None
-    metrics = run_metrics(mission.request.task, log, goals, truth, known, floor)
+    known = None if localiser is None else estimate
+    metrics = measured(mission.request.task, log, sequence, truth, known, simulator, grid)
     return Episode(metrics, log, truth, estimate, grid, tuple(owner.asked))
 
 
@@ -106,9 +104,3 @@ def _owner(driver: Task, mission: Mission, takeovers: Source | None) -> CommandO
     file = mission.request.takeover
     script = load_script(file) if isinstance(file, Path) else config.takeover.script
     return CommandOwner(driver, model, takeovers or Script(script), monitor)
-
-
-def _floor(simulator: Simulator, grid: OccupancyGrid | None) -> Floor:
-    robot = simulator.robot
-    true_grid = simulator.world.rasterize(robot.lidar_height, 0.05 if grid is None else grid.resolution)
-    return floor_of(robot, true_grid, grid)

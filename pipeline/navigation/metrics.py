@@ -3,9 +3,30 @@
 from __future__ import annotations
 
 from turtlebag.datasets.grid import OccupancyGrid
-from turtlebag.planners.tasks.sequence import GoalOutcome
-from turtlebag.reports.metrics.navigation import Floor, Goal
+from turtlebag.datasets.runlog import RunLog
+from turtlebag.datasets.types import Trajectory
+from turtlebag.planners.tasks.sequence import GoalOutcome, GoalSequence
+from turtlebag.reports.metrics.navigation import Floor, Goal, RunMetrics, run_metrics
 from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.simulator import Simulator
+
+
+def measured(
+    task: str,
+    log: RunLog,
+    sequence: GoalSequence | None,
+    truth: Trajectory,
+    estimate: Trajectory | None,
+    simulator: Simulator,
+    grid: OccupancyGrid | None,
+) -> RunMetrics:
+    """The metrics of a run that has just ended; `estimate` is None without a map, `grid` the map it made."""
+    goals = [goal_of(outcome) for outcome in sequence.outcomes] if sequence is not None else []
+    floor, robot = None, simulator.robot
+    if task in ("avoid", "explore"):
+        resolution = 0.05 if grid is None else grid.resolution
+        floor = floor_of(robot, simulator.world.rasterize(robot.lidar_height, resolution), grid)
+    return run_metrics(task, log, goals, truth, estimate or None, floor)
 
 
 def goal_of(outcome: GoalOutcome) -> Goal:

@@ -13,11 +13,11 @@ from turtlebag.datasets.runlog import RunLog, write_header
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import write_tum
 from turtlebag.datasets.types import Observation, Twist
-from turtlebag.pipeline.navigation.metrics import floor_of, goal_of
+from turtlebag.pipeline.navigation.metrics import measured
 from turtlebag.pipeline.navigation.recorder import RunRecorder, trajectory_of
 from turtlebag.pipeline.navigation.takeover import CommandOwner
 from turtlebag.pipeline.studio.tasks import Task
-from turtlebag.reports.metrics.navigation import RunMetrics, run_metrics
+from turtlebag.reports.metrics.navigation import RunMetrics
 from turtlebag.sim.simulator import Simulator
 
 CHUNK_ROWS = 300
@@ -57,14 +57,8 @@ class RunLogWriter(RunRecorder):
         if not rows.logs:
             return None
         truth, estimate = trajectory_of(rows.truths), trajectory_of(rows.estimates)
-        known = estimate if task.on_map and len(estimate) else None
-        goals = [goal_of(outcome) for outcome in task.sequence.outcomes] if task.sequence is not None else []
-        floor = None
-        if task.kind in ("avoid", "explore"):
-            robot = self._simulator.robot
-            resolution = 0.05 if grid is None else grid.resolution
-            floor = floor_of(robot, self._simulator.world.rasterize(robot.lidar_height, resolution), grid)
-        return run_metrics(task.kind, RunLog.joined(rows.logs), goals, truth, known, floor)
+        log, known = RunLog.joined(rows.logs), estimate if task.on_map else None
+        return measured(task.kind, log, task.sequence, truth, known, self._simulator, grid)
 
     def close(self) -> None:
         """Finish the files."""
