@@ -109,22 +109,19 @@ def _plan_disc(
 ) -> Plan:
     """A path of the disc round the footprint, or of the footprint itself where that has none."""
     way, reason = _disc_way(costmap, model, start, goal, config, seed)
+    if way is not None:
+        poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
+        plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
+        if _blocked_until(costmap, model.footprint, poses) == 0.0:
+            return plan
+    oriented = _oriented_plan(costmap, model, start, goal, config)
+    if oriented is not None:
+        return oriented
     if way is None:
-        oriented = _oriented_way(costmap, model, start, goal, config)
-        if oriented is None:
-            raise NoPath(reason)
-        return _oriented_plan(costmap, oriented)
-    poses = with_headings(way.points, float(start.yaw), float(goal.yaw))
-    plan = Plan(costmap.T_map_grid @ poses, way.length, way.margin, way.planner)
-    bad = _blocked_until(costmap, model.footprint, poses)
-    if bad > 0.0:
-        oriented = _oriented_way(costmap, model, start, goal, config)
-        if oriented is not None:
-            return _oriented_plan(costmap, oriented)
-        # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
-        smaller = padded(model.footprint, -0.3 * costmap.resolution)
-        if _blocked_until(costmap, smaller, poses) > 2.0 * SNAP_M:
-            raise NoPath("no path leads there")
+        raise NoPath(reason)
+    # Off an obstacle that it stands too near a robot must get somehow; cells are no finer than this.
+    if _blocked_until(costmap, padded(model.footprint, -0.3 * costmap.resolution), poses) > 2.0 * SNAP_M:
+        raise NoPath("no path leads there")
     return plan
 
 
@@ -159,10 +156,10 @@ def _disc_way(
     return best, reason
 
 
-def _oriented_way(
+def _oriented_plan(
     costmap: Costmap, model: RobotModel, start: SE2, goal: SE2, config: PlanConfig
-) -> SE2 | None:
-    """A way of the footprint itself in the grid frame; in need with no more room than cells need."""
+) -> Plan | None:
+    """A path of the footprint itself, if there is one; in need with no more room than cells need."""
     # A lethal cell reaches half a cell beyond its centre.
     least = max(0.5 * costmap.resolution, min(config.margins))
     lattice = Lattice(costmap, model.footprint, least)
@@ -170,11 +167,8 @@ def _oriented_way(
         return None
     roomy = Lattice(costmap, model.footprint, max(ROOM, least))
     way = roomy.way(start, goal) if roomy.joins(start, goal) else None
-    return lattice.way(start, goal) if way is None else way
-
-
-def _oriented_plan(costmap: Costmap, poses: SE2) -> Plan:
-    return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, ORIENTED)
+    way = lattice.way(start, goal) if way is None else way
+    return None if way is None else Plan(costmap.T_map_grid @ way, path_length(way.xy), 0.0, ORIENTED)
 
 
 def _blocked_until(costmap: Costmap, footprint: Array, poses: SE2) -> float:
@@ -221,9 +215,9 @@ def _plan_poses(
         if poses is not None:
             return Plan(costmap.T_map_grid @ poses, path_length(poses.xy), 0.0, name)
     if config.ompl.space == "se2":  # the one space in which turns on the spot are ways
-        oriented = _oriented_way(costmap, model, start, goal, config)
+        oriented = _oriented_plan(costmap, model, start, goal, config)
         if oriented is not None:
-            return _oriented_plan(costmap, oriented)
+            return oriented
     raise NoPath(f"{config.ompl.name} found no path within its iterations")
 
 

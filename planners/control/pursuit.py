@@ -8,9 +8,8 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import RobotModel, Twist
+from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
 from turtlebag.planners.control.interface import Ramped, ramped
-from turtlebag.planners.control.path_position import arc_lengths, point_at, project
-from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_clearance, sample_footprint
 

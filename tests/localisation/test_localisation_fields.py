@@ -19,8 +19,13 @@ from turtlebag.pipeline.localisation.field import (
 )
 from turtlebag.pipeline.localisation.local_search import NEIGHBOURS, climb
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, _beyond, clearly_other, expected_views
-from turtlebag.pipeline.localisation.ray_casting import expected_ranges
+from turtlebag.pipeline.localisation.pose_hypotheses import (
+    Aliasing,
+    _beyond,
+    clearly_other,
+    expected_ranges,
+    expected_views,
+)
 
 
 def cluttered(seed, shape=(24, 31), share=0.05, T_map_grid=None):

@@ -20,7 +20,7 @@ from turtlebag.pipeline.localisation.field import distance_field, hit_probabilit
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, path_probabilities, tempered
 from turtlebag.pipeline.localisation.nav2_yaml import is_nav2, read_nav2
 from turtlebag.pipeline.localisation.parameters import AmclConfig
-from turtlebag.pipeline.localisation.ray_casting import expected_ranges
+from turtlebag.pipeline.localisation.pose_hypotheses import expected_ranges
 
 
 def grid_with(occupied, shape=(20, 30), resolution=0.1, T_map_grid=None):

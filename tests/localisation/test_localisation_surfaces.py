@@ -11,7 +11,6 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.localisation import surfaces as module
 from turtlebag.pipeline.localisation import wall_filter as walls
-from turtlebag.pipeline.localisation.matching import match_beams
 from turtlebag.pipeline.localisation.small_matrices import multiply, solve
 from turtlebag.pipeline.localisation.surfaces import (
     _parabola,
@@ -22,6 +21,7 @@ from turtlebag.pipeline.localisation.surfaces import (
 )
 from turtlebag.pipeline.localisation.wall_filter import (
     ODOMETRY_WALK,
+    match_beams,
     move,
     nis,
     normal_equations,

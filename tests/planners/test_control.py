@@ -7,6 +7,7 @@ from planning_room import BURGER, room
 
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
+from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.goal_checker import GoalChecker, GoalCheckerConfig
 from turtlebag.planners.control.interface import SpeedLimits, ramped
@@ -17,8 +18,6 @@ from turtlebag.planners.control.monitor import (
     moved,
     padded,
 )
-from turtlebag.planners.control.path_position import arc_lengths, point_at, project
-from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.smoothing import densify, with_headings

@@ -10,10 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial import ConvexHull
 
 from turtlebag.datasets.se2 import SE2
+from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
 from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc
 from turtlebag.planners.control.monitor import depth_inside, free_time, moved, padded
-from turtlebag.planners.control.path_position import arc_lengths, point_at, project
-from turtlebag.planners.control.profile import braked, curvature_along
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.distance import distance_field
 from turtlebag.planners.footprint import field_at, footprint_clearance, sample_footprint
