@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,17 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.pipeline.navigation.drivers import make_avoider, make_explorer, make_mapless
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
-from turtlebag.pipeline.navigation.setup import require_floor
-from turtlebag.pipeline.studio import inputs, tasks
+from turtlebag.pipeline.navigation.setup import DEFAULT_EXPLORE_S, MAX_SIMULATED_S, SINGLE_GOAL, require_floor
+from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.library import outlines_of
 from turtlebag.pipeline.studio.run import Run
+from turtlebag.pipeline.studio.tasks import Task, WiggleDriver, changes_only
 from turtlebag.planners.costmap import Costmap, costmap_from_grid, polygon_mask
+from turtlebag.planners.tasks.sequence import GoalSequence
+from turtlebag.planners.tasks.waypoints import Waypoint
 from turtlebag.sim.shapes import box
 
 BOX_HEIGHT_M, MOST_BOXES = 0.5, 100
@@ -91,30 +95,39 @@ def localise_global(run: Run, action: inputs.LocaliseGlobal) -> str:
 
 def goal(run: Run, action: inputs.SetGoal) -> str:
     """Go there: on the map if there is one, else by what is seen."""
-    pilot = run.pilot
+    pilot, T_map_goal = run.pilot, SE2.from_xyt(*action.pose)
     if pilot.navigation is None:
         run.end_task("ended: another goal was set")
-        task = tasks.mapless_goal_task(pilot.kit, pilot.T_map_odom, run.observation, action.pose)
-        return _begin(run, task)
+        goals = [Waypoint(pilot.T_map_odom.inverse() @ T_map_goal, "", action.pose)]
+        sequence = _sequence(run, goals, SINGLE_GOAL)
+        driver = make_mapless(pilot.kit, run.observation.odometry.T_odom_base, sequence)
+        return _begin(run, Task("goal", run.stamp_ns, driver, sequence), "drive to a goal without a map")
     navigation = _localised(run, "goal")
     costmap = navigation.tools.live.static
-    require_free("goal", SE2.from_xyt(*action.pose), costmap, pilot.kit.robot.model, run.map_path)
+    require_free("goal", T_map_goal, costmap, pilot.kit.robot.model, run.map_path)
     run.end_task("ended: another goal was set")
-    return _begin(run, tasks.goal_task(pilot.kit, navigation, action.pose, run.stamp_ns))
+    sequence = _sequence(run, [Waypoint(T_map_goal, "", action.pose)], SINGLE_GOAL)
+    navigation.begin(sequence)
+    return _begin(run, Task("goal", run.stamp_ns, navigation, sequence, on_map=True), "drive to a goal")
 
 
 def patrol(run: Run, action: inputs.Patrol) -> str:
     """Go to one place after the other."""
     navigation = _localised(run, "patrol")
     run.end_task("ended: a patrol was started")
-    stopovers, now = action.waypoints, run.stamp_ns
-    return _begin(run, tasks.patrol_task(run.pilot.kit, navigation, stopovers, action.laps, now))
+    stops = [Waypoint(SE2.from_xyt(*stop.pose), "", stop.pose, stop.wait) for stop in action.waypoints]
+    sequence = _sequence(run, stops, {"laps": action.laps})
+    navigation.begin(sequence)
+    opening = f"patrol of {len(stops)} goals" + (f", {action.laps} laps" if action.laps > 1 else "")
+    return _begin(run, Task("patrol", run.stamp_ns, navigation, sequence, on_map=True), opening)
 
 
 def avoid(run: Run, action: inputs.Avoid) -> str:
     """Drive about."""
     run.end_task("ended: avoid was started")
-    return _begin(run, tasks.avoid_task(run.pilot.kit, run.say, run.stamp_ns))
+    end_s = run.stamp_ns * 1e-9 + MAX_SIMULATED_S
+    driver = make_avoider(run.pilot.kit, end_s, changes_only(run.say))
+    return _begin(run, Task("avoid", run.stamp_ns, driver), "drive around and avoid obstacles")
 
 
 def explore(run: Run, action: inputs.Explore) -> str:
@@ -123,7 +136,8 @@ def explore(run: Run, action: inputs.Explore) -> str:
     if not run.pilot.mapping:
         _new_map(run)
     assert run.pilot.mapper is not None
-    return _begin(run, tasks.explore_task(run.pilot.kit, run.pilot.mapper, run.stamp_ns))
+    driver = make_explorer(run.pilot.kit, run.pilot.mapper, run.stamp_ns * 1e-9 + DEFAULT_EXPLORE_S)
+    return _begin(run, Task("explore", run.stamp_ns, driver), "explore and map")
 
 
 def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
@@ -131,7 +145,8 @@ def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
     _localised(run, "wiggle")
     run.end_task("ended: to turn to and fro")
     assert run.pilot.localiser is not None
-    return _begin(run, tasks.wiggle_task(run.pilot.kit, run.pilot.localiser, run.stamp_ns))
+    task = Task("wiggle", run.stamp_ns, WiggleDriver(run.pilot.kit, run.pilot.localiser), on_map=True)
+    return _begin(run, task, "turn to and fro until the particles draw together")
 
 
 def cancel(run: Run, action: inputs.Cancel) -> str:
@@ -207,9 +222,13 @@ ACTIONS: dict[type[Any], Callable[[Run, Any], str]] = {
 """All but those of the session itself: bags, reset and end."""
 
 
-def _begin(run: Run, task: tasks.Task) -> str:
+def _begin(run: Run, task: Task, opening: str) -> str:
     run.begin(task)
-    return task.opening
+    return opening
+
+
+def _sequence(run: Run, goals: Sequence[Waypoint], changes: Mapping[str, float]) -> GoalSequence:
+    return GoalSequence(goals, run.pilot.kit.config.sequence.model_copy(update=changes))
 
 
 def _new_map(run: Run) -> None:

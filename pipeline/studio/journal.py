@@ -16,6 +16,7 @@ from pydantic import Field
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
+from turtlebag.datasets.spans import LONGEST_S
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig
@@ -23,7 +24,6 @@ from turtlebag.pipeline.studio.inputs import Action, Driving, parse_input
 from turtlebag.sim.simulator import SimConfig
 
 FILE = "session.yaml"
-LONGEST_S = 1e6
 EVERY_NS = 10**9
 """No longer than this is a session silent: what is lost by a kill is shorter."""
 

@@ -9,12 +9,13 @@ from typing import Any
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text
+from turtlebag.datasets.spans import LONGEST_S
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import NoBag
 from turtlebag.pipeline.studio import inputs
 from turtlebag.pipeline.studio.actions import ACTIONS, map_load
-from turtlebag.pipeline.studio.journal import FILE, LONGEST_S, Journal
+from turtlebag.pipeline.studio.journal import FILE, Journal
 from turtlebag.pipeline.studio.library import Library
 from turtlebag.pipeline.studio.publisher import Publisher
 from turtlebag.pipeline.studio.run import Room, Run
