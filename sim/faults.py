@@ -13,6 +13,7 @@ from pydantic import Field, field_validator
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Finite, NonNegative, Settings
 from turtlebag.datasets.types import Imu, Scan, Twist
+from turtlebag.sim.robots import CONTROL_HZ
 
 Spans = Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(description="[start, end] for each")]
 Share = Annotated[float, Field(ge=0.0, le=0.95)]
@@ -59,15 +60,12 @@ class FaultConfig(Settings):
 class Faults:
     """Stands between the robot and whoever drives it, from control step `first` on."""
 
-    def __init__(
-        self, config: FaultConfig, rng: np.random.Generator, control_hz: int, first: int = 0
-    ) -> None:
+    def __init__(self, config: FaultConfig, rng: np.random.Generator, first: int = 0) -> None:
         self._config, self._rng = config, rng
-        self._commands = deque([Twist()] * round(config.command_delay * control_hz))
-        self._scan_steps = round(config.scan_delay * control_hz)
+        self._commands = deque([Twist()] * round(config.command_delay * CONTROL_HZ))
+        self._scan_steps = round(config.scan_delay * CONTROL_HZ)
         self._scans: deque[tuple[int, Scan, SE2]] = deque()
-        self._control_hz = control_hz
-        self._kidnaps = deque(kidnap for kidnap in config.kidnap if kidnap[0] * control_hz >= first)
+        self._kidnaps = deque(kidnap for kidnap in config.kidnap if kidnap[0] * CONTROL_HZ >= first)
         self._angles: tuple[float, float] | None = None
         self._in_vain = [0.0, 0.0]
 
@@ -78,7 +76,7 @@ class Faults:
 
     def kidnapped(self, step: int) -> SE2 | None:
         """Where the robot is put down in this step, if it is."""
-        if not self._kidnaps or step < self._kidnaps[0][0] * self._control_hz:
+        if not self._kidnaps or step < self._kidnaps[0][0] * CONTROL_HZ:
             return None
         _, x, y, yaw = self._kidnaps.popleft()
         return SE2.from_xyt(x, y, yaw)
@@ -103,7 +101,7 @@ class Faults:
     def _slip(self, step: int) -> tuple[float, float]:
         """Shares of each wheel's turning that move nothing in the control step that ends as `step`."""
         for start, end, left, right in self._config.slip:
-            if start <= step / self._control_hz < end:
+            if start <= step / CONTROL_HZ < end:
                 return left, right
         return 0.0, 0.0
 

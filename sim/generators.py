@@ -50,7 +50,7 @@ def maze(seed: int, *, cells: int = 8, cell: float = 1.0, openings: float = 0.1)
 
 def _maze_walls(right: np.ndarray, above: np.ndarray, cells: int, cell: float) -> list[Solid]:
     size = cells * cell
-    walls = _frame(0.0, size, 0.0, size)
+    walls = _frame(size, size)
     for c in range(cells - 1):
         for first, last in _runs(right[:, c]):
             walls.append(_wall((c + 1) * cell, first * cell, (c + 1) * cell, last * cell))
@@ -69,7 +69,7 @@ def office(seed: int, *, width: float = 16.0, door: float = 0.95) -> Generated:
     depth, corridor = 3.2, 1.7
     rows = np.cumsum([0.0, depth, corridor, depth, corridor, depth])
     inner = (corridor, width - corridor)
-    walls = _frame(0.0, width, 0.0, float(rows[-1]))
+    walls = _frame(width, float(rows[-1]))
     furniture: list[Solid] = []
     for low, high, x_min, x_max, doors in (
         (rows[0], rows[1], 0.0, width, (rows[1],)),
@@ -122,7 +122,7 @@ def forest(seed: int, *, density: float = 0.35, size: float = 12.0) -> Generated
     The spawn is the middle, with a metre of room. So dense that no more fit, fewer are set.
     """
     rng = stream(seed, "forest")
-    solids = [_named(wall, k) for k, wall in enumerate(_frame(0.0, size, 0.0, size))]
+    solids = [_named(wall, k) for k, wall in enumerate(_frame(size, size))]
     trunks: list[tuple[float, float, float]] = []
     wanted = round(density * size * size)
     for _ in range(60 * wanted):
@@ -157,8 +157,8 @@ def _wall(x0: float, y0: float, x1: float, y1: float) -> Solid:
     return box("", ((x0 + x1) / 2.0, (y0 + y1) / 2.0), size, 0.0, HEIGHT)
 
 
-def _frame(x0: float, x1: float, y0: float, y1: float) -> list[Solid]:
-    return [_wall(x0, y0, x1, y0), _wall(x0, y1, x1, y1), _wall(x0, y0, x0, y1), _wall(x1, y0, x1, y1)]
+def _frame(x: float, y: float) -> list[Solid]:
+    return [_wall(0.0, 0.0, x, 0.0), _wall(0.0, y, x, y), _wall(0.0, 0.0, 0.0, y), _wall(x, 0.0, x, y)]
 
 
 def _named(wall: Solid, number: int) -> Solid:

@@ -11,7 +11,7 @@ from pydantic import Field
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Imu, Twist
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import CONTROL_HZ, RobotSpec
 
 RATE_HZ = 100
 GRAVITY = 9.81
@@ -34,10 +34,8 @@ class ImuConfig(Settings):
 class ImuSensor:
     """Samples at 100 Hz between control steps, from the true planar motion; roll and pitch are left out."""
 
-    def __init__(
-        self, robot: RobotSpec, config: ImuConfig, rng: np.random.Generator, control_hz: int
-    ) -> None:
-        self._config, self._rng, self._hz = config, rng, control_hz
+    def __init__(self, robot: RobotSpec, config: ImuConfig, rng: np.random.Generator) -> None:
+        self._config, self._rng = config, rng
         self._lever = np.array(robot.imu.position[:2])
         self._noise = np.repeat([config.gyro_noise, config.accelerometer_noise], 3)
         self._walk = np.repeat([config.gyro_walk, config.accelerometer_walk], 3) / math.sqrt(RATE_HZ)
@@ -49,11 +47,11 @@ class ImuSensor:
         """Samples taken up to the end of control step number `step`, after which the body has this twist."""
         if not self._config.enabled:
             return ()
-        # Sample j is taken at j / RATE_HZ; the step ends at step / hz.
-        until = step * RATE_HZ // self._hz
+        # Sample j is taken at j / RATE_HZ; the step ends at step / CONTROL_HZ.
+        until = step * RATE_HZ // CONTROL_HZ
         n = until - self._count
         ticks = np.arange(self._count + 1, until + 1, dtype=np.float64)
-        at: Array = np.asarray(ticks * (self._hz / RATE_HZ) - (step - 1), dtype=np.float64)
+        at: Array = np.asarray(ticks * (CONTROL_HZ / RATE_HZ) - (step - 1), dtype=np.float64)
         self._count = until
         last, self._last = self._last, twist
         draws = self._rng.standard_normal((2, n, 6))
@@ -67,7 +65,7 @@ class ImuSensor:
     def _true(self, before: Twist, after: Twist, at: Array) -> Array:
         """Gyro and specific force, (n, 6), at fractions (n,) of a control step; linear speeds between."""
         out = np.zeros((len(at), 6))
-        dv, dw = (after.v - before.v) * self._hz, (after.w - before.w) * self._hz
+        dv, dw = (after.v - before.v) * CONTROL_HZ, (after.w - before.w) * CONTROL_HZ
         v, w = before.v + at * (after.v - before.v), before.w + at * (after.w - before.w)
         x, y = self._lever
         out[:, 2] = w

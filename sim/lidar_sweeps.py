@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from turtlebag.datasets.se2 import Array, wrapped
+from turtlebag.sim.robots import CONTROL_HZ, stamp_of
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,10 +40,8 @@ class Sweep:
     `turning` takes all its beams at once, every so many steps.
     """
 
-    def __init__(
-        self, lidar: Head, steps: int, control_hz: int, first: int = 0, *, turning: bool = True
-    ) -> None:
-        self._lidar, self._steps, self._hz, self._turning = lidar, steps, control_hz, turning
+    def __init__(self, lidar: Head, steps: int, first: int = 0, *, turning: bool = True) -> None:
+        self._lidar, self._steps, self._turning = lidar, steps, turning
         self._poses: list[Array] = []
         self._first = first
         self._carried = False
@@ -58,18 +57,17 @@ class Sweep:
             if step % self._steps:
                 return None
             measured = self._lidar.measure(pose[None], 0.0, 0.0)
-            return Turn(round(step * 10**9 / self._hz), measured, pose)
+            return Turn(stamp_of(step), measured, pose)
         self._poses.append(pose)
         if step < self._end:
             return None
         rows = np.array(self._poses)
-        begin, late = self._begin - self._first, self._delay_s * self._hz
+        begin, late = self._begin - self._first, self._delay_s * CONTROL_HZ
         turn = None
         # Measured even when there will be no scan, so that what is drawn does not depend on it.
         measured = self._lidar.measure(rows, begin, self._end - self._first)
         if not self._carried:
-            stamp = round((self._begin + late) * 10**9 / self._hz)
-            turn = Turn(stamp, measured, _between(rows, begin + late))
+            turn = Turn(stamp_of(self._begin + late), measured, _between(rows, begin + late))
         self._carried = False
         self._begin_turn(self._end)
         first = math.floor(self._begin)

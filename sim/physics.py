@@ -15,7 +15,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.sim.bodies import create_body, create_compound, groups
 from turtlebag.sim.bullet import bullet
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import PERIOD_S, RobotSpec
 from turtlebag.sim.shapes import Solid
 from turtlebag.sim.urdf import composite, urdf
 
@@ -46,11 +46,10 @@ class Physics:
         moving: Sequence[Solid],
         robot: RobotSpec,
         config: PhysicsConfig,
-        control_dt: float,
     ) -> None:
         self._solids, self._n_standing = [*standing, *moving], len(standing)
         self._n_own = len(self._solids)
-        self._robot, self._config, self._dt = robot, config, control_dt
+        self._robot, self._config = robot, config
         self._client = bullet.connect(bullet.DIRECT)
         self._com = tuple(float(value) for value in composite(robot.parts)[1])
         self._forces = [robot.wheels.torque] * 2
@@ -82,7 +81,7 @@ class Physics:
         bullet.resetSimulation(physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         bullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._dt / self._config.substeps,
+            fixedTimeStep=PERIOD_S / self._config.substeps,
             numSubSteps=0,
             numSolverIterations=self._config.solver_iterations,
             deterministicOverlappingPairs=1,
@@ -103,7 +102,7 @@ class Physics:
         for number, xy in enumerate(moving_xy):
             self.place(number, xy, np.zeros(2))
         self._load_robot(T_world_base)
-        for _ in range(round(0.5 / self._dt)):
+        for _ in range(round(0.5 / PERIOD_S)):
             self.step(0.0, 0.0)
 
     def _load_robot(self, T_world_base: SE2) -> None:

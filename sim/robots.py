@@ -16,6 +16,10 @@ from turtlebag.datasets.types import LidarSpec, RobotModel
 from turtlebag.datasets.yaml_files import find_named, known_names, load_model
 
 FOLDER = Path(__file__).parent / "robots"
+CONTROL_HZ = 30
+"""Commands and observations a second, of every robot: the rate of the TurtleBot3's own /odom."""
+PERIOD_S = 1.0 / CONTROL_HZ
+"""From a control step to the next."""
 
 Vector = tuple[Finite, Finite, Finite]
 
@@ -202,10 +206,17 @@ def load_robot(name_or_path: str) -> RobotSpec:
 
 
 def check_rate(rate_hz: float, where: str) -> None:
-    """InputError when scans would not fall on control steps (30 a second)."""
-    steps = 30.0 / rate_hz
+    """InputError when scans would not fall on control steps."""
+    steps = CONTROL_HZ / rate_hz
     if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
-        raise InputError(f"{where}: lidar.rate_hz: 30 must be a whole multiple of it, got {rate_hz:g}")
+        raise InputError(
+            f"{where}: lidar.rate_hz: {CONTROL_HZ} must be a whole multiple of it, got {rate_hz:g}"
+        )
+
+
+def stamp_of(step: float) -> int:
+    """Stamp of a control step, or of a time between two of them [ns]; a whole nanosecond number."""
+    return round(step * 10**9 / CONTROL_HZ)
 
 
 def robot_names() -> list[str]:

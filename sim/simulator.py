@@ -20,12 +20,12 @@ from turtlebag.sim.lidar_sweeps import Sweep
 from turtlebag.sim.movers import MovingSolid, outlines
 from turtlebag.sim.physics import Physics, PhysicsConfig
 from turtlebag.sim.raycast import distance_to_outlines, distance_to_point
-from turtlebag.sim.robots import LidarErrors, RobotSpec, check_rate
+from turtlebag.sim.robots import CONTROL_HZ as CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S, LidarErrors, RobotSpec, check_rate, stamp_of
 from turtlebag.sim.shapes import Sections, Solid, contains, sections
 from turtlebag.sim.wheels import Calibration, Motors, OdometryConfig, Slip, WheelOdometry
 from turtlebag.sim.world import World
 
-CONTROL_HZ = 30
 Sensors = Literal["realistic", "clean"]
 OUTSIDE_M = 5.0
 """How far outside the world's bounds a robot may be put down."""
@@ -88,11 +88,6 @@ class Truth:
     contact_low: bool
 
 
-def stamp_of(step: int) -> int:
-    """Stamp of a control step [ns]; a whole nanosecond number."""
-    return round(step * 10**9 / CONTROL_HZ)
-
-
 class Simulator:
     """Steps of 1/30 s, each of eight or more physics steps. A context manager: it owns a Bullet client.
 
@@ -114,13 +109,8 @@ class Simulator:
         rate = self.config.lidar.rate_hz or robot.lidar.rate_hz
         check_rate(rate, "sim")
         self._steps_per_scan = round(CONTROL_HZ / rate)
-        self._physics = Physics(
-            world.shapes,
-            [mover.solid for mover in world.movers],
-            robot,
-            self.config.physics,
-            1.0 / CONTROL_HZ,
-        )
+        moving = [mover.solid for mover in world.movers]
+        self._physics = Physics(world.shapes, moving, robot, self.config.physics)
         self._step = -1
 
     def __enter__(self) -> Simulator:
@@ -146,11 +136,11 @@ class Simulator:
         self._check_free(start)
         for kidnap in self.config.faults.kidnap:
             self._check_free(SE2.from_xyt(*kidnap[1:]), "faults.kidnap")
-        dt, turning = 1.0 / CONTROL_HZ, self.config.lidar.turning
+        turning = self.config.lidar.turning
         calibration = Calibration(self.robot, self.config.odometry, stream(self.seed, "calibration"))
         self._lidar = Lidar(self.world.shapes, self.robot, self.config.lidar, stream(self.seed, "lidar"))
-        self._sweep = Sweep(self._lidar, self._steps_per_scan, CONTROL_HZ, step, turning=turning)
-        self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"), CONTROL_HZ)
+        self._sweep = Sweep(self._lidar, self._steps_per_scan, step, turning=turning)
+        self._imu = ImuSensor(self.robot, self.config.imu, stream(self.seed, "imu"))
         self._lidar3d, mount = None, self.robot.lidar3d
         if mount is not None:
             lidar = self.config.lidar
@@ -158,11 +148,11 @@ class Simulator:
             moving = [mover.solid for mover in self.world.movers]
             self._lidar3d = Lidar3d(self.world.shapes, mount, sigma, stream(self.seed, "lidar3d"), moving)
             steps = round(CONTROL_HZ / mount.rate_hz)
-            self._sweep3d = Sweep(self._lidar3d, steps, CONTROL_HZ, step, turning=turning)
-        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), CONTROL_HZ, step)
+            self._sweep3d = Sweep(self._lidar3d, steps, step, turning=turning)
+        self._faults = Faults(self.config.faults, stream(self.seed, "faults"), step)
         self._slip = Slip(self.robot, self.config.odometry, stream(self.seed, "slip"))
-        self._motors = Motors(self.robot, calibration, dt)
-        self._odometry = WheelOdometry(self.robot, calibration, start, dt)
+        self._motors = Motors(self.robot, calibration)
+        self._odometry = WheelOdometry(self.robot, calibration, start)
         self._moving = [
             MovingSolid(mover, self._standing, self._radius, stream(self.seed, f"mover {number}"))
             for number, mover in enumerate(self.world.movers)
@@ -182,7 +172,7 @@ class Simulator:
             raise RuntimeError("reset the simulator before the first step")
         if self._moving:
             for one in self._moving:
-                one.step(1.0 / CONTROL_HZ, self.truth.T_world_base.xy)
+                one.step(PERIOD_S, self.truth.T_world_base.xy)
             self._place_movers()
         wheels = self._motors.step(self._faults.command(command))
         wheels = self._faults.grip(self._step + 1, *wheels)

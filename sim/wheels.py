@@ -11,7 +11,7 @@ from pydantic import Field
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.types import Twist
-from turtlebag.sim.robots import RobotSpec
+from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
 
 class OdometryConfig(Settings):
@@ -42,13 +42,13 @@ class Calibration:
 class Motors:
     """Commands to wheel speeds, within the limits of speed and acceleration, whoever commands."""
 
-    def __init__(self, robot: RobotSpec, calibration: Calibration, dt: float) -> None:
-        self._limits, self._calibration, self._dt = robot.limits, calibration, dt
+    def __init__(self, robot: RobotSpec, calibration: Calibration) -> None:
+        self._limits, self._calibration = robot.limits, calibration
         self._v = self._w = self._left = self._right = 0.0
 
     def step(self, command: Twist) -> tuple[float, float]:
         """Target speeds of the left and right wheel [rad/s] for the next control step."""
-        limits, dt = self._limits, self._dt
+        limits, dt = self._limits, PERIOD_S
         v = min(max(command.v, -limits.max_v), limits.max_v) if math.isfinite(command.v) else 0.0
         w = min(max(command.w, -limits.max_w), limits.max_w) if math.isfinite(command.w) else 0.0
         self._v = _approach(self._v, v, limits.max_dv * dt)
@@ -92,9 +92,9 @@ class Slip:
 class WheelOdometry:
     """Encoder ticks integrated by the mid-point rule, starting at a given pose."""
 
-    def __init__(self, robot: RobotSpec, calibration: Calibration, start: SE2, dt: float) -> None:
+    def __init__(self, robot: RobotSpec, calibration: Calibration, start: SE2) -> None:
         self._rad_per_tick = 2.0 * math.pi / robot.wheels.encoder_ticks
-        self._calibration, self._dt = calibration, dt
+        self._calibration = calibration
         self._x, self._y, self._yaw = (float(value) for value in start.xyt)
         self._ticks: tuple[int, int] | None = None
 
@@ -110,4 +110,4 @@ class WheelOdometry:
         self._y += forward * math.sin(self._yaw + 0.5 * turn)
         self._yaw = wrapped(self._yaw + turn)
         T_odom_base = SE2(np.array([self._x, self._y, self._yaw]))
-        return T_odom_base, Twist(forward / self._dt, turn / self._dt)
+        return T_odom_base, Twist(forward / PERIOD_S, turn / PERIOD_S)

@@ -10,7 +10,7 @@ from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
-from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S
 
 
 class AvoidDriver(Driver):
@@ -26,7 +26,7 @@ class AvoidDriver(Driver):
     ) -> None:
         super().__init__(sensing)
         self._guard = Guard(model) if config.mode == "guarded" else None
-        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
+        self._limits = SpeedLimits.of(model, PERIOD_S)
         self._duration_ns = round(duration_s * 1e9)
         self._say = say
 

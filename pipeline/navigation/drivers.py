@@ -36,8 +36,7 @@ from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
-from turtlebag.sim.robots import RobotSpec
-from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S, RobotSpec
 
 # Without a map: cells of the window, how far off its centre the robot may be; plans keep farther off.
 WINDOW_CELL_M, WINDOW_SHIFT_M, MAPLESS_INFLATION_M = 0.05, 1.0, 0.6
@@ -114,12 +113,11 @@ def nothing_known() -> Costmap:
 
 def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:
     """The local controller that the configuration names; InputError where it is not to be had."""
-    period = 1.0 / CONTROL_HZ
     if config.controller == "dwa":
-        return Dwa(robot.model, config.dwa, period)
+        return Dwa(robot.model, config.dwa, PERIOD_S)
     if config.controller == "pursuit":
-        return Pursuit(robot.model, period)
-    own: Controller = find(config.controller, Controller)(robot.model, period)
+        return Pursuit(robot.model, PERIOD_S)
+    own: Controller = find(config.controller, Controller)(robot.model, PERIOD_S)
     require_attributes(own, Controller)
     require_twist(own, "brake", own.brake(Twist()))
     require_twist(own, "ramp", own.ramp(Twist(), Twist()))

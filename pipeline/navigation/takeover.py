@@ -21,7 +21,7 @@ from turtlebag.datasets.yaml_files import checked, parsed
 from turtlebag.pipeline.navigation.driver import Task, require_task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.control.monitor import CollisionMonitor
-from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S
 
 Owner = Literal["navigation", "teleop"]
 
@@ -116,7 +116,7 @@ class CommandOwner:
         """What was asked for in the takeovers so far: a script that does the same again."""
         self._source = source
         self._monitor = monitor
-        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
+        self._limits = SpeedLimits.of(model, PERIOD_S)
         self._last = Twist()
 
     @property
@@ -152,7 +152,7 @@ class CommandOwner:
         return ramped(Twist(wanted.v * factor, wanted.w * factor), self._last, self._limits)
 
     def _note(self, stamp_ns: int, asked: Twist) -> None:
-        begin, end = round(stamp_ns * 1e-9, 9), round(stamp_ns * 1e-9 + 1.0 / CONTROL_HZ, 9)
+        begin, end = round(stamp_ns * 1e-9, 9), round(stamp_ns * 1e-9 + PERIOD_S, 9)
         last = self.asked[-1] if self.asked else None
         if last is not None and (last.v, last.w) == (asked.v, asked.w) and begin - last.end < 1e-3:
             self.asked[-1] = last.model_copy(update={"end": end})

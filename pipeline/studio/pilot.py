@@ -16,7 +16,7 @@ from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
-from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S
 
 DRAWN_EVERY_NS = 2 * 10**9
 """While mapping, loops are closed and the map is drawn this often, if the robot has moved since."""
@@ -36,7 +36,7 @@ class Pilot(Driver):
         self.mapper: OnlineMap | None = None
         """Of the map that was begun here; None when there is none."""
         self.mapping = False
-        self._limits = SpeedLimits.of(kit.robot.model, 1.0 / CONTROL_HZ)
+        self._limits = SpeedLimits.of(kit.robot.model, PERIOD_S)
         self._drawn_ns = 0
         self._drawn_at = SE2.identity()
         self.state = "idle"

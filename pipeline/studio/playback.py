@@ -30,7 +30,7 @@ from turtlebag.pipeline.studio.loops_shown import ShownGraph, graph_of, graph_of
 from turtlebag.pipeline.studio.view import NO_PATH, BagMarks, LoopMarks, MapLayer, View
 from turtlebag.pipeline.studio.view import Path as ShownPath
 from turtlebag.pipeline.studio.visuals import Cached, EventLog, Trail
-from turtlebag.sim.simulator import CONTROL_HZ, stamp_of
+from turtlebag.sim.robots import CONTROL_HZ, stamp_of
 
 EDITS = "edits.yaml"
 DRAWN_EVERY = 60

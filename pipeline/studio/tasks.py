@@ -22,7 +22,7 @@ from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.tasks.avoid import in_words
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.planners.tasks.wiggle import Wiggle
-from turtlebag.sim.simulator import CONTROL_HZ
+from turtlebag.sim.robots import PERIOD_S
 
 Kind = Literal["goal", "patrol", "avoid", "explore", "wiggle"]
 
@@ -63,7 +63,7 @@ class WiggleDriver(Driver):
         self._localiser = localiser
         self._wiggle = Wiggle()
         self._monitor = CollisionMonitor(model)
-        self._limits = SpeedLimits.of(model, 1.0 / CONTROL_HZ)
+        self._limits = SpeedLimits.of(model, PERIOD_S)
 
     @property
     def spread(self) -> str:

@@ -16,7 +16,7 @@ PERFECT = ImuConfig(
 
 
 def sensor(config, seed=0):
-    return ImuSensor(BURGER, config, np.random.default_rng(seed), 30)
+    return ImuSensor(BURGER, config, np.random.default_rng(seed))
 
 
 def test_a_hundred_samples_a_second_at_even_stamps():

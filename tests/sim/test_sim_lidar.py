@@ -37,7 +37,7 @@ def test_ranges_at_the_spawn_are_the_analytic_ones():
 
 @pytest.fixture(scope="module")
 def arena():
-    with Physics(WORLD.shapes, [], BURGER, PhysicsConfig(), 1.0 / 30.0) as physics:
+    with Physics(WORLD.shapes, [], BURGER, PhysicsConfig()) as physics:
         physics.reset(WORLD.spawn)
         yield physics
 

@@ -79,7 +79,7 @@ def test_beams_agree_with_bullets_rays():
     tall = ROBOT.model_copy(
         update={"height": 9.0}
     )  # so that lintels and table tops are in Bullet's world too
-    with Physics(world.shapes, [], tall, PhysicsConfig(), 1.0 / 30.0) as physics:
+    with Physics(world.shapes, [], tall, PhysicsConfig()) as physics:
         physics.reset(world.spawn)
         hits = bullet.rayTestBatch(
             np.tile(origin, (len(directions), 1)).tolist(),
