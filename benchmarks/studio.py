@@ -70,7 +70,9 @@ def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -
         deferred_interrupt() as interrupted,
         studio_output(setup, Output(out), say=lambda line: None) as session,
     ):
-        serve(session, access, sockets, interrupted=interrupted, ready=lambda: told.send(access.url))
+        asyncio.run(
+            serve(session, access, sockets, interrupted=interrupted, ready=lambda: told.send(access.url))
+        )
 
 
 @contextmanager

@@ -127,7 +127,9 @@ class Served:
 
         def run():
             try:
-                serve(session, self.access, sockets, interrupted=self._interrupted, ready=ready.set)
+                asyncio.run(
+                    serve(session, self.access, sockets, interrupted=self._interrupted, ready=ready.set)
+                )
             except BaseException as error:
                 self.failure = error
 

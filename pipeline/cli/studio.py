@@ -101,6 +101,8 @@ def run(args: argparse.Namespace) -> int:
 def _live(
     setup: StudioSetup | BagSetup, out: Path, access: Access, sockets: list[socket], args: argparse.Namespace
 ) -> int:
+    import asyncio
+
     from turtlebag.pipeline.stages.record import deferred_interrupt
     from turtlebag.pipeline.stages.studio import studio_output
     from turtlebag.pipeline.studio.server import serve
@@ -119,7 +121,7 @@ def _live(
         studio_output(setup, Output(out, args.force, args.command_line), say=log.info) as session,
     ):
         try:
-            serve(session, access, sockets, interrupted=interrupted, ready=ready)
+            asyncio.run(serve(session, access, sockets, interrupted=interrupted, ready=ready))
         except Exception as error:
             failure = error
             log.error(f"the session could not go on; what it holds is kept in {out}")

@@ -229,7 +229,7 @@ def application(studio: Studio, access: Access) -> Application:
     )
 
 
-def serve(
+async def serve(
     session: Session | Playback,
     access: Access,
     sockets: Sequence[socket.socket],
@@ -241,23 +241,9 @@ def serve(
 
     `ready` is called when the page can be opened. Raises what went wrong in the session.
     """
-    asyncio.run(_serve(session, access, sockets, interrupted, ready))
-
-
-async def _serve(
-    session: Session | Playback,
-    access: Access,
-    sockets: Sequence[socket.socket],
-    interrupted: Sequence[int],
-    ready: Callable[[], None],
-) -> None:
     studio = Studio(session)
-    server = HTTPServer(
-        application(studio, access),
-        max_header_size=16 * 1024,
-        max_body_size=0,
-        idle_connection_timeout=IDLE_S,
-    )
+    limits = {"max_header_size": 16 * 1024, "max_body_size": 0}
+    server = HTTPServer(application(studio, access), idle_connection_timeout=IDLE_S, **limits)
     server.add_sockets(sockets)
     studio.start()
     ready()
