@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from benchmarks.drives import PLACES, Maps
 from benchmarks.rows import public
@@ -20,7 +21,7 @@ from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.planners.control.dwa import DwaConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
-from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
+from turtlebag.planners.costmap import EIGHT_NEIGHBOURS, Costmap, CostmapConfig, costmap_from_grid
 from turtlebag.planners.tasks.avoid import AvoidConfig
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.world import World
@@ -87,11 +88,16 @@ class Scenario:
     make: Callable[[int], Case]
 
 
+def regions_of(costmap: Costmap, radius: float) -> np.ndarray:
+    """Labels (rows, cols), 0: blocked, of the parts of the floor that a disc of `radius` [m] can roam."""
+    return np.asarray(scipy.ndimage.label(costmap.clearance > radius, structure=EIGHT_NEIGHBOURS)[0])
+
+
 def floor(world: World, robot: RobotSpec) -> tuple[OccupancyGrid, np.ndarray]:
     """The true map and its cells (n, 2) that the robot can reach from the spawn."""
     grid = world.rasterize(robot.lidar_height)
     costmap = costmap_from_grid(grid, CostmapConfig(), world.keepout)
-    regions = costmap.regions(robot.model.circumscribed_radius + ROOM_M)
+    regions = regions_of(costmap, robot.model.circumscribed_radius + ROOM_M)
     row, col = grid.cell_of(world.spawn.xy)
     cells = np.argwhere(regions == regions[row, col]) if regions[row, col] else np.zeros((0, 2), int)
     return grid, cells

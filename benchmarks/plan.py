@@ -23,7 +23,7 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.drives import INTEL, PLACES, built_map
-from benchmarks.navigate_cases import ROOM_M, floor, pose_on
+from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
 from benchmarks.plan_figure import planner_boxes
 from benchmarks.plan_shortest import Lattice
@@ -77,7 +77,8 @@ def place(name: str, robot_name: str, count: int, out: Path) -> Place:
         log = public(*INTEL)
         assert log is not None
         grid = load_map(built_map(log, out / "intel_map") / "map.yaml")
-        regions = costmap_from_grid(grid, CostmapConfig()).regions(robot.model.circumscribed_radius + ROOM_M)
+        costmap = costmap_from_grid(grid, CostmapConfig())
+        regions = regions_of(costmap, robot.model.circumscribed_radius + ROOM_M)
         cells = np.argwhere(regions == np.argmax(np.bincount(regions[regions > 0])))
     else:
         grid, cells = floor(load_world(name), robot)

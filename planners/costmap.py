@@ -74,11 +74,6 @@ class Costmap:
         cells = np.clip(cells, 0, shape - 1)
         return np.where(inside, self.clearance[cells[..., 0], cells[..., 1]], 0.0).astype(np.float64)
 
-    def regions(self, radius: float) -> NDArray[np.int32]:
-        """Labels (0: blocked) of the parts of the floor that a disc of `radius` can move about in."""
-        labels, _ = scipy.ndimage.label(self.clearance > radius, structure=EIGHT_NEIGHBOURS)
-        return labels.astype(np.int32)
-
     def with_lethal(self, extra: Mask) -> Costmap:
         """The same map with more lethal cells."""
         return Costmap(self.lethal | extra, self.resolution, self.T_map_grid)

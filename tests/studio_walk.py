@@ -27,7 +27,7 @@ class Person:
     def until_done(self, most_s):
         """Until the task is over; how long that took [s], None when it took too long."""
         for tick in range(round(most_s * 30)):
-            if not self.session.working:
+            if self.session._run.pilot.task is None:
                 return tick / 30
             self.session.tick()
         return None

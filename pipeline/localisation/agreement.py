@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
-# Two places whose agreement differs by less than this look alike.
-ALIKE = 0.05
+# Two places whose agreement, a share of the beams, differs by less than the one look alike, by more than the
+# other clearly different: a scan of a place agrees with its map to within some hundredths.
+ALIKE, DIFFERENT = 0.05, 0.1
 # Agreement of scan and map at the right place, before anything was seen: where both averages start.
 NOMINAL_AGREEMENT = 0.8
 # So far below the usual agreement is a doubt (less is people and boxes in view): random particles are mixed

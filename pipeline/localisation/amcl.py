@@ -15,7 +15,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.agreement import ALIKE, AgreementWatch
+from turtlebag.pipeline.localisation.agreement import ALIKE, DIFFERENT, AgreementWatch
 from turtlebag.pipeline.localisation.beams import Beams, prepare
 from turtlebag.pipeline.localisation.estimate import Estimate, main_cluster, narrow
 from turtlebag.pipeline.localisation.field import LikelihoodField
@@ -23,9 +23,6 @@ from turtlebag.pipeline.localisation.fine_pose import FinePose
 from turtlebag.pipeline.localisation.global_search import global_search
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.push_detection import PushDetector
-
-# A place found by a search must explain so much more of the scan than where the robot seems to be.
-BETTER_BY = 0.1
 
 
 @dataclass
@@ -118,11 +115,6 @@ class Amcl:
     def size(self) -> int:
         """How many particles there are."""
         return len(self._cloud.poses)
-
-    @property
-    def weights(self) -> Array:
-        """Normalised weights, (n,)."""
-        return self._cloud.weights.copy()
 
     @property
     def pushes(self) -> int:
@@ -284,7 +276,7 @@ class Amcl:
         far = self.search.draw(count, beams, self._rng)
         gain_near, gain_far = (self._agreement_of(found, beams) for found in (near, far))
         found, gain = (near, gain_near) if gain_near > gain_far - ALIKE else (far, gain_far)
-        if gain <= self.search.agreement(here.xyt, beams) + BETTER_BY:
+        if gain <= self.search.agreement(here.xyt, beams) + DIFFERENT:
             return None
         self.searches += found is far
         return found

@@ -15,6 +15,7 @@ import numpy as np
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
+from turtlebag.pipeline.localisation.agreement import DIFFERENT
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, PoseHypotheses
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
@@ -23,8 +24,6 @@ from turtlebag.planners.costmap import Costmap, ways_from
 from turtlebag.planners.live import LiveLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
-# Hypotheses differ clearly where so large a share of the beams does.
-DIFFERENT = 0.1
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
 # beside a thing a view changes with every centimetre.
 SPACING_M, ROOMS_M = 0.15, (0.15, 0.05)

@@ -97,18 +97,14 @@ def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> Navigati
 def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
     """A driver that maps what it can reach, until a stamp at the latest [s]."""
     config = kit.config.model_copy(update={"goal_checker": ARRIVED})
-    tools = kit.tools(LiveLayer(nothing_known()), config)
+    one_cell = np.zeros((1, 1), dtype=np.bool_)  # before anything was mapped
+    tools = kit.tools(LiveLayer(Costmap(one_cell, 1.0, SE2.identity())), config)
     return ExploreDriver(config.costmap, kit.sensing, online, tools, end_s)
 
 
 def make_avoider(kit: Kit, end_s: float, say: Callable[[str], None]) -> AvoidDriver:
     """A driver that touches nothing, until a stamp [s]; `say` is told each decision."""
     return AvoidDriver(kit.config.avoid, kit.robot.model, kit.sensing, end_s, say)
-
-
-def nothing_known() -> Costmap:
-    """A costmap of one cell, for before anything was mapped."""
-    return Costmap(np.zeros((1, 1), dtype=np.bool_), 1.0, SE2.identity())
 
 
 def make_controller(robot: RobotSpec, config: NavigateConfig) -> Controller:

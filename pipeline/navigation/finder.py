@@ -116,8 +116,9 @@ class Finder:
         if self._sureness.new_update(self.localiser):
             left = self.comparison.judge(self.localiser)
             if left is not None:
-                self.void = True
-                self._settle(left, tick.now_ns)
+                self.comparison, self.void = None, True
+                self.lost.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
+                self._move_to(left)
                 return self.tools.controller.brake(tick.last)
         return self.comparison.command(tick, self.lost.config.tell_apart)
 
@@ -145,12 +146,6 @@ class Finder:
                 self.lost.on(Event.ALIKE, now_ns, localiser.updates)
             else:
                 self._move_to(found[0])
-
-    def _settle(self, T_map_map: SE2, now_ns: int) -> None:
-        """One is left: the robot is there."""
-        self.comparison = None
-        self.lost.on(Event.DECIDED, now_ns, self.localiser.updates)
-        self._move_to(T_map_map)
 
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there; that is no reason for doubt."""

@@ -79,11 +79,6 @@ class Session:
     idle = False
     """Whether time stands still whatever is asked for."""
 
-    @property
-    def working(self) -> bool:
-        """Whether a task is under way."""
-        return self._run.pilot.task is not None
-
     def apply(self, entry: inputs.Input) -> str:
         """Do what is asked for at this instant, before the tick; returns a line for the event log.
 

@@ -72,7 +72,7 @@ def test_goals_are_reachable_with_room_to_spare_and_kidnaps_are_far():
         world, robot = case.world, case.robot
         costmap = costmap_from_grid(world.rasterize(robot.lidar_height), CostmapConfig(), world.keepout)
         room = robot.model.circumscribed_radius + cases.ROOM_M
-        regions = costmap.regions(room)
+        regions = cases.regions_of(costmap, room)
         ((_, *carried),) = case.config.sim.faults.kidnap
         places = [case.request.start.xy, case.request.goal.xy, np.array(carried[:2])]
         assert np.all(costmap.clearance_at(np.stack(places)) > room)

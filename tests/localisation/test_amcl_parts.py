@@ -34,7 +34,7 @@ def test_a_cloud_is_spread_about_the_pose_it_was_told():
     np.testing.assert_allclose(np.cov(off.T), np.diag([0.04, 0.09, 0.01]), atol=0.002)
     assert np.abs(filter_.particles.yaw).max() <= math.pi
     np.testing.assert_allclose(filter_.T_map_base(odometry).xyt, told.xyt, atol=1e-12)
-    np.testing.assert_allclose(filter_.weights, 1.0 / 20000)
+    np.testing.assert_allclose(filter_._cloud.weights, 1.0 / 20000)
     assert (filter_.size, filter_.initialised, filter_.converged, filter_.lost) == (20000, True, False, True)
     given = np.array([[0.01, 0.005, 0.0], [0.005, 0.01, 0.0], [0.0, 0.0, 0.0]])
     filter_.initialise(told, given)
@@ -146,7 +146,7 @@ def test_weights_are_multiplied_by_the_sensors_while_it_agrees_and_by_the_paths_
         expected = np.log(before) + source(filter_.particles.xyt, beams)
         expected = np.exp(expected - expected.max())
         filter_._weigh(beams)
-        np.testing.assert_allclose(filter_.weights, expected / expected.sum(), rtol=1e-9)
+        np.testing.assert_allclose(filter_._cloud.weights, expected / expected.sum(), rtol=1e-9)
 
 
 def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
@@ -169,7 +169,7 @@ def test_resampling_waits_for_its_interval_and_for_weights_that_differ():
             kept = {tuple(p) for p in filter_.particles.xyt}
             assert kept <= {tuple(p) for p in heavy}
             assert 50 <= filter_.size <= 400
-            assert filter_.weights.sum() == pytest.approx(1.0)
+            assert filter_._cloud.weights.sum() == pytest.approx(1.0)
 
 
 def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
@@ -178,7 +178,7 @@ def test_as_many_particles_are_kept_as_kld_sampling_asks_for():
     filter_._cloud.weights = np.random.default_rng(8).random(900) ** 6
     filter_._cloud.weights /= filter_._cloud.weights.sum()
     filter_.watch.updates = filter_.config.resample_interval - 1
-    poses, weights, rng = filter_.particles.xyt, filter_.weights, copy.deepcopy(filter_._rng)
+    poses, weights, rng = filter_.particles.xyt, filter_._cloud.weights, copy.deepcopy(filter_._rng)
     drawn = poses[rng.permutation(sampling.low_variance(weights, 900, rng.random()))]
     count = sampling.kld_count(sampling.bin_numbers(drawn, sampling.BIN_M, sampling.BIN_RAD), 0.08, 1.5, 60)
     filter_._resample(beams_at(PLACE))
