@@ -14,6 +14,7 @@ from turtlebag.planners.costmap import Costmap, Mask
 from turtlebag.planners.distance import distance_field
 
 NEVER = -1.0e9
+"""Stamp [s] of a cell in which nothing was seen: before any run."""
 REACH_M = 1.2
 """How far round live obstacles the clearance is computed anew: more room than that nobody asks for."""
 

@@ -13,6 +13,7 @@ from turtlebag.planners.ompl_planner import STRAIGHT, OmplConfig, exact_path, it
 from turtlebag.planners.smoothing import SPACING_M
 
 SIMPLIFY_CALLS = 400
+"""How often OMPL's simplifier may ask whether to stop: a budget that repeats, unlike seconds."""
 
 
 def solve_poses(

@@ -14,7 +14,8 @@ from turtlebag.pipeline.localisation.sampling import BIN_M, BIN_RAD, bin_numbers
 REACH_XY, REACH_YAW = 0.5, 0.6
 # A cloud is narrow, one place, when its standard deviations are below these.
 NARROW_M, NARROW_RAD = 0.15, 0.1
-MOST_SHIFTS, MOST_SEEDS = 10, 5
+# A cluster is looked for from so many of the heaviest bins, and its mean shifted so often, at most.
+MOST_SEEDS, MOST_SHIFTS = 5, 10
 # A variance no cloud's is taken below: 1 mm and 0.05 deg.
 LEAST_VARIANCE = 1e-6
 

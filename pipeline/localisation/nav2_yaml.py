@@ -5,7 +5,6 @@ ROS 1's odom_alpha1 to 4 are taken as those of its `diff-corrected` model, which
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from turtlebag.datasets.errors import InputError
@@ -23,22 +22,14 @@ NAMES: dict[str, str] = {
 }
 
 
-@dataclass(frozen=True)
-class ForeignParameters:
-    """What was understood of a foreign file (our names), and the names that were not."""
-
-    known: dict[str, Any]
-    ignored: tuple[str, ...]
-
-
 def is_nav2(data: dict[str, Any]) -> bool:
     """Whether a parsed YAML file has an amcl node with ros__parameters, or is one of ROS 1."""
     node = _amcl_node(data)
     return _is_flat(data) or (isinstance(node, dict) and "ros__parameters" in node)
 
 
-def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
-    """Parameters of the `amcl` node; InputError when there is none.
+def read_nav2(data: dict[str, Any], *, where: str) -> tuple[dict[str, Any], list[str]]:
+    """Parameters of the `amcl` node by our names, and those that we have not; InputError when there is none.
 
     Whatever their laser model, ours is the likelihood field with its probabilities multiplied.
     """
@@ -47,7 +38,7 @@ def read_nav2(data: dict[str, Any], *, where: str) -> ForeignParameters:
     if not isinstance(parameters, dict):
         raise InputError(f"{where}: no amcl: ros__parameters: in it")
     known = {NAMES[name]: value for name, value in parameters.items() if name in NAMES}
-    return ForeignParameters(known, tuple(sorted(str(name) for name in parameters if name not in NAMES)))
+    return known, sorted(str(name) for name in parameters if name not in NAMES)
 
 
 def _is_flat(data: dict[str, Any]) -> bool:

@@ -21,6 +21,7 @@ from turtlebag.pipeline.localisation.small_matrices import solve
 
 Indices = NDArray[np.int32]
 
+# Occupied cells within this many of a cell take part in its fit: of a wall seven in a row.
 WINDOW_CELLS = 3.5
 # A fit that leaves more than this is no surface (a corner, a thin post) and counts little; a step of more
 # along the normal begins another one.

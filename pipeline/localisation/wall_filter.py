@@ -25,7 +25,6 @@ from turtlebag.pipeline.localisation.surfaces import Indices, Surfaces
 # Residual at which a beam counts a quarter, standard deviation of a beam, how many beams' worth one wall may
 # say in a scan, and how far from where its cells are a wall may stand (standard deviation).
 MATCH_SCALE_M, BEAM_STD_M, PATCH_BEAMS, OFFSET_CELLS = 0.03, 0.012, 4.0, 0.14
-MAX_ITERATIONS = 4
 # Walls kept in the state; beyond, the one longest out of sight is forgotten.
 MAX_WALLS = 150
 # States before the walls': the pose (x, y, yaw), then odometry's errors: share of distance, share of turn,
@@ -33,8 +32,9 @@ MAX_WALLS = 150
 POSE, FIXED = 3, 6
 ODOMETRY_STD = np.array([0.02, 0.02, 0.01])
 ODOMETRY_WALK = 5e-4
-# A step of 0.1 mm or 0.006 deg is none: with it the iterations end; smaller ones do not count in the NIS.
-STEP_DONE = 1e-4
+# A step of 0.1 mm or 0.006 deg is none: with it the iterations of a scan end, with the fourth in any case;
+# smaller ones do not count in the NIS.
+STEP_DONE, MAX_ITERATIONS = 1e-4, 4
 # From this NIS on, odometry slipped, by about so much [m and rad].
 SLIP, SLIP_STD = 6.0, 0.1
 

@@ -28,6 +28,7 @@ from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, Pro
 from turtlebag.planners.tasks.sequence import Status
 
 LOOK_AHEAD_M = 2.5
+"""Obstacles farther along the path are no reason to plan anew: on a map none is marked from farther off."""
 
 
 class Tick(NamedTuple):

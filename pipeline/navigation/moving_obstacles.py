@@ -20,6 +20,7 @@ BINS, SPREAD_BINS = 360, 2
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
 NEAR_M = 1.5
+"""Points farther from the lidar are not looked at: what moves there stops nobody yet."""
 COMPANY, COMPANY_M = 3, 0.2
 """A moving point has so many others near it: one alone is noise."""
 STOP_M = 0.35

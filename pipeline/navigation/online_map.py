@@ -12,6 +12,7 @@ from turtlebag.datasets.types import Imu, Observation, Recording, Scan, Trajecto
 from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.slam import SlamConfig
 
+# Of fewer scans no map is drawn.
 LEAST_SCANS = 3
 # Scans taken so near to where the robot pushes against something are not drawn [m].
 HERE_M = 0.15

@@ -36,9 +36,8 @@ from turtlebag.planners.tasks.waypoints import Waypoint, WaypointFile, load_wayp
 from turtlebag.sim.robots import RobotSpec
 
 TASKS = ("goal", "patrol", "avoid", "explore")
-DEFAULT_DURATION_S = 60.0
-DEFAULT_EXPLORE_S = 1800.0
-MAX_SIMULATED_S = 4 * 3600.0
+# Simulated seconds: of avoid, and of explore at most, where none were asked for; of any run at most.
+DEFAULT_DURATION_S, DEFAULT_EXPLORE_S, MAX_SIMULATED_S = 60.0, 1800.0, 4 * 3600.0
 MAX_LAPS = 1000
 SINGLE_GOAL = {"initial_wait": 0.0, "timeout": 600.0}
 """Of a sequence's configuration, what is other for a goal that is not one of many."""

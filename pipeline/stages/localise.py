@@ -210,12 +210,10 @@ def load_localise_config(path: Path | None, settings: Sequence[str]) -> Localise
     """Ours, or the amcl part of a Nav2 parameter file (what it ignores is logged)."""
     if path is None or not is_nav2(data := read_mapping(path)):
         return load_config(LocaliseConfig, path, settings)
-    foreign = read_nav2(data, where=str(path))
-    if foreign.ignored:
-        log.info("%s: ignored %s", path, ", ".join(foreign.ignored))
-    return load_config(
-        LocaliseConfig, None, [f"amcl.{k}={v}" for k, v in foreign.known.items()] + list(settings)
-    )
+    known, ignored = read_nav2(data, where=str(path))
+    if ignored:
+        log.info("%s: ignored %s", path, ", ".join(ignored))
+    return load_config(LocaliseConfig, None, [*(f"amcl.{k}={v}" for k, v in known.items()), *settings])
 
 
 def _rejected(reason: str) -> dict[str, Any]:

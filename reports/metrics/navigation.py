@@ -127,7 +127,10 @@ def run_metrics(
         "true_success": success and all(truly_reached(goal) for goal in ended),
         "goals": ended,
         "goal_error_m": {"mean": float(np.mean(misses)), "max": max(misses)} if misses else None,
-        "collisions": collisions(log.t_ns, log.contact_visible, log.contact_low),
+        "collisions": {
+            "visible": len(collision_episodes(log.t_ns, log.contact_visible)),
+            "low": len(collision_episodes(log.t_ns, log.contact_low)),
+        },
         "min_clearance_m": min_clearance(log.clearance_m),
         "takeovers": takeovers(log.t_ns, log.owner),
         "distance_m": distance_driven(Trajectory(log.t_ns, log.T_world_base)),
@@ -227,14 +230,6 @@ def collision_episodes(stamps_ns: Stamps, contact: NDArray[np.bool_]) -> list[tu
     firsts = touching[np.concatenate([[0], breaks + 1])]
     lasts = touching[np.concatenate([breaks, [len(touching) - 1]])]
     return [(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
-
-
-def collisions(stamps_ns: Stamps, visible: NDArray[np.bool_], low: NDArray[np.bool_]) -> Collisions:
-    """Contact episodes with what crosses the lidar plane and with what does not."""
-    return {
-        "visible": len(collision_episodes(stamps_ns, visible)),
-        "low": len(collision_episodes(stamps_ns, low)),
-    }
 
 
 def takeovers(stamps_ns: Stamps, owner: Sequence[str]) -> Takeovers:

@@ -259,9 +259,9 @@ def test_a_nav2_file_is_read_and_its_strange_keys_are_named():
         }
     }
     assert is_nav2(data)
-    found = read_nav2(data, where="x.yaml")
-    assert found.ignored == ("base_frame_id", "laser_model_type", "robot_model_type")
-    config = AmclConfig(**found.known)
+    known, ignored = read_nav2(data, where="x.yaml")
+    assert ignored == ["base_frame_id", "laser_model_type", "robot_model_type"]
+    config = AmclConfig(**known)
     assert (config.alpha1, config.kld_err) == (0.2, 0.05)
     with pytest.raises(InputError, match="no amcl"):
         read_nav2({"amcl": {}}, where="x.yaml")

@@ -11,7 +11,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
 from turtlebag.reports.metrics.map import map_error, map_metrics, visible_surface
-from turtlebag.reports.metrics.navigation import collision_episodes, collisions, min_clearance, pose_error
+from turtlebag.reports.metrics.navigation import collision_episodes, min_clearance, pose_error
 from turtlebag.reports.metrics.trajectory import associate, ate, fit_rigid, rpe, trajectory_metrics
 from turtlebag.sim.worlds import load_world
 
@@ -197,7 +197,7 @@ def test_contacts_close_in_time_are_one_episode():
     stamps = np.arange(10, dtype=np.int64) * 200_000_000
     contact = np.array([0, 1, 1, 0, 1, 0, 0, 0, 0, 1], dtype=bool)
     assert collision_episodes(stamps, contact) == [(200_000_000, 800_000_000), (1_800_000_000, 1_800_000_000)]
-    assert collisions(stamps, contact, np.zeros(10, dtype=bool)) == {"visible": 2, "low": 0}
+    assert collision_episodes(stamps, np.zeros(10, dtype=bool)) == []
 
 
 def test_pose_error_wraps_the_yaw():
