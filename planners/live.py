@@ -92,7 +92,8 @@ class LiveLayer:
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
         )
-        near = distance_field(live[window], static.resolution)
+        # Of one layout, or it would be compiled once more.
+        near = distance_field(np.ascontiguousarray(live[window]), static.resolution)
         clearance = static.clearance.copy()
         # Beyond the reach the live obstacle's distance is cut short on purpose: nothing is that near.
         np.minimum(clearance[window], near, out=clearance[window])

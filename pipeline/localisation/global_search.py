@@ -109,6 +109,7 @@ class GlobalSearch:
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]
         )
+        poses = np.ascontiguousarray(poses)  # of one layout, or it would be compiled once more
         return self.field.distance, self.field.frame, poses, starts, ways, len(hits), self._noise
 
 

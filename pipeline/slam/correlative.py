@@ -56,11 +56,12 @@ def best_pose(
 
     Exhaustive over translations in steps of the field's resolution and rotations of `step_rad`.
     """
+    # Points of one layout, or it would be compiled once more.
     return _search(
         field.values,
         field.corner,
         field.resolution,
-        points,
+        np.ascontiguousarray(points),
         np.asarray(center),
         math.ceil(window_m / field.resolution),
         math.ceil(window_rad / step_rad),

@@ -65,7 +65,8 @@ class Drift:
         edges = np.vstack([np.column_stack([whole, whole + 1]), ends])
         told = covariances(self.T_map_keys, ends[:, 1], [c.information for c in loops])
         covariance = np.concatenate([self.steps[whole], told])
-        graph = (*_rows(n, edges), covariance, edges, self.T_map_keys)
+        # Of one layout, or it would be compiled once more: four seconds where the robot waits.
+        graph = (*_rows(n, edges), covariance, edges, np.ascontiguousarray(self.T_map_keys))
         return lambda i: _surest(ANYWHERE, *graph, i)
 
 

@@ -270,7 +270,7 @@ def test_a_nav2_file_is_read_and_its_strange_keys_are_named():
 @pytest.mark.parametrize("turn", [0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
 def test_walls_in_the_outermost_cells_of_a_map_explain_a_beam(turn):
     row, col = np.indices((11, 11))
-    distance = 0.1 * np.minimum.reduce([row, col, 10 - row, 10 - col]).astype(float)
+    distance = 0.1 * np.minimum.reduce([row, col, 10 - row, 10 - col]).astype(np.float32)
     pose, way = np.array([[0.55, 0.55, turn]]), np.array([[0.5, 0.0]])
     frame, noise = (0.0, 0.0, 0.0, 10.0), (0.05, 0.9, 0.01)
     assert path_probabilities(distance, frame, pose, np.zeros((1, 2)), way, 1, noise)[0, 0] == pytest.approx(

@@ -274,7 +274,7 @@ def test_shortcuts_are_the_longest_free_chords_from_the_front_and_then_from_the_
 @pytest.mark.parametrize("seed", range(4))
 def test_the_elastic_band_is_that_of_a_plain_loop(seed):
     field = floor(seed, share=0.01)
-    path = densify(walk(field, seed)[::6], 0.06)
+    path = densify(walk(field, seed)[::6].copy(), 0.06)
     radius, reach, fade, draw, push = 0.09, 0.3, 4.0, 0.4, 0.15
     expected = path.copy()
 

@@ -159,7 +159,7 @@ def test_more_room_is_kept_where_it_costs_little_and_given_up_where_it_does_not_
         plan = plan_path(costmap, BURGER, start, goal, PlanConfig(stretch=stretch, margins=kept), 1)
         assert (plan.length < 2.2) == narrow
         assert plan.margin == (0.05 if narrow else 0.1)
-        clear = costmap.clearance_at(densify(plan.poses.xy, 0.01)).min()
+        clear = costmap.clearance_at(densify(plan.poses.xy.copy(), 0.01)).min()
         assert (clear > wide + 0.09) == (not narrow)
         assert plan.length == pytest.approx(path_length(plan.poses.xy))
     lethal = lethal.copy()

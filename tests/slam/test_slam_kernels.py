@@ -61,7 +61,7 @@ class Normals:
         w = share / kernel2 / (1.0 + e * e / kernel2) ** 2
         self.h += w * np.outer(j, j)
         self.g += w * j * e
-        self.faked += w * (normal_var + SURFACE_VAR)
+        self.faked += float(w * (normal_var + SURFACE_VAR))
         self.squares += w * e * e
         self.weights += w
         return e
@@ -180,7 +180,7 @@ def test_the_outcome_is_in_shares_of_the_points_and_every_nth_of_many_is_used(cl
         known = raw[3] - raw[4]
         assert (result.known, result.rmse, result.cost) == (known / raw[3], raw[5], raw[6] / known)
         assert result.agreement == pytest.approx(raw[2] / known)
-    bare = clouds._replace(line_ok=0 * clouds.line_ok)
+    bare = clouds._replace(line_ok=np.zeros_like(clouds.line_ok))
     blind = align(bare, 4, POSES[4], keys, POSES[keys], Limits(0.3, 0.05))
     assert (blind.overlap, blind.cost, blind.rmse, blind.agreement) == (0.0, 1.0, 0.0, 0.0)
 

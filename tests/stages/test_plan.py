@@ -31,7 +31,7 @@ def test_a_plan_leads_from_start_to_goal_and_keeps_its_clearance():
     plan = plan_path(costmap, BURGER, START, GOAL, PlanConfig(), seed=3)
     np.testing.assert_allclose(plan.poses.xyt[0], START.xyt, atol=1e-9)
     np.testing.assert_allclose(plan.poses.xyt[-1], GOAL.xyt, atol=1e-9)
-    dense = densify(plan.poses.xy, 0.01)
+    dense = densify(plan.poses.xy.copy(), 0.01)
     assert costmap.clearance_at(dense).min() > BURGER.circumscribed_radius
     # Round the wall's end at (2.025, 3.0), keeping the disc off it.
     straight = 2.0 * math.hypot(1.0, 2.0)
@@ -54,7 +54,7 @@ def test_planners_can_be_chosen_by_name(planner):
     costmap = costmap_from_grid(walled_room(), CostmapConfig())
     config = PlanConfig(ompl=OmplConfig(planner=planner, iterations=3000))
     plan = plan_path(costmap, BURGER, START, GOAL, config, seed=1)
-    assert costmap.clearance_at(densify(plan.poses.xy, 0.01)).min() > BURGER.circumscribed_radius
+    assert costmap.clearance_at(densify(plan.poses.xy.copy(), 0.01)).min() > BURGER.circumscribed_radius
 
 
 def test_a_closed_wall_is_certainly_no_path():
@@ -96,7 +96,7 @@ def test_a_plan_in_a_turned_map_is_the_turned_plan():
     a = plan_path(straight, BURGER, START, GOAL, PlanConfig(), seed=3)
     b = plan_path(turned, BURGER, T_map_grid @ START, T_map_grid @ GOAL, PlanConfig(), seed=3)
     assert b.length == pytest.approx(a.length, rel=0.02)
-    assert turned.clearance_at(densify(b.poses.xy, 0.01)).min() > BURGER.circumscribed_radius
+    assert turned.clearance_at(densify(b.poses.xy.copy(), 0.01)).min() > BURGER.circumscribed_radius
 
 
 def test_wave_distances_match_a_plain_relaxation():
@@ -193,7 +193,7 @@ def test_clearance_costs_no_more_length_than_allowed():
     shortest = plan_path(costmap, BURGER, START, GOAL, PlanConfig(stretch=1.0), seed=3)
     ways = [plan_path(costmap, BURGER, START, GOAL, PlanConfig(stretch=s), seed=3) for s in (1.05, 1.5)]
     assert shortest.length <= ways[0].length <= 1.06 * shortest.length < ways[1].length
-    room = [costmap.clearance_at(densify(w.poses.xy, 0.01)).min() for w in (shortest, *ways)]
+    room = [costmap.clearance_at(densify(w.poses.xy.copy(), 0.01)).min() for w in (shortest, *ways)]
     assert BURGER.circumscribed_radius < room[0] < room[1] < room[2]
 
 
