@@ -76,8 +76,8 @@ class Lines:
             found = Alignment(at, by_points.information, fit, by_points.rmse, 1.0 - fit)
         else:
             found, source = self._on_surfaces(scan, odometry_step)
+        found, sure, settled = self._judge(scan, found, wait_s)
         pose = found.T_map_base.xyt
-        sure, settled = self._judge(scan, found, wait_s)
         if self.doubt is not None:
             self.wheels.forget()
         elif odometry_step is not None:
@@ -98,25 +98,27 @@ class Lines:
             return self._by_lines(scan, starts[::-1], STEADY_SHARE * information)
         return self._by_lines(scan, starts, information)
 
-    def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[bool, range]:
+    def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
         """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
 
-        Returns whether the pose found may be built on, and the scans since the gap once it is clear what
-        happened in it: hypotheses took turns for them, and odometry tells where they lie seen from here.
+        When they do not in time, the odometry has it: in what was not seen before, a scan fits somewhere near
+        by chance. Returns where the scan lies, whether that may be built on, and the scans since the gap once
+        the doubt is over: hypotheses took turns for them, and odometry tells where they lie seen from here.
         """
         course, settled = self.course, range(0)
         if course.odometry is None:
-            return True, settled
+            return found, True, settled
         since = self.doubt or Doubt(course.pose)
-        move = between(since.T_map_base, found.T_map_base.xyt)
-        agreed = confirms(course.odometry_since(scan - since.ago), move)
+        driven = course.odometry_since(scan - since.ago)
+        agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS
         if self.doubt is None and abs(wait_s) > GAP_S:
             self.doubt = since
         elif since.ago >= DOUBTED_SCANS or (agreed and fits):
             self.doubt, settled = None, range(scan - since.ago + 1, scan)
+            found = found if agreed else _fits_nothing(compose(since.T_map_base, driven))
         since.ago += 1
-        return self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
+        return found, self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
 
     def _by_lines(
         self, scan: int, starts: list[tuple[int, Array]], information: Array
@@ -137,7 +139,7 @@ class Lines:
             if again is not None and (best is None or again[2] < best[2] - 0.05):
                 best = again
         if best is None:
-            return Alignment(SE2(guess), np.zeros((3, 3)), 0.0, 0.0, 0.0), 0
+            return _fits_nothing(guess), 0
         self._usual_cost += 0.02 * (best[2] - self._usual_cost)
         return best[0], best[1]
 
@@ -176,3 +178,8 @@ class Lines:
             best_pose(self.course.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
         ]
         return max(found, key=lambda pair: pair[1])[0]
+
+
+def _fits_nothing(pose: Array) -> Alignment:
+    """A scan of which nothing but a pose (3,) is known."""
+    return Alignment(SE2(pose), np.zeros((3, 3)), 0.0, 0.0, 0.0)
