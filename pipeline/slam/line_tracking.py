@@ -32,7 +32,7 @@ from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
 from turtlebag.pipeline.slam.partners import ROUGH
-from turtlebag.pipeline.slam.track import confirms
+from turtlebag.pipeline.slam.track import SURELY_THERE, confirms
 
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
@@ -116,7 +116,8 @@ class Lines:
             self.doubt = since
         elif since.ago >= DOUBTED_SCANS or (agreed and fits):
             self.doubt, settled = None, range(scan - since.ago + 1, scan)
-            found = found if agreed else _fits_nothing(compose(since.T_map_base, driven))
+            if not agreed and found.overlap < SURELY_THERE:
+                found = _fits_nothing(compose(since.T_map_base, driven))
         since.ago += 1
         return found, self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
 

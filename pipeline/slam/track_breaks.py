@@ -18,13 +18,14 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast
-from turtlebag.pipeline.slam.track import Track
+from turtlebag.pipeline.slam.track import SURELY_THERE, Track, blind
 
 # A gap is also this many usual periods long.
 GAP_PERIODS = 8.0
 STAMPS_NEAR = 12
-# After a longer wait a scan that agrees with the odometry confirms nothing: it was aligned from where the
-# odometry has it, which may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back).
+# In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be. After
+# a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back), and a
+# scan aligned from where it had the robot agrees with it in any case: most must lie on what was seen.
 SHORT_S = 5.0
 
 
@@ -94,6 +95,7 @@ def joined_parts(
 def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
+    sure = ~blind(track.information) & (track.overlap >= SURELY_THERE)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing of what was seen just before follows a gap, whatever the stamps say
@@ -108,7 +110,7 @@ def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
         agreed = agree(recording, track, before, after, T) and not fast
         wait = float(recording.stamps_ns[after] - recording.stamps_ns[before]) * 1e-9
         fits = track.overlap[after] >= LEAST_OVERLAP
-        if not (agreed and fits and wait < SHORT_S):
+        if not (agreed and fits and (wait < SHORT_S or sure[after])):
             broken[step] = True
             contradicted[step] |= not agreed
             alone[step] |= not fits
