@@ -89,17 +89,17 @@ class Course:
             # It may go on with its own arrays.
             own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
             placed = replace(said, T_track_base=own[0], information=own[1])
+            for scan, pose in placed.revised:
+                if scan in self.keys:
+                    continue
+                self.poses[scan] = pose
+                # what it fitted and saw was at the pose that it leaves
+                now = {"overlap": placed.overlap, "information": placed.information}
+                self._placed[scan] = replace(self._placed[scan], **now)
             # what happened in a gap says nothing of the next step
             gap = abs(wait_s) > GAP_S
-            self.velocity = np.zeros(3) if gap else between(self.pose, placed.T_track_base)
+            self.velocity = np.zeros(3) if gap else between(self.poses[-1], placed.T_track_base)
             moved = self._moved_enough(placed.T_track_base)
-        for scan, pose in placed.revised:
-            if scan not in self.keys:
-                # how it lay on the map was so where it was first taken to be
-                self.poses[scan], self._placed[scan] = (
-                    pose,
-                    replace(self._placed[scan], overlap=placed.overlap),
-                )
         self._keep(placed)
         if moved and placed.sure and self._usable[-1]:
             self._add_key()

@@ -14,9 +14,6 @@ from turtlebag.pipeline.slam.calibration import ODOMETRY_SHARE, Calibration
 HYPOTHESES = ("odometry", "constant velocity", "kiss-icp", "recovery")
 # How well scans and odometry must agree on a motion [m]; [rad], and as a share of the motion.
 AGREE_M, AGREE = 0.3, 0.15
-# After a gap, a scan of which so much lies on what was seen before is there, whatever the odometry says (at
-# the wrong places of 26 drives with gaps at most 0.71).
-SURELY_THERE = 0.8
 # A scan is blind when it sees this share along one direction of what it sees along the other, or less.
 BLIND = 0.01
 

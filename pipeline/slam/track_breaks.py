@@ -1,9 +1,9 @@
 """Where a track breaks: what neither scans nor odometry confirm may be anything.
 
 Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
-while, or one fits nothing that was seen before it, and the two do not confirm each other, the track is
-broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than elsewhere.
-Both say how far off a place may be when the robot returns to it.
+while, or one fits nothing that was seen before it, and the two do not surely confirm each other, the track
+is broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than
+elsewhere. Both say how far off a place may be when the robot returns to it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.align import LEAST_OVERLAP
 from turtlebag.pipeline.slam.clouds import GAP_S
 from turtlebag.pipeline.slam.odometry_trust import agree, too_fast
-from turtlebag.pipeline.slam.track import SURELY_THERE, Track, blind
+from turtlebag.pipeline.slam.track import Track, blind
 
 # A gap is also this many usual periods long.
 GAP_PERIODS = 8.0
@@ -26,7 +26,7 @@ STAMPS_NEAR = 12
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be. After
 # a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back), and a
 # scan aligned from where it had the robot agrees with it in any case: most must lie on what was seen.
-SHORT_S = 5.0
+SHORT_S, MOST = 5.0, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def joined_parts(
 def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
-    sure = ~blind(track.information) & (track.overlap >= SURELY_THERE)
+    sure = ~blind(track.information) & (track.overlap >= MOST)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing of what was seen just before follows a gap, whatever the stamps say

@@ -242,13 +242,15 @@ def test_what_is_known_better_later_moves_the_scans_but_no_key_scan(log):
             placed = super().step(points, odometry_step, wait_s)
             there = np.array([9.0, 9.0, 0.0])
             late = tuple((k, there) for k in range(20)) if self._course.scan == 20 else ()
-            return replace(placed, revised=late, overlap=0.3 if late else 0.9)
+            seen = np.diag([3.0, 2.0, 1.0]) if late else np.eye(3)
+            return replace(placed, revised=late, overlap=0.3 if late else 0.9, information=seen)
 
     track, plain = tracked(log, Hindsight), tracked(log, Wheels)
     moved = np.flatnonzero((track.T_track_base.xyt != plain.T_track_base.xyt).any(axis=1))
     assert moved.tolist() == [k for k in range(20) if k not in track.keys]
     # what they fitted was where they lay before
     assert np.flatnonzero(track.overlap == 0.3).tolist() == [*moved.tolist(), 20]
+    assert np.flatnonzero(track.information[:, 0, 0] == 3.0).tolist() == [*moved.tolist(), 20]
 
 
 def test_a_scan_that_is_not_sure_becomes_no_key_scan(log):
