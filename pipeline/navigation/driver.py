@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,12 +37,10 @@ class Task(Protocol):
         `turtlebag.pipeline.navigation.setup.Mission`, what was asked for: the map, if one was given."""
         ...
 
-    @abstractmethod
     def step(self, observation: Observation) -> Twist:
         """The command for the next control period, within the limits of the robot."""
         ...
 
-    @abstractmethod
     def stand_by(self, observation: Observation) -> None:
         """Take in an observation of a tick in which someone else drives; goals wait meanwhile."""
         ...

@@ -89,13 +89,11 @@ class Course:
             # It may go on with its own arrays.
             own = np.array(said.T_track_base, np.float64), np.array(said.information, np.float64)
             placed = replace(said, T_track_base=own[0], information=own[1])
+            # what they fitted, and saw, was at the poses that they leave
             for scan, pose in placed.revised:
-                if scan in self.keys:
-                    continue
-                self.poses[scan] = pose
-                # what it fitted and saw was at the pose that it leaves
-                now = {"overlap": placed.overlap, "information": placed.information}
-                self._placed[scan] = replace(self._placed[scan], **now)
+                if scan not in self.keys:
+                    fit = replace(placed, source=self._placed[scan].source, revised=())
+                    self.poses[scan], self._placed[scan] = pose, fit
             # what happened in a gap says nothing of the next step
             gap = abs(wait_s) > GAP_S
             self.velocity = np.zeros(3) if gap else between(self.poses[-1], placed.T_track_base)
