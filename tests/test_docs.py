@@ -28,9 +28,7 @@ from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.tasks.waypoints import load_waypoints
 from turtlebag.reports.draw_localise import read_path
 from turtlebag.reports.g2o import read_g2o, read_loops
-from turtlebag.sim import teleop
 from turtlebag.sim.robots import load_robot
-from turtlebag.sim.routes import route
 from turtlebag.sim.simulator import SimConfig, Simulator
 from turtlebag.sim.worlds import load_world
 
@@ -62,8 +60,6 @@ WITH_COMMANDS = [
 def test_the_commands_of_a_page_run_as_written(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    # Of a tour the way once round the arena, a third: its maps are as good, and the page makes four.
-    monkeypatch.setattr(teleop, "route", lambda *given: route(*given)[:9])
     for example in re.findall(r"\]\((examples/\w+\.py)\)", page.read_text()):
         shutil.copy(page.parent / example, tmp_path)
     for line, expected in commands(page.read_text()):
