@@ -104,10 +104,11 @@ class Lines:
     def _judge(self, scan: int, found: Alignment, wait_s: float) -> tuple[Alignment, bool, range]:
         """Begin a doubt at a gap; end it when odometry and scans agree on what happened since.
 
-        When they do not in time, wheels that were believed before it are right, unless the scan surely lies
-        where it fits: by chance it fits somewhere near. Returns where the scan lies, whether that may be
-        built on, and the scans since the gap once the doubt is over: hypotheses took turns for them, and
-        wheels that are believed tell where they lie seen from here.
+        When they do not in time, the odometry is right where the scan fits nothing, and, if it was believed
+        before the gap, where the scan does not surely lie: by chance it fits somewhere near. Returns where
+        the scan lies, whether that may be built on, and the scans since the gap once the doubt is over:
+        hypotheses took turns for them, and an odometry that is right, or believed, tells where they lie seen
+        from here.
         """
         course, settled = self.course, range(0)
         if course.odometry is None:
@@ -119,11 +120,12 @@ class Lines:
         if self.doubt is None and abs(wait_s) > GAP_S:
             self.doubt = since
         elif since.ago >= DOUBTED_SCANS or (agreed and fits):
-            self.doubt = None
-            sure = found.agreement >= SURELY_THERE and found.overlap >= LEAST_OVERLAP
-            if since.wheels_believed:
+            self.doubt, believed = None, since.wheels_believed
+            there = found.overlap >= LEAST_OVERLAP and (found.agreement >= SURELY_THERE or not believed)
+            if not (agreed or there):
+                found = _fits_nothing(compose(since.T_map_base, driven))
+            if agreed or believed or not there:
                 settled = range(scan - since.ago + 1, scan)
-                found = found if agreed or sure else _fits_nothing(compose(since.T_map_base, driven))
         since.ago += 1
         return found, self.doubt is None or (agreed and found.overlap >= LEAST_OVERLAP), settled
 
