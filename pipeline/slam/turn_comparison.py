@@ -180,12 +180,13 @@ class _Turns(NamedTuple):
 
     @property
     def alike(self) -> bool:
-        """Whether most differ by less than the scans turn, or by little, at some delay: a second apart, scans
-        alone lose some turns."""
+        """Whether they differ by less than the scans turn, or most by little, at some delay: a second apart,
+        scans alone lose some turns."""
         if not len(self.stretch):
             return True
-        off, turned = np.abs(self.off[0]), np.abs(self.off.mean(axis=0))
-        return bool(np.median(off, axis=1).min() < max(UNLIKE * float(np.median(turned)), UNLIKE_RAD))
+        off, turned = np.abs(self.off[0]), np.abs(self.off.mean(axis=0)).mean()
+        by_mean = off.mean(axis=1).min() < max(UNLIKE * turned, UNLIKE_RAD)
+        return bool(by_mean or np.median(off, axis=1).min() < UNLIKE_RAD)
 
     def costs(self, sigma: float) -> Array:
         """Of each stretch at each delay, (2, delays, STRETCHES)."""

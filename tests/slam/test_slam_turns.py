@@ -189,7 +189,7 @@ def test_a_gyro_tells_whether_scans_or_odometry_are_mirrored(turning, sign, sure
 
 
 def test_turns_that_scans_alone_lose_make_no_odometry_of_another_drive():
-    """A scan a second: 16 of 100 turns were lost, the odometry was dropped, a map of 20 m came out 25 m off."""
+    """A scan a second: 16 of 100 turns were lost, the odometry was dropped, a map was 25 m off."""
     rng = np.random.default_rng(4)
     turned, other = rng.normal(0.0, 0.2, (2, 100))
     lost = np.arange(100) % 6 == 0
