@@ -42,6 +42,9 @@ ROUNDS = 6
 # Turns that differ by this share, and by this much [rad], are not of one robot: the odometry of other drives
 # was off by 0.95 to 3.7 times what scans turned, that of 60 own ones by 0.01 to 0.6 times.
 UNLIKE, UNLIKE_RAD = 0.8, 0.03
+# Scans farther apart than this, tracked alone, lose turns: they are no judge of the odometry then (made logs
+# with a scan a second had theirs dropped, and came out 25 m off).
+JUDGES_S = 0.5
 
 
 class Timing(NamedTuple):
@@ -126,7 +129,8 @@ def compared_turns(recording: Recording) -> Timing:
             sweep, scans = other, _sweeping(scans, other)
     interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), PERIOD_S)
-    return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, turns.alike)
+    alike = turns.alike or usual > JUDGES_S
+    return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, alike)
 
 
 def _sweeps(recording: Recording, usual_s: float) -> list[float]:
@@ -180,13 +184,11 @@ class _Turns(NamedTuple):
 
     @property
     def alike(self) -> bool:
-        """Whether they differ by less than the scans turn, or most by little, at some delay: a second apart,
-        scans alone lose some turns."""
+        """Whether they differ by less than the scans turn, or by little, at some delay."""
         if not len(self.stretch):
             return True
-        off, turned = np.abs(self.off[0]), np.abs(self.off.mean(axis=0)).mean()
-        by_mean = off.mean(axis=1).min() < max(UNLIKE * turned, UNLIKE_RAD)
-        return bool(by_mean or np.median(off, axis=1).min() < UNLIKE_RAD)
+        turned = np.abs(self.off.mean(axis=0)).mean()
+        return bool(np.abs(self.off[0]).mean(axis=1).min() < max(UNLIKE * turned, UNLIKE_RAD))
 
     def costs(self, sigma: float) -> Array:
         """Of each stretch at each delay, (2, delays, STRETCHES)."""
