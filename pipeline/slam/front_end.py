@@ -29,7 +29,7 @@ class Placed:
     the scan that lies on what was seen before, `known` that where was looked before, `rmse` how far off it
     lies [m]. `source` says which start won, an index into `track.HYPOTHESES`. Where `sure` is False the scan
     does not become a key scan. `revised` are the scans before it that are now known better, with their poses
-    (3,), and share its `overlap` and `information`; key scans keep theirs.
+    (3,): how they fit is what is said of this one, `source` aside. Key scans keep theirs.
     """
 
     T_track_base: Array

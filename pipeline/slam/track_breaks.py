@@ -26,7 +26,7 @@ STAMPS_NEAR = 12
 # In so short a wait the odometry may speak for a blind direction alone: it says nothing that cannot be. After
 # a longer one it may be metres off (MIT CSAIL, 20 s without a scan: 1.6 m after 19 m there and back), and a
 # scan aligned from where it had the robot agrees with it in any case: most must lie on what was seen.
-SHORT_S, MOST = 5.0, 0.8
+SHORT_S, SURE_OVERLAP = 5.0, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def joined_parts(
 def track_breaks_of(recording: Recording, track: Track) -> TrackBreaks:
     """Judge every step between the key scans of a track."""
     T, keys = track.T_track_base, track.keys
-    sure = ~blind(track.information) & (track.overlap >= MOST)
+    sure = ~blind(track.information) & (track.overlap >= SURE_OVERLAP)
     broken, contradicted, alone = np.zeros((3, len(keys) - 1), dtype=bool)
     gaps = []
     # the first scan that fits nothing of what was seen just before follows a gap, whatever the stamps say
