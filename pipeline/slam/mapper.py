@@ -81,6 +81,7 @@ class Mapper:
             self._extend(course)
             course.step()
             self._judge(course)
+            self._revise(course)
             self._close_loops(course, self._loops)
         assert self._course is not None
         assert self._loops is not None
@@ -202,6 +203,13 @@ class Mapper:
             self._misfits += 1
         elif not blind:
             self._misfits = 0 if self.fit >= LOST_AGREEMENT else self._misfits + 1
+
+    def _revise(self, course: Course) -> None:
+        """Scans before that the newest one tells more of lie elsewhere, seen from their keys."""
+        key, T_key_scan = self._key.view(), self._T_key_scan.view()
+        for scan, _ in course.placed.revised:
+            number = self._number.view()[scan]
+            T_key_scan[number] = between(course.key_poses[key[number]], course.poses[scan])
 
     def _close_loops(self, course: Course, loops: GrowingLoops) -> None:
         """A new key scan for the graph, if there is one, and one more alignment."""

@@ -17,6 +17,7 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.range_noise import RangeNoise
 from turtlebag.pipeline.slam.slam import run_slam
+from turtlebag.pipeline.slam.wheels import Wheels
 
 TRUE = around_the_room(240, laps=3)
 LOG = recording(ROOM, TRUE, odometry=drifted(TRUE))
@@ -146,6 +147,21 @@ def test_without_odometry_the_scans_alone_carry_the_robot():
     mapper = Mapper(LOG.lidar, LOG.T_base_lidar)
     given = np.array([mapper.add(LOG.scan(k), None).xyt for k in range(100)])
     assert errors((SE2(TRUE[0]) @ SE2(given)).xyt, TRUE).max() < 0.06
+
+
+def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_track(monkeypatch):
+    there = np.array([9.0, 9.0, 0.0])
+
+    class Hindsight(Wheels):
+        def step(self, points, odometry_step, wait_s):
+            late = tuple((k, there) for k in range(20)) if self._course.scan == 20 else ()
+            return replace(super().step(points, odometry_step, wait_s), revised=late)
+
+    monkeypatch.setattr(mapper_module, "front_end_maker", lambda name: Hindsight)
+    mapper, given = driven(LOG, 30)
+    moved = np.flatnonzero((np.abs(mapper.trajectory.poses.xyt - given) > 1e-6).any(axis=1))
+    assert moved.tolist() == [k for k in range(20) if k not in mapper.keys]
+    np.testing.assert_allclose(mapper.trajectory.poses.xyt[moved], np.tile(there, (len(moved), 1)), atol=1e-6)
 
 
 @pytest.mark.slow
