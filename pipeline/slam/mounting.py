@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlebag.datasets.se2 import SE2
+from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam.clouds import USABLE_M
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
@@ -76,13 +76,15 @@ def _stretches(recording: Recording) -> list[NDArray[np.int64]]:
 
 
 def _ways(recording: Recording, rows: NDArray[np.int64], noise: RangeNoise) -> NDArray[np.complex128]:
-    """Where a stretch ends seen from its begin, by the scans alone and by the odometry, x + iy [m]."""
+    """Where a stretch ends seen from its begin, by the scans alone and by the odometry, x + iy [m].
+
+    The way lies aside by half of what the robot turns: where scans and odometry differ in that, half of the
+    difference is no matter of how the laser is mounted, and taken off.
+    """
     T_odom = recording.T_odom_base
     assert T_odom is not None
     track = tracked_alone(recording, rows, noise).T_track_base
-    return np.array([_way(track[0], track[-1]), _way(T_odom[rows[0]], T_odom[rows[-1]])])
-
-
-def _way(begin: SE2, end: SE2) -> complex:
-    x, y = (begin.inverse() @ end).xy
-    return complex(x, y)
+    ends = (track[0].inverse() @ track[-1], T_odom[rows[0]].inverse() @ T_odom[rows[-1]])
+    seen, told = (complex(*end.xy) for end in ends)
+    aside = 0.5 * wrap(ends[0].yaw - ends[1].yaw)
+    return np.array([seen * np.exp(-1j * aside), told])

@@ -42,8 +42,9 @@ ROUNDS = 6
 # Turns that differ by this share, and by this much [rad], are not of one robot: the odometry of other drives
 # was off by 0.95 to 3.7 times what scans turned, that of 60 own ones by 0.01 to 0.6 times.
 UNLIKE, UNLIKE_RAD = 0.8, 0.03
-# Scans farther apart than this, tracked alone, lose turns: they are no judge of the odometry then (made logs
-# with a scan a second had theirs dropped, and came out 25 m off).
+# Scans farther apart than this [s], tracked alone, lose turns: they are no judge then of whose the odometry
+# is, nor of how the lidar sweeps (of the made logs with a scan a second, five had their odometry dropped and
+# one its sweeps turned round: 25 and 2.5 m off).
 JUDGES_S = 0.5
 
 
@@ -113,7 +114,8 @@ def compared_turns(recording: Recording) -> Timing:
         odometry=stream,
     )
     noise = range_noise(scans, USABLE_M)
-    late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual)
+    judges = usual <= JUDGES_S
+    late_s, over, sweep, others = 0.0, False, None, _sweeps(recording, usual) if judges else []
     for _ in range(ROUNDS):
         turns = _turns(scans, late_s, noise)
         found, against = _delay(turns)
@@ -129,8 +131,7 @@ def compared_turns(recording: Recording) -> Timing:
             sweep, scans = other, _sweeping(scans, other)
     interval = float(np.median(np.diff(stream.stamps_ns))) * 1e-9 if len(stream) > 1 else 0.0
     least_s = min(max(LEAST_S, interval), PERIOD_S)
-    alike = turns.alike or usual > JUDGES_S
-    return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, alike)
+    return Timing(late_s if abs(late_s) >= least_s else 0.0, over, sweep, turns.alike or not judges)
 
 
 def _sweeps(recording: Recording, usual_s: float) -> list[float]:

@@ -73,6 +73,13 @@ def test_a_robot_that_winds_along_is_seen_to_go_where_its_wheels_say():
     assert np.quantile(np.abs(np.angle(told / seen, deg=True)), 0.9) < 3.0
 
 
+def test_turns_that_scans_far_apart_lose_turn_no_laser():
+    """A way on a bend lies aside by half the turn: what one side misses of it was taken for the laser's."""
+    log = arena(2, "spiral").with_scans(slice(None, None, 5))
+    assert turned_by_deg(log.recording) == 0.0
+    assert turned_by_deg(said_turned(log, 35.0).recording) == 35.0
+
+
 def test_without_odometry_or_way_nothing_tells(log):
     r = log.recording
     standing = replace(r, T_odom_base=SE2(np.zeros((len(r), 3))))

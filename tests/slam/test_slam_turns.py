@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slam_drives import Drive, Lie, Sensor, Wheels, lds, make_log, sick
-from benchmarks.slam_logs import office_plan
+from benchmarks.slam_logs import arena, office_plan
 from turtlebag.datasets.bags.scans import turned_over
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.se2 import SE2
@@ -146,6 +146,15 @@ def test_a_lidar_that_sees_at_once_is_not_taken_for_one_that_turns():
     recording = drive(replace(lds(), range_max=8.0, time_increment=0.0)).recording
     stream = Trajectory(recording.stamps_ns, recording.T_odom_base)
     assert compared_turns(replace(recording, odometry=stream)) == IN_STEP
+
+
+@pytest.mark.slow
+def test_scans_a_second_apart_are_no_judge_of_how_a_lidar_sweeps():
+    log = arena(2, "spiral").recording
+    slow = slice(None, None, 5)
+    odometry = log.T_odom_base[slow]
+    recording = replace(log, stamps_ns=log.stamps_ns[slow], ranges=log.ranges[slow], T_odom_base=odometry)
+    assert compared_turns(recording) == IN_STEP
 
 
 @pytest.mark.slow
