@@ -76,7 +76,10 @@ class KernelCache(_Cache):
         for folder in folders() if self._on else ():
             kept = read_kept(folder / self._name(sig, target_context.codegen()))
             if kept is not None:
-                types, result = pickle.loads(kept)
+                try:
+                    types, result = pickle.loads(kept)
+                except (ImportError, AttributeError):  # the type of an argument stands in another module now
+                    return None
                 return CompileResult._rebuild(target_context, *result) if types == sig else None
         return None
 

@@ -23,11 +23,11 @@ from turtlebag.pipeline.conformance.room import (
 )
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
+from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
-from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 
 OFF_M, OFF_RAD = 0.1, 0.05

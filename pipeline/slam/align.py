@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner, sees
+from turtlebag.pipeline.slam.correspondences import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner, sees
 
 # Of a scan with more points than this every second, third, ... is aligned.
 MOST_POINTS = 400

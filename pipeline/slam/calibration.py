@@ -20,7 +20,7 @@ from turtlebag.pipeline.slam.align import (
     STEP_INFLATION,
 )
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.partners import FINE, ROUGH
+from turtlebag.pipeline.slam.correspondences import FINE, ROUGH
 from turtlebag.pipeline.slam.pose_graph import WEAK
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN
 from turtlebag.pipeline.slam.refine import match_pairs

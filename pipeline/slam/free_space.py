@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.clouds import Clouds
-from turtlebag.pipeline.slam.partners import relative_pose
+from turtlebag.pipeline.slam.correspondences import relative_pose
 from turtlebag.pipeline.slam.threads import in_parts
 
 # A point this near a wall of the other scan agrees with it; one that lies so far in front of all it saw there

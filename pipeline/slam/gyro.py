@@ -1,4 +1,4 @@
-"""The gyro as witness of rotation: it knows nothing of wheels, and does not slip.
+"""The gyro as evidence of rotation: it knows nothing of wheels, and does not slip.
 
 Where it proves itself - it turns with the odometry most of the time - each turn of the odometry that
 stands out from it is a slip, and the gyro's turn takes its place. All other turns stay the wheels' own:

@@ -16,9 +16,9 @@ from turtlebag.datasets import se3
 from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
+from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
 from turtlebag.pipeline.slam.front_end import Placed
-from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.track import HYPOTHESES
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.

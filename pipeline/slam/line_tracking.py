@@ -27,11 +27,11 @@ from turtlebag.pipeline.slam.align import (
 )
 from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import best_pose
+from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
-from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.track import confirms
 
 # Gauss-Newton steps from one start.
@@ -45,8 +45,9 @@ DOUBTED_SCANS, SURELY_THERE = 12, 0.92
 FITS = 0.25
 # Where the track may be lost the scan is searched for so far about [m, rad], in turns of so much [rad].
 LOST, LOST_STEP_RAD = 1.0, 0.035
-# What a surprising odometry weighs against the misfit of points, of all of which it counts like so many.
-SURPRISE = 0.01
+# What the odometry's normalised innovation squared (NIS, under a Cauchy kernel) weighs against the misfit of
+# points, of all of which it counts like so many.
+NIS_WEIGHT = 0.01
 
 
 @dataclass
@@ -170,12 +171,12 @@ class Lines:
             tried.append(start)
             result = align(course.clouds, scan, start, keys, poses, limits, Prior(prior, information, CAUCHY))
             e = between(prior, result.T_map_base.xyt)
-            surprise = np.log1p(e @ information @ e / CAUCHY**2)
+            nis = np.log1p(e @ information @ e / CAUCHY**2)
             # What the key scans could not see is half a miss: a place where all is seen again is likelier
             # than one that nobody saw, so odometry that jumps does not win by jumping out of sight.
             unseen = 1.0 - result.known
             fit = result.known * result.cost + unseen * (self._usual_cost + 0.5 * FITS)
-            cost = fit + SURPRISE * float(surprise)
+            cost = fit + NIS_WEIGHT * float(nis)
             if best is None or cost < best[2]:
                 best = (result, source, cost)
         return best

@@ -17,7 +17,7 @@ from turtlebag.datasets.se2 import Array
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import Clouds
 from turtlebag.pipeline.slam.correlative import points_in_map
-from turtlebag.pipeline.slam.partners import Limits
+from turtlebag.pipeline.slam.correspondences import Limits
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
 from turtlebag.pipeline.slam.correlative import best_pose, make_field
+from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
@@ -31,7 +32,6 @@ from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
-from turtlebag.pipeline.slam.partners import ROUGH
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 
 MATCHERS: dict[str, type[LoopMatch]] = {"lines": LineMatch, "open3d": Open3dMatch}

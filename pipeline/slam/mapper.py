@@ -30,7 +30,7 @@ from turtlebag.pipeline.slam.occupancy import make_grid
 from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
 from turtlebag.pipeline.slam.refine import refine
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.step_constraints import step_constraints
 
 # After every so many scans those that are no key scans are dropped, but for the last ones, which the front
 # end may come back to after a gap.

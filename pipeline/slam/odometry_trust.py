@@ -225,9 +225,7 @@ def _unlikely(recording: Recording, track: Track, unseen: NDArray[np.bool_]) -> 
     return np.asarray(unlikely | np.isin(dark, dark[turned[unseen[turned]]]))
 
 
-def unwitnessed(
-    recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]
-) -> Array:
+def unseen_way(recording: Recording, track: Track, noise: OdometryNoise, borders: NDArray[np.int64]) -> Array:
     """Metres of each step (n,) that nobody saw, by track or odometry, whichever says more; 0 elsewhere.
 
     Where scans are blind the odometry saw it, unless it is not believed there, or says what is unlikely.

@@ -10,9 +10,9 @@ import numpy as np
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import Clouds, point_information
+from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.loop_match import Stretch
 from turtlebag.pipeline.slam.open3d_loader import open3d
-from turtlebag.pipeline.slam.partners import Limits
 
 # Points farther apart than this [m] do not match; a loop of which fewer match, or that ICP on them moves
 # farther than this [m], [rad], is not confirmed.

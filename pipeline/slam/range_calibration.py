@@ -22,7 +22,7 @@ from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import NOTHING_M, Recording
 from turtlebag.pipeline.slam.align import NEIGHBOURS, STEP_INFLATION
 from turtlebag.pipeline.slam.clouds import UNSURE_RAD, Clouds
-from turtlebag.pipeline.slam.partners import FINE, Limits, partner_line, relative_pose
+from turtlebag.pipeline.slam.correspondences import FINE, Limits, partner_line, relative_pose
 from turtlebag.pipeline.slam.refine import RADIUS_M, overlapping_pairs
 
 # Lidars that see farther than this [m] time the light: nothing of theirs grows with the square of the range.

@@ -23,9 +23,9 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.free_space import free_space_violations
 from turtlebag.pipeline.slam.map_uncertainty import position_sigmas, shared_errors
 from turtlebag.pipeline.slam.occupancy import Certainty
-from turtlebag.pipeline.slam.odometry_trust import jumps, unwitnessed
+from turtlebag.pipeline.slam.odometry_trust import jumps, unseen_way
+from turtlebag.pipeline.slam.selfcheck_verdict import Verdict
 from turtlebag.pipeline.slam.track import HYPOTHESES, OdometryNoise, Track
-from turtlebag.pipeline.slam.verdict import Verdict
 
 # Key scans this near [m], and so many apart in time, are a revisit; so many are looked at. This share of
 # free-space violations marks a place as bad.
@@ -116,7 +116,7 @@ def check_map(
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
     reasons += _jumps(recording, track, T_map_base, borders)
-    unseen = unwitnessed(recording, track, noise, borders)
+    unseen = unseen_way(recording, track, noise, borders)
     asked, sigmas = position_sigmas(T_map_keys, constraints, shared_errors(track, constraints, unseen))
     sigma = float(sigmas.max())
     if sigma > LEAST_SURE_M:

@@ -49,7 +49,7 @@ from turtlebag.pipeline.slam.sessions import (
     joined_track,
     place_of,
 )
-from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks, track_breaks_of
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
@@ -328,7 +328,7 @@ def _joined(a: Session, b: Session, run: _Run) -> Session:
 
 
 def _with_sensors(recording: Recording, config: SlamConfig) -> tuple[Recording, SlamConfig]:
-    """The recording and settings cut down to the witnesses asked for; InputError without those needed."""
+    """The recording and settings cut down to the sensors asked for; InputError without those needed."""
     if not config.deskew:
         recording = replace(recording, lidar=replace(recording.lidar, time_increment=0.0))
     if config.sensors == "lidar" and config.front_end == "wheels":

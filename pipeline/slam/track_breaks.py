@@ -1,6 +1,6 @@
 """Where a track breaks: what neither scans nor odometry confirm may be anything.
 
-Between two scans the motion has two witnesses, the scans and the odometry. Where scans are missing for a
+Between two scans the motion is told twice, by the scans and by the odometry. Where scans are missing for a
 while, or one fits nothing that was seen before it, and the two do not surely confirm each other, the track
 is broken: the robot may be anywhere. Where scans are blind along a corridor, drift grows faster than
 elsewhere. Both say how far off a place may be when the robot returns to it.
@@ -32,8 +32,8 @@ SHORT_S, SURE_OVERLAP = 5.0, 0.8
 @dataclass(frozen=True, eq=False)
 class TrackBreaks:
     """Per step between successive key scans (keys - 1,): whether it is broken (nothing confirms it),
-    whether its witnesses contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last scan
-    before and the first after each break."""
+    whether scans and odometry contradict each other, whether odometry alone spoke. `gaps` (n, 2) are the last
+    scan before and the first after each break."""
 
     broken: NDArray[np.bool_]
     contradicted: NDArray[np.bool_]

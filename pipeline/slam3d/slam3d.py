@@ -113,7 +113,7 @@ def run_slam_3d(
 
 
 def _with_sensors(recording: Recording3D, config: Slam3dConfig) -> tuple[Recording3D, Slam3dConfig]:
-    """The recording and settings cut down to the witnesses asked for."""
+    """The recording and settings cut down to the sensors asked for."""
     if config.sensors == "lidar":
         return replace(recording, T_odom_base=None, odometry=None), config
     if config.sensors == "odometry":

@@ -19,7 +19,15 @@ from benchmarks.slam_cases import drive_cases
 from benchmarks.slam_detector import detection, detector_cases, judged, spread
 from benchmarks.slam_parts import NUMBERS, multiply_constant
 from benchmarks.workers import in_processes
-from turtlebag.pipeline.slam import align, calibration, partners, range_calibration, refine, scan_poses, steps
+from turtlebag.pipeline.slam import (
+    align,
+    calibration,
+    correspondences,
+    range_calibration,
+    refine,
+    scan_poses,
+    step_constraints,
+)
 from turtlebag.pipeline.slam.slam import SlamConfig
 
 
@@ -49,11 +57,11 @@ def test_every_number_of_the_sensitivity_study_is_one_there_is():
 
 
 def test_a_constant_is_multiplied_wherever_it_is_read(monkeypatch):
-    multiply_constant("partners.FINE.sigma", 2.0, monkeypatch.setattr)
+    multiply_constant("correspondences.FINE.sigma", 2.0, monkeypatch.setattr)
     multiply_constant("align.STEP_INFLATION", 0.5, monkeypatch.setattr)
-    for module in (partners, refine, range_calibration, calibration, scan_poses):
+    for module in (correspondences, refine, range_calibration, calibration, scan_poses):
         assert module.FINE == (0.1, 0.06, 15, 10**6)
-    for module in (align, refine, range_calibration, calibration, steps):
+    for module in (align, refine, range_calibration, calibration, step_constraints):
         assert module.STEP_INFLATION == 2.5
 
 

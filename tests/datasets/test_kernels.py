@@ -84,6 +84,23 @@ def test_a_kernel_follows_the_sources_it_has_inlined(tree):
     assert call(tree) == (4.0, 1)
 
 
+@pytest.mark.slow
+def test_a_kernel_is_compiled_again_when_the_type_of_an_argument_moves_to_another_module(tree):
+    """As when a module is renamed: what was kept names the old one."""
+    for module in ("box", "chest"):
+        (tree / f"turtlebag/{module}.py").write_text(
+            "from typing import NamedTuple\n\nclass Box(NamedTuple):\n    size: float\n"
+        )
+        (tree / "turtlebag/outer.py").write_text(
+            "from turtlebag.datasets.kernels import njit\n"
+            f"from turtlebag.{module} import Box\n\n"
+            "@njit(cache=True)\ndef size(box):\n    return box.size\n\n"
+            "def twice(x):\n    return 2.0 * size(Box(x))\n"
+        )
+        assert call(tree) == (6.0, 0)
+        (tree / f"turtlebag/{module}.py").unlink()
+
+
 def test_every_kernel_is_kept_by_a_key_of_its_own():
     found = {}
     for name in MODULES:

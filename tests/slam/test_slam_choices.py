@@ -15,13 +15,13 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information
+from turtlebag.pipeline.slam.correspondences import Limits
 from turtlebag.pipeline.slam.course import Course, track_log
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
 from turtlebag.pipeline.slam.line_match import LineMatch
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
 from turtlebag.pipeline.slam.loop_search import MATCHERS
-from turtlebag.pipeline.slam.partners import Limits
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
 from turtlebag.pipeline.slam.wheels import Wheels

@@ -1,4 +1,4 @@
-"""The gyro as witness of rotation: used where it proves itself, refused where it does not."""
+"""The gyro as evidence of rotation: used where it proves itself, refused where it does not."""
 
 from dataclasses import replace
 

@@ -27,9 +27,9 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.calibration import GROSS
 from turtlebag.pipeline.slam.clouds import make_clouds
 from turtlebag.pipeline.slam.consistency import _grow
+from turtlebag.pipeline.slam.correspondences import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner
 from turtlebag.pipeline.slam.free_space import violation_shares
 from turtlebag.pipeline.slam.odometry_trust import LIE_SIGMAS, RECENT, SEVERAL, OdometryTrust
-from turtlebag.pipeline.slam.partners import KERNEL_SIGMAS, MIN_NORMAL_DOT, Limits, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs
 from turtlebag.pipeline.slam.track import OdometryNoise
 

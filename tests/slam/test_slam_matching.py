@@ -23,7 +23,7 @@ from turtlebag.pipeline.slam.correlative import (
     make_field,
     points_in_map,
 )
-from turtlebag.pipeline.slam.partners import Limits, find_partner
+from turtlebag.pipeline.slam.correspondences import Limits, find_partner
 from turtlebag.pipeline.slam.refine import linearise_pairs, overlapping_pairs, pair_constraints
 from turtlebag.pipeline.slam.track import blind
 

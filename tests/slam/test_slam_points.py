@@ -17,7 +17,7 @@ from turtlebag.pipeline.slam.calibration import Calibration
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.open3d_icp import match_points
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
-from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.threads import WORTH_IT, in_parts
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 

@@ -16,7 +16,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.occupancy import Certainty
 from turtlebag.pipeline.slam.odometry_trust import disbelieved
 from turtlebag.pipeline.slam.selfcheck import check_map
-from turtlebag.pipeline.slam.steps import step_constraints
+from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import OdometryNoise, Track, TrackingConfig
 
 NONE = np.zeros(0, dtype=np.int64)

@@ -7,7 +7,7 @@ from tests.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction
 from turtlebag.pipeline.slam.calibration import Calibration
-from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, disbelieved, unwitnessed
+from turtlebag.pipeline.slam.odometry_trust import OdometryTrust, disbelieved, unseen_way
 from turtlebag.pipeline.slam.track import OdometryNoise, Track
 
 
@@ -76,11 +76,11 @@ def test_wheels_caught_lying_have_no_say_where_scans_see_little_either():
     doubted = disbelieved(log, track, OdometryNoise(), border)
     assert not doubted[:8].any()
     assert doubted[12:].all()
-    # what the scans saw needs no other witness
-    assert not unwitnessed(log, track, OdometryNoise(), border).any()
+    # what the scans saw needs no other evidence
+    assert not unseen_way(log, track, OdometryNoise(), border).any()
 
 
-def unwitnessed_along(step):
+def unseen_way_along(step):
     """Metres of each step (n,) [m] that nobody saw, where the scans after the thirtieth do not see ahead."""
     n = np.arange(len(step))
     poses = np.column_stack([np.cumsum(step), 0.0 * n, 0.0 * n])
@@ -90,14 +90,14 @@ def unwitnessed_along(step):
     track = Track(
         SE2(poses), n, none + 1.0, none, seen, source, np.diff(poses, axis=0), Calibration(), n >= 0
     )
-    return unwitnessed(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
+    return unseen_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64))
 
 
 def test_a_speed_that_no_scan_ever_confirmed_is_nobodys_word():
     """Wheels that spin in a bare corridor, at three times the robot's speed: 3.9 m off, and called good."""
     n = np.arange(100)
     step = np.interp(n, [40, 50, 60, 70], [0.1, 0.3, 0.3, 0.1])
-    way = unwitnessed_along(step * (n > 0))
+    way = unseen_way_along(step * (n > 0))
     np.testing.assert_allclose(way[45:66], step[45:66])
     assert not way[:39].any()
     assert not way[72:].any()
@@ -107,11 +107,11 @@ def test_wheels_that_turn_round_at_once_in_the_dark_are_not_believed_there():
     """They count backwards in a bare corridor: 5.3 m off, and called good. So are wheels that spin at
     once; those that stop may be right."""
     n = np.arange(60)
-    way = unwitnessed_along(np.where((n > 40) & (n <= 50), -0.1, 0.1) * (n > 0))
+    way = unseen_way_along(np.where((n > 40) & (n <= 50), -0.1, 0.1) * (n > 0))
     np.testing.assert_allclose(way[31:], 0.1)
     assert not way[:31].any()
-    assert unwitnessed_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
-    assert not unwitnessed_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
+    assert unseen_way_along(np.where((n > 40) & (n <= 50), 0.3, 0.1) * (n > 0))[31:].all()
+    assert not unseen_way_along(np.where((n > 40) & (n <= 50), 0.0, 0.1) * (n > 0)).any()
 
 
 @pytest.mark.filterwarnings("error")
@@ -121,7 +121,7 @@ def test_a_log_of_one_scan_has_no_way_to_see():
         SE2(np.zeros((1, 3))), np.zeros(1, np.int64), one, one, BLIND[None], np.zeros(1, np.int8),
         np.zeros((0, 3)), Calibration(), one > 0,
     )  # fmt: skip
-    assert unwitnessed(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
+    assert unseen_way(log, track, OdometryNoise(), np.zeros(0, dtype=np.int64)).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("seed", range(4))
