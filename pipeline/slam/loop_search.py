@@ -2,7 +2,7 @@
 
 Candidates come from distance, within what drift along the graph may have come to (`drift`); each is searched
 exhaustively (a few key scans together against the older place's field), aligned by a `LoopMatch`, and
-believed only after checks: score, overlap, where the search led, a second opinion, free-space violations.
+believed only after the checks of `loop_acceptance`.
 Along a direction the scans are blind in a loop says nothing; the graph takes each with a heavy-tailed kernel.
 """
 
@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from turtlebag.datasets.parts import chosen, part_of
 from turtlebag.datasets.se2 import SE2, Array, between
-from turtlebag.pipeline.slam.align import CAUCHY, LEAST_OVERLAP
+from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import KeyScans
 from turtlebag.pipeline.slam.consistency import Recognised
@@ -28,9 +28,9 @@ from turtlebag.pipeline.slam.correspondences import ROUGH
 from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
-from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed, require_alignment
+from turtlebag.pipeline.slam.loop_acceptance import judged
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM
 
@@ -129,8 +129,6 @@ BATCH = 48
 PLACES = 3
 # Cells and turns of the coarse search.
 CELL_M, TURN_RAD, MOST_TURN_RAD = 0.2, 0.03, 0.8
-# An alignment that ends farther from what the search found [m], [rad] went to another place.
-PEAK = 0.15
 
 
 class LoopSearch(ABC):
@@ -268,26 +266,10 @@ class LoopFinder(LoopSearch):
             return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
         found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
         require_alignment(self.matcher, found)
-        verdict = "accepted"
-        if found.overlap < LEAST_OVERLAP or found.agreement < config.min_overlap:
-            verdict = "low overlap"
-        elif np.abs(between(fine, found.T_map_base.xyt)).max() > PEAK:
-            verdict = "alignment left the peak"
-        elif not confirmed(self.matcher, self.clouds, query, place, found.T_map_base.xyt):
-            verdict = "open3d disagrees"
-        elif self._violation(query, place, found.T_map_base.xyt) > MOST_VIOLATIONS:
-            verdict = "free-space violations"
+        verdict = judged(found, fine, self.matcher, self.clouds, (query, place), config.min_overlap)
         return Loop(
             i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )
-
-    def _violation(self, query: Stretch, place: Stretch, T_j_i: Array) -> float:
-        """Mean share of free-space violations between two stretches, `query` at a pose (3,) in `place`."""
-        scans = np.concatenate([query.scans, place.scans])
-        poses = np.vstack([(SE2(T_j_i) @ SE2(query.T_about_scans)).xyt, place.T_about_scans])
-        a, b = np.arange(len(query.scans)), len(query.scans) + np.arange(len(place.scans))
-        pairs = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
-        return mean_violation(self.clouds, scans, poses, pairs, 0.0)
 
     def _stretch(self, about: int, members: NDArray[np.int64]) -> Stretch:
         """Some keys as seen from one."""

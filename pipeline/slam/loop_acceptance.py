@@ -1,0 +1,46 @@
+"""Whether a loop is believed: what is asked of an alignment before it enters the graph."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from turtlebag.datasets.se2 import SE2, Array, between
+from turtlebag.pipeline.slam.align import LEAST_OVERLAP, Alignment
+from turtlebag.pipeline.slam.clouds import Clouds
+from turtlebag.pipeline.slam.free_space import MOST_VIOLATIONS, mean_violation
+from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
+
+# An alignment that ends farther from what the search found [m], [rad] went to another place.
+PEAK = 0.15
+
+
+def judged(
+    found: Alignment,
+    searched: Array,
+    matcher: LoopMatch,
+    clouds: Clouds,
+    stretches: tuple[Stretch, Stretch],
+    min_overlap: float,
+) -> str:
+    """ "accepted", or why not: a verdict on the second of two stretches aligned with the first, from the pose
+    (3,) at which it was searched."""
+    query, place = stretches
+    T_j_i = found.T_map_base.xyt
+    if found.overlap < LEAST_OVERLAP or found.agreement < min_overlap:
+        return "low overlap"
+    if np.abs(between(searched, T_j_i)).max() > PEAK:
+        return "alignment left the peak"
+    if not confirmed(matcher, clouds, query, place, T_j_i):
+        return "open3d disagrees"
+    if _violation(clouds, query, place, T_j_i) > MOST_VIOLATIONS:
+        return "free-space violations"
+    return "accepted"
+
+
+def _violation(clouds: Clouds, query: Stretch, place: Stretch, T_j_i: Array) -> float:
+    """Mean share of free-space violations between two stretches, `query` at a pose (3,) in `place`."""
+    scans = np.concatenate([query.scans, place.scans])
+    poses = np.vstack([(SE2(T_j_i) @ SE2(query.T_about_scans)).xyt, place.T_about_scans])
+    a, b = np.arange(len(query.scans)), len(query.scans) + np.arange(len(place.scans))
+    pairs = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
+    return mean_violation(clouds, scans, poses, pairs, 0.0)
