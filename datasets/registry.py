@@ -154,7 +154,9 @@ def _downloaded(file: RemoteFile) -> Path:
             file.url, known_hash=f"sha256:{file.sha256}", fname=file.name, path=folder, progressbar=False
         )
     except ValueError:
-        raise InputError(f"{file.url}: what came is not the file of the registry (sha256)") from None
+        raise InputError(
+            f"{file.url}: the downloaded file does not have the sha256 of the registry"
+        ) from None
     except Exception as error:
         # requests, urllib3 and the file system each have their own families of errors.
         reason = type(error).__name__

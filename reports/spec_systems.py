@@ -42,7 +42,10 @@ SYSTEMS: tuple[Section, ...] = (
             "The same with height: the fit is in space (Umeyama's SE(3)).",
         ),
         Spec(
-            "ate_m.rmse", "ATE as it is, RMSE", "cm", "Without a fit: of use where both began in one frame."
+            "ate_m.rmse",
+            "ATE as it is, RMSE",
+            "cm",
+            "Without alignment: meaningful only if both start in the same frame.",
         ),
     ),
     section(
@@ -70,7 +73,7 @@ SYSTEMS: tuple[Section, ...] = (
     ),
     section(
         "Walls",
-        "Against {map_reference}, each map laid on it as well as it can be.",
+        "Against {map_reference}, each map after the best rigid alignment.",
         shared(
             "map.occupied_error_m.within_one_cell",
             "Occupied cells on or beside one of the other map: no invented walls.",

@@ -114,7 +114,7 @@ def _connections(found: Survey) -> Iterator[Finding]:
     scans = found.of_type(SCAN)
     if scans and "/tf_static" not in found.topics and not frames.fixed:
         what = "no /tf_static and no fixed link in /tf"
-        breaks = "the laser is taken to sit at the robot's centre; --laser X,Y,YAW tells its place"
+        breaks = "the laser is assumed at the robot's centre; --laser X,Y,YAW sets its pose"
         yield Finding("error", "no static transforms", what, breaks)
     base = found.base()
     for topic in scans:
@@ -151,7 +151,7 @@ def _scans(found: Survey) -> Iterator[Finding]:
             yield Finding("error", "beam angles", what, "the readings have no directions")
         elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
-            what = f"{name}: {n} readings, but angle_min, angle_max and the increment speak of {steps}"
+            what = f"{name}: {n} readings, but angle_min, angle_max and the increment imply {steps}"
             breaks = "slam_toolbox and Karto refuse such scans, others put each beam a little off"
             yield Finding("warning", "fence-post", what, breaks)
         sizes = sorted({size for _, size in scans.geometries})

@@ -137,8 +137,8 @@ def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: 
             return T
     known = ", ".join(sorted(frames.frames())) or "none"
     notes.append(
-        f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): the laser is taken "
-        "to sit upright at the robot's centre; --laser X,Y,YAW[,upside-down] says how it does"
+        f"no fixed transform {base} -> {sensor} (frames in /tf and /tf_static: {known}): assuming an "
+        "upright laser at the robot's centre; --laser X,Y,YAW[,upside-down] sets its pose"
     )
     return np.eye(4)
 

@@ -104,8 +104,8 @@ def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSp
     step, range_min, range_max = key.step(), key.range_min, key.range_max
     steps = (key.angle_max - key.angle_min) / step if step else 0.0
     if abs(steps - (key.n - 1)) > 0.5:
-        spoken = f"angle_max speaks of {round(steps) + 1} beams, the scans have {key.n}"
-        notes.append(f"{spoken}; the increment is believed")
+        spoken = f"angle_max implies {round(steps) + 1} beams, the scans have {key.n}"
+        notes.append(f"{spoken}; using the increment")
     if not (math.isfinite(range_min) and range_min >= 0.0):
         range_min = 0.0
     if not (math.isfinite(range_max) and range_max > range_min):

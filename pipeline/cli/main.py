@@ -189,5 +189,5 @@ def main(argv: Sequence[str] | None = None) -> int:
             said = parts.told_of(error) if parts else None
             if said is None or getattr(args, "verbosity", 0) > 0:
                 raise
-            print(f"turtlebag: {said} (-v shows the way there)", file=sys.stderr)
+            print(f"turtlebag: {said} (-v shows the traceback)", file=sys.stderr)
             return EXIT_INPUT

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--robot", metavar="R", help="robot: a name or a YAML file (default: the world's own)"
     )
     parser.add_argument("--seed", type=seed, metavar="N", help=f"random seed (default: {SEED})")
-    add_map(parser, "begin", required=False)
+    add_map(parser, "start", required=False)
     parser.add_argument(
         "--bag", type=Path, metavar="BAG", help="bag or log to play and map, in place of a simulation"
     )
@@ -134,7 +134,7 @@ def _replay(args: argparse.Namespace) -> int:
     from turtlebag.pipeline.stages.studio import replay
     from turtlebag.pipeline.terminal.messages import log
 
-    _refuse(args, LIVE, "not with --replay, whose file says it all; remove it")
+    _refuse(args, LIVE, "cannot be used with --replay, whose file holds it; remove it")
     if args.out is None:
         raise InputError("--replay: needs --out DIR, the folder to write the session to")
     return replay(args.replay, output(args), say=log.info)

@@ -36,8 +36,8 @@ def facing(recording: Recording) -> Recording:
         return recording
     x, y, yaw = recording.T_base_lidar.xyt
     said = (
-        f"the laser faces {turned_deg:.0f} degrees from where it is said to (judged by the way that scans "
-        "and odometry show); corrected"
+        f"the laser's yaw is {turned_deg:.0f} degrees from the recorded mounting (judged by the motion that "
+        "scans and odometry show); corrected"
     )
     T_base_lidar = SE2.from_xyt(x, y, yaw + np.deg2rad(turned_deg))
     return replace(recording, T_base_lidar=T_base_lidar, notes=(*recording.notes, said))

@@ -42,10 +42,16 @@ class OccupancyConfig(BaseModel):
     )
     min_hits: int = Field(default=2, ge=1, description="returns that make a cell occupied")
     behind_share: float = Field(
-        default=0.5, ge=0.0, le=1.0, description="of the hits of the wall before it: less is overshoot"
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        description="a cell behind a wall is occupied with at least this share of its hits",
     )
     before_share: float = Field(
-        default=0.25, ge=0.0, le=1.0, description="of the hits of the wall behind it: less fell short"
+        default=0.25,
+        ge=0.0,
+        le=1.0,
+        description="a cell before a wall is occupied with at least this share of its hits",
     )
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
     no_return_m: float = Field(

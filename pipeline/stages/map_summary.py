@@ -54,7 +54,7 @@ def tell_map(metrics: Mapping[str, Any], out: Path, seconds: float) -> bool:
     for line in map_lines(metrics, out, seconds):
         log.info(line)
     if bad and check["verdict"] == "good":
-        log.warning("the self-check found nothing wrong: is the truth that of this recording?")
+        log.warning("the self-check found nothing wrong: does the ground truth belong to this recording?")
     return not bad
 
 

@@ -143,10 +143,10 @@ def explore(run: Run, action: inputs.Explore) -> str:
 def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
     """Turn to and fro."""
     _localised(run, "wiggle")
-    run.end_task("ended: to turn to and fro")
+    run.end_task("ended: wiggle")
     assert run.pilot.localiser is not None
     task = Task("wiggle", run.stamp_ns, WiggleDriver(run.pilot.kit, run.pilot.localiser), on_map=True)
-    return _begin(run, task, "turn to and fro until the particles draw together")
+    return _begin(run, task, "wiggle until the particles converge")
 
 
 def cancel(run: Run, action: inputs.Cancel) -> str:

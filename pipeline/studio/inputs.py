@@ -219,7 +219,7 @@ class LoopAdd(Settings):
 
 
 class EditsClear(Settings):
-    """Forget what was said of loops."""
+    """Forget the loop edits."""
 
     do: Literal["edits_clear"] = "edits_clear"
 

@@ -156,7 +156,7 @@ class Playback:
             inputs.LoopShow: self._show,
             inputs.LoopReject: self._reject,
             inputs.LoopAdd: self._add,
-            inputs.EditsClear: lambda _: self._edited(Edits(), "loops are as the mapper finds them again"),
+            inputs.EditsClear: lambda _: self._edited(Edits(), "loop edits cleared"),
             inputs.Reset: lambda _: self._seek(inputs.Seek(t=0.0)),
             inputs.End: self._end,
         }
@@ -227,7 +227,7 @@ class Playback:
         self._trails["slam"].clear()
 
     def _build(self) -> str:
-        """Map the whole bag, with what was said of loops."""
+        """Map the whole bag, with the loop edits."""
         if self._built is not None and self._built[0] == self._edits and self._layer is self._built[1]:
             return "the map of the whole bag is shown already"
         try:
@@ -249,7 +249,7 @@ class Playback:
                 refused += 1
         check = result.check.as_metrics()
         told = f"{check['verdict']} map of {len(result.trajectory)} scans, {len(self._graph.loops)} loops"
-        return f"{told}; {refused} of those added not believed" if refused else told
+        return f"{told}; {refused} of the added loops rejected" if refused else told
 
     def _map_save(self, action: inputs.MapSave) -> str:
         """The map of the whole bag under a name, built first where it is not what was said since."""

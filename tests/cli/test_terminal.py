@@ -125,7 +125,7 @@ def test_a_map_ends_with_its_verdict_its_errors_and_its_files(tmp_path):
         ([], 0.15, "good", ""),
         (["it is bent"], 0.15, "doubtful", "doubtful map: it is bent"),
         (["it is bent"], 0.25, "bad", "doubtful map: it is bent"),
-        ([], 0.25, "bad", "is the truth that of this recording?"),
+        ([], 0.25, "bad", "does the ground truth belong to this recording?"),
     ],
 )
 def test_a_map_that_the_truth_denies_is_bad_whatever_the_mapper_believes(

@@ -155,7 +155,7 @@ def scanned(n=11, angles=(0.0, 1.0, 0.1), times=(0.0, 0.1), limits=(0.1, 8.0), *
         (scanned(angles=(0.0, 1.049, 0.1)), []),
         (
             scanned(angles=(0.0, 1.051, 0.1)),
-            ["11 readings, but angle_min, angle_max and the increment speak of 12"],
+            ["11 readings, but angle_min, angle_max and the increment imply 12"],
         ),
         (scanned(angles=(math.nan, 1.0, 0.1)), ["11 readings from nan rad on, 0.1 rad apart"]),
         (scanned(limits=(8.0, 8.0)), ["valid ranges 8..8 m"]),

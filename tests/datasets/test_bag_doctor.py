@@ -69,7 +69,7 @@ DEFECTS = {
     "gaps": (only("/scan", lambda k, m: None if 20 < k < 40 else m), "the longest 2.00 s"),
     "fence-post": (
         only("/scan", lambda k, m: spoiled_scan(k, m, angle_max=2.0 * math.pi)),
-        "speak of 361",
+        "imply 361",
     ),
     "empty scans": (
         only("/scan", lambda k, m: laser_scan(k * 10**8, np.full(360, np.nan)) if k < 5 else m),

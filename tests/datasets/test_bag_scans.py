@@ -99,7 +99,7 @@ def test_what_a_driver_leaves_out_is_made_up_for_and_said():
     assert notes == ["range_max is nan; 100 m used"]
     notes = []
     assert assemble([scan([1, 2, 3], 0.0, 0.5, angle_max=1.5)], notes)[1].n_beams == 3
-    assert notes == ["angle_max speaks of 4 beams, the scans have 3; the increment is believed"]
+    assert notes == ["angle_max implies 4 beams, the scans have 3; using the increment"]
     notes = []
     assemble([scan([1, 2, 3], 0.0, 0.5, angle_max=1.24)], notes)
     assert notes == []

@@ -164,8 +164,8 @@ def test_attributes_are_asked_of_a_part_that_is_made():
             ":Crooked: step: T_track_base must be an array of shape (3,), not an array of shape (2,)",
         ),
         ("Nothing", ":Nothing: step: must return a Placed, not None"),
-        ("Breaks", ", in step: KeyError: 'pose' (-v shows the way there)"),
-        ("Leaves", ", in step: SystemExit: bye (-v shows the way there)"),
+        ("Breaks", ", in step: KeyError: 'pose' (-v shows the traceback)"),
+        ("Leaves", ", in step: SystemExit: bye (-v shows the traceback)"),
         ("Godo", "has no class Godo"),
     ],
 )

@@ -35,7 +35,7 @@ def said_turned(log: Known, degrees: float) -> Known:
 def test_a_laser_said_to_face_elsewhere_is_turned_back(log, degrees):
     mended = facing(said_turned(log, degrees).recording)
     np.testing.assert_allclose(mended.T_base_lidar.xyt, log.recording.T_base_lidar.xyt, atol=1e-9)
-    assert f"the laser faces {degrees:.0f} degrees from where it is said to" in mended.notes[-1]
+    assert f"the laser's yaw is {degrees:.0f} degrees from the recorded mounting" in mended.notes[-1]
 
 
 def test_laser_turned_by_a_right_angle_makes_the_map_that_it_makes_unturned(log):

@@ -155,7 +155,7 @@ def test_a_file_with_a_time_beyond_the_bags_end_is_played_to_its_end(bag, tmp_pa
 @pytest.mark.slow
 def test_a_loop_that_is_added_wrongly_is_told_to_be_not_believed(played):
     played.apply(inputs.LoopAdd(scan=LAST, place=LAST // 3, pose=(1.0, 1.0, 0.8)))
-    assert played.apply(inputs.MapBuild()).endswith("1 of those added not believed")
+    assert played.apply(inputs.MapBuild()).endswith("1 of the added loops rejected")
     assert "not joined" in played.view().events[-2].text
     played.apply(inputs.LoopReject(scan=LAST, place=LAST // 3))
     assert played.view().bag.edits == ()
