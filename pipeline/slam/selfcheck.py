@@ -112,8 +112,7 @@ def check_map(
             "scans and odometry turn in opposite directions, and there is no gyro to decide: "
             "if the scans are right, this map is mirrored"
         )
-    # one that measured nothing at all is a gap, and judged as one
-    empty = np.count_nonzero(~track.usable & ~np.isnan(recording.ranges).all(axis=1))
+    empty = np.count_nonzero(~track.usable)
     if empty > MOST_WRONG * len(track.usable):
         reasons.append(f"{empty} scans see no surface")
     reasons += _jumps(recording, track, T_map_base, borders)

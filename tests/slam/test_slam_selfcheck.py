@@ -68,14 +68,6 @@ def test_scans_without_surfaces_are_counted(drive):
     assert reasons(drive, usable=np.arange(60) >= 4) == ("4 scans see no surface",)
 
 
-def test_scans_that_measured_nothing_are_gaps_and_no_scans_without_surfaces(drive):
-    """As of a lidar that hung, whose copies are taken out."""
-    log, clouds, track = drive
-    measured = np.arange(60)[:, None] >= 4
-    hung = replace(log, ranges=np.where(measured, log.ranges, np.float32(np.nan)))
-    assert reasons((hung, clouds, track), usable=measured[:, 0]) == ()
-
-
 def test_breaks_that_nothing_mends_are_named(drive):
     (reason,) = reasons(drive, breaks=np.array([12, 30]))
     assert reason.startswith("2 breaks where scans are missing")
