@@ -145,8 +145,8 @@ def test_the_end_of_the_session_is_the_end_of_the_command(tmp_path):
         (["--map", "no.yaml"], "no.yaml"),
         (["--set", "sim.wheels=9"], "sim.wheels"),
         (["--replay", "session.yaml"], "--replay: needs --out DIR"),
-        (["--replay", "session.yaml", "--out", "x", "--seed", "0"], "--seed: not with --replay"),
-        (["--replay", "session.yaml", "--out", "x", "--set", "sim.a=1"], "--set: not with --replay"),
+        (["--replay", "session.yaml", "--out", "x", "--seed", "0"], "--seed: cannot be used with --replay"),
+        (["--replay", "session.yaml", "--out", "x", "--set", "sim.a=1"], "--set: cannot be used with"),
         (["--replay", "session.yaml", "--out", "x"], "session.yaml: "),
     ],
 )
