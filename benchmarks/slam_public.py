@@ -25,6 +25,8 @@ from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.trajectory import associate
 
 RADISH = ("mit-csail", "fr079", "intel")
+# The hospital is 430 m wide and 630 m long.
+SETTINGS = {"fr-clinic_robotlaser": {"grid": {"resolution_m": 0.1}}}
 ENOUGH_RELATIONS = 300
 COLUMNS = ("scan matching", "RBPF", "Graph Mapping 2009", "Cartographer 2016")
 # Mean translational [m] / rotational [deg] error as published: scan matching, gmapping (RBPF), Graph
@@ -108,7 +110,7 @@ def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajecto
 
 def log_row(log: Path, files: Files) -> Row:
     """A public log."""
-    result, row = mapped(read(log))
+    result, row = mapped(read(log), SETTINGS.get(stem(log)))
     keep(files.kept(stem(log)), result.trajectory)
     picture(result.grid, files.out / "maps", stem(log))
     return row | scored(log, result.trajectory)

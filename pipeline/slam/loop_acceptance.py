@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
 PEAK = 0.15
 
 
-def judged(
+def loop_verdict(
     found: Alignment,
     searched: Array,
     matcher: LoopMatch,

@@ -29,7 +29,7 @@ from turtlebag.pipeline.slam.drift import drift_of, reach, read_at
 from turtlebag.pipeline.slam.edits import NO_EDITS, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_match import LineMatch
-from turtlebag.pipeline.slam.loop_acceptance import judged
+from turtlebag.pipeline.slam.loop_acceptance import loop_verdict
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.open3d_icp import Open3dMatch
 from turtlebag.pipeline.slam.pose_graph import GTSAM
@@ -266,7 +266,7 @@ class LoopFinder(LoopSearch):
             return Loop(i, j, fine, score, 0.0, 0.0, gate, "low score", np.eye(3))
         found = self.matcher.match(self.clouds, query, place, fine, ROUGH)
         require_alignment(self.matcher, found)
-        verdict = judged(found, fine, self.matcher, self.clouds, (query, place), config.min_overlap)
+        verdict = loop_verdict(found, fine, self.matcher, self.clouds, (query, place), config.min_overlap)
         return Loop(
             i, j, found.T_map_base.xyt, score, found.overlap, found.rmse, gate, verdict, found.information
         )

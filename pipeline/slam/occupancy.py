@@ -45,13 +45,13 @@ class OccupancyConfig(BaseModel):
         default=0.5,
         ge=0.0,
         le=1.0,
-        description="a cell behind a wall is occupied with at least this share of its hits",
+        description="behind a wall a cell stays occupied with at least this share of the wall's hits",
     )
     before_share: float = Field(
         default=0.25,
         ge=0.0,
         le=1.0,
-        description="a cell before a wall is occupied with at least this share of its hits",
+        description="before a wall a cell stays occupied with at least this share of the wall's hits",
     )
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
     no_return_m: float = Field(
