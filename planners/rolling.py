@@ -1,4 +1,4 @@
-"""A live layer that goes with the robot: a window of fixed size, whatever way it drives.
+"""An obstacle layer that goes with the robot: a window of fixed size, whatever way it drives.
 
 Nothing is known but what the scans show; beyond the window everything may be free. A goal out there
 is pursued by way of a place at the window's rim (as the planner of a rolling costmap needs it).
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap, ways_from
-from turtlebag.planners.live import NEVER, LiveLayer, Marking
+from turtlebag.planners.obstacle_layer import NEVER, Marking, ObstacleLayer
 from turtlebag.planners.planner import NoPath
 
 RIM_M = 0.8
@@ -25,8 +25,8 @@ IN_WINDOW = Marking(known=0.0, decay=60.0, obstacle_range=6.0, replan_s=0.3)
 """Nothing is known before, and there is always something new to see."""
 
 
-class RollingLayer(LiveLayer):
-    """Live obstacles in a square window in the odometry frame, moved by whole cells."""
+class RollingLayer(ObstacleLayer):
+    """Obstacles seen, in a square window in the odometry frame, moved by whole cells."""
 
     def __init__(
         self, centre: Array, side: float, resolution: float, shift: float, marking: Marking = IN_WINDOW
@@ -38,7 +38,7 @@ class RollingLayer(LiveLayer):
         super().__init__(_free_floor(corner, cells, resolution), marking)
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
-        """Move the window if need be, then take in a sweep as a live layer does."""
+        """Move the window if need be, then take in a sweep as an obstacle layer does."""
         self._move_to(origin.xy)
         super().update(now_s, origin, hits, passes)
 

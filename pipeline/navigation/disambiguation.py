@@ -21,7 +21,7 @@ from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tick, Tools
 from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import Costmap, ways_from
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import SPENT_M
 
 # Places looked at are so far apart, and have this much room beside the robot's radius, better the first:
@@ -34,8 +34,10 @@ class Disambiguation:
     """One drive, from where hypotheses were found until one of them is left."""
 
     def __init__(self, aliasing: Aliasing, poses: Sequence[SE2], tools: Tools, now_ns: int) -> None:
-        both = passable_under_all(tools.live.static, poses)
-        self.tools = dataclasses.replace(tools, live=LiveLayer(both, tools.live.marking), checker=PASSING)
+        both = passable_under_all(tools.obstacles.static, poses)
+        self.tools = dataclasses.replace(
+            tools, obstacles=ObstacleLayer(both, tools.obstacles.marking), checker=PASSING
+        )
         """With a layer of what is seen on the way, over the map under all hypotheses."""
         self._aliasing = aliasing
         self._hypotheses = PoseHypotheses(poses)
@@ -75,7 +77,7 @@ class Disambiguation:
 
     def _set_out(self, pose: SE2) -> GoalRunner | None:
         """To the nearest place where two of the hypotheses differ clearly; None when there is none."""
-        costmap, radius = self.tools.live.static, self.tools.model.circumscribed_radius
+        costmap, radius = self.tools.obstacles.static, self.tools.model.circumscribed_radius
         for room in ROOMS_M:
             place = nearest_difference(
                 self._aliasing, self._hypotheses.poses, costmap, radius + room, pose, self._visited

@@ -12,7 +12,7 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.goal_runner import Tick
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.interface import require_twist
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 
 
 class Task(Protocol):
@@ -77,9 +77,9 @@ class Driver(Task):
         """Drive again from the next step on, after the command that someone else gave last."""
         self._last = last
 
-    def _see(self, sweep: DeskewedScan, T_frame_odom: SE2, live: LiveLayer) -> None:
+    def _see(self, sweep: DeskewedScan, T_frame_odom: SE2, obstacles: ObstacleLayer) -> None:
         """Enter a sweep in the obstacle layer."""
-        live.update(
+        obstacles.update(
             sweep.stamp_ns * 1e-9,
             T_frame_odom @ sweep.T_odom_lidar,
             T_frame_odom @ sweep.hits_odom,

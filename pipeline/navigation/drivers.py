@@ -33,7 +33,7 @@ from turtlebag.planners.control.interface import Controller, require_twist
 from turtlebag.planners.control.monitor import CollisionMonitor
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.rolling import RollingLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.sim.robots import PERIOD_S, RobotSpec
@@ -52,14 +52,14 @@ class Kit:
     sensing: Sensing
     publisher: BagWriter
 
-    def tools(self, live: LiveLayer, config: NavigateConfig | None = None) -> Tools:
-        """Controller and monitor, on a costmap with live obstacles; `config` in place of the kit's own."""
+    def tools(self, obstacles: ObstacleLayer, config: NavigateConfig | None = None) -> Tools:
+        """Controller and monitor, on the obstacle layer; `config` in place of the kit's own."""
         config, model = config or self.config, self.robot.model
         return Tools(
             model=model,
             controller=make_controller(self.robot, config),
             monitor=CollisionMonitor(model),
-            live=live,
+            obstacles=obstacles,
             plan=config.plan,
             checker=config.goal_checker,
             recovery=config.recovery,
@@ -77,7 +77,7 @@ def make_navigator(
     parts = grid, lidar, robot.T_base_lidar, config.amcl
     amcl = make_localiser(config.localiser, *parts, stream(kit.seed, "amcl"))
     localiser = Localiser(amcl, kit.sensing.odometry, kit.publisher)
-    tools = kit.tools(LiveLayer(costmap))
+    tools = kit.tools(ObstacleLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
     finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, Guard(robot.model))
@@ -98,7 +98,7 @@ def make_explorer(kit: Kit, online: OnlineMap, end_s: float) -> ExploreDriver:
     """A driver that maps what it can reach, until a stamp at the latest [s]."""
     config = kit.config.model_copy(update={"goal_checker": ARRIVED})
     one_cell = np.zeros((1, 1), dtype=np.bool_)  # before anything was mapped
-    tools = kit.tools(LiveLayer(Costmap(one_cell, 1.0, SE2.identity())), config)
+    tools = kit.tools(ObstacleLayer(Costmap(one_cell, 1.0, SE2.identity())), config)
     return ExploreDriver(config.costmap, kit.sensing, online, tools, end_s)
 
 

@@ -20,7 +20,7 @@ from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.pipeline.slam.slam import SlamConfig
 from turtlebag.planners.control.goal_checker import GoalCheckerConfig
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.frontier import next_view
 
 # Clearance beyond the robot's circumscribed radius that ways must have [m]; the map is made anew after this
@@ -85,7 +85,7 @@ class ExploreDriver(Driver):
             if self._way is None:
                 return self._finish(observation)
         if sweep is not None:
-            self._see(sweep, self.online.T_map_odom, self.tools.live)
+            self._see(sweep, self.online.T_map_odom, self.tools.obstacles)
         return self._pursue(self._way.runner, observation)
 
     def stand_by(self, observation: Observation) -> None:
@@ -131,10 +131,10 @@ class ExploreDriver(Driver):
             return
         self.goal_index += 1
         publisher.goal(now, goal)
-        live = LiveLayer(costmap)
-        self.tools = dataclasses.replace(self.tools, live=live)
+        obstacles = ObstacleLayer(costmap)
+        self.tools = dataclasses.replace(self.tools, obstacles=obstacles)
         if self.sensing.sweep is not None:
-            self._see(self.sensing.sweep, self.online.T_map_odom, self.tools.live)
+            self._see(self.sensing.sweep, self.online.T_map_odom, self.tools.obstacles)
         runner = GoalRunner(self.tools, goal, self.tools.seed + 1_000_000 * self.goal_index)
         self._way = _Way(runner, now)
 

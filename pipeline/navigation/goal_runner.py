@@ -22,7 +22,7 @@ from turtlebag.planners.footprint import (
     sample_footprint,
 )
 from turtlebag.planners.global_plan import PlanConfig, plan_path
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.planner import NoPath
 from turtlebag.planners.tasks.recovery import PROGRESS_M, Ladder, Manoeuvre, ProgressWatch, RecoveryConfig
 from turtlebag.planners.tasks.sequence import Status
@@ -52,7 +52,7 @@ class Tools:
     model: RobotModel
     controller: Controller
     monitor: CollisionMonitor
-    live: LiveLayer
+    obstacles: ObstacleLayer
     plan: PlanConfig
     checker: GoalCheckerConfig
     recovery: RecoveryConfig
@@ -70,7 +70,7 @@ class Tools:
         """Factor 0..1 for a command, by the points seen and by the map."""
         if tick.stop:
             return 0.0
-        costmap = self.live.static
+        costmap = self.obstacles.static
         factor = self.monitor.limit(wanted, tick.points_base)
         if factor > 0.0:
             x, y, yaw = (costmap.T_grid_map @ tick.pose).xyt.tolist()
@@ -82,7 +82,7 @@ class Tools:
         """Room round the footprint [m] after a twist over an amount [m or rad]; -inf when it is held."""
         if self.passed(twist, tick) <= 0.5:
             return -np.inf
-        costmap = self.live.costmap
+        costmap = self.obstacles.costmap
         x, y, yaw = (costmap.T_grid_map @ tick.pose).xyt.tolist()
         after = moved(x, y, yaw, twist.v, twist.w, amount / max(abs(twist.v), abs(twist.w)))
         return float(footprint_clearance(costmap.clearance, costmap.resolution, self.samples, *after))
@@ -110,7 +110,7 @@ class _Recovery:
     """The manoeuvres of a robot that does not get on, and whether it has got on since."""
 
     def __init__(self, tools: Tools) -> None:
-        self.ladder = Ladder(tools.recovery, tools.live.clear)
+        self.ladder = Ladder(tools.recovery, tools.obstacles.clear)
         self.watch = ProgressWatch(tools.recovery.stuck_time)
         self.manoeuvre: Manoeuvre | None = None
         self._tools = tools
@@ -138,7 +138,7 @@ class _Recovery:
 
 
 class GoalRunner:
-    """One goal, in the frame of the live layer's costmap."""
+    """One goal, in the frame of the obstacle layer's costmap."""
 
     def __init__(self, tools: Tools, goal: SE2, seed: int) -> None:
         self.tools = tools
@@ -167,7 +167,7 @@ class GoalRunner:
             verdict = self._replan(tick)
             if verdict is not None or self._route is None:
                 return controller.brake(tick.last), verdict
-        wanted = controller.command(tick.pose, tick.last, self.tools.live.costmap)
+        wanted = controller.command(tick.pose, tick.last, self.tools.obstacles.costmap)
         require_twist(controller, "command", wanted)
         self.state = controller.state
         return self._guarded(wanted, tick), self._held_up(tick, wanted)
@@ -186,30 +186,30 @@ class GoalRunner:
         t, self._route = self.tools, None
         self._plans += 1
         try:
-            aim = t.live.aim(tick.pose, self.goal, t.model.circumscribed_radius + min(t.plan.margins))
+            aim = t.obstacles.aim(tick.pose, self.goal, t.model.circumscribed_radius + min(t.plan.margins))
             seed = self._seed + 1000 * self._plans
-            plan = plan_path(t.live.costmap, t.model, tick.pose, aim, t.plan, seed)
+            plan = plan_path(t.obstacles.costmap, t.model, tick.pose, aim, t.plan, seed)
         except NoPath as error:
             self.state = "plan"
-            if not t.live.marked:
+            if not t.obstacles.marked:
                 return Verdict("unreachable", str(error))
             return self._recovery.start(tick, f"blocked by an unmapped obstacle: {error}")
-        self._route = _Route(plan.poses, tick.now_ns, t.live.static, t.live.stands_in(self.goal))
+        self._route = _Route(plan.poses, tick.now_ns, t.obstacles.static, t.obstacles.stands_in(self.goal))
         t.controller.set_path(plan.poses)
         t.publisher.plan(tick.now_ns, plan.poses)
         return None
 
     def _blocked(self, route: _Route, tick: Tick) -> bool:
-        """Whether live obstacles stand on the path ahead, or it ends at the rim of a window now left.
+        """Whether obstacles seen stand on the path ahead, or it ends at the rim of a window now left.
 
         They do where the monitor would hold the footprint.
         """
-        live = self.tools.live
-        if live.static is not route.static and route.short:
+        obstacles = self.tools.obstacles
+        if obstacles.static is not route.static and route.short:
             return True
-        if not live.marked or tick.now_ns - route.planned_ns < live.marking.replan_s * 1e9:
+        if not obstacles.marked or tick.now_ns - route.planned_ns < obstacles.marking.replan_s * 1e9:
             return False
-        costmap = live.costmap
+        costmap = obstacles.costmap
         poses = np.ascontiguousarray((costmap.T_grid_map @ route.poses).xyt)
         x, y, _ = (costmap.T_grid_map @ tick.pose).xyt.tolist()
         clearance = path_clearance(

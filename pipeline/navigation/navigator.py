@@ -66,7 +66,7 @@ class NavigationDriver(Driver):
             if state is not State.DRIVE and not self.sequence.finished:
                 return self._find(finder, state, observation, span_ns)
         if sweep is not None and T_frame_odom is not None:
-            self._see(sweep, T_frame_odom, self.tools.live)
+            self._see(sweep, T_frame_odom, self.tools.obstacles)
         goal = self.sequence.update(now)
         self.goal_index = self.sequence.index if goal is not None else -1
         if self.sequence.finished:
@@ -104,7 +104,7 @@ class NavigationDriver(Driver):
         if self.finder is None or self.finder.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
             if sweep is not None and T_frame_odom is not None:
-                self._see(sweep, T_frame_odom, self.tools.live)
+                self._see(sweep, T_frame_odom, self.tools.obstacles)
         self.sequence.postpone(observation.stamp_ns - self._now)
         self._now = observation.stamp_ns
 
@@ -156,7 +156,7 @@ class NavigationDriver(Driver):
         goal = self.sequence.update(now)
         self.goal_index = -1 if goal is None else self.sequence.index
         if observation.scan is not None and self.sensing.sweep is not None:
-            self._see(self.sensing.sweep, T_map_odom, finder.comparison.tools.live)
+            self._see(self.sensing.sweep, T_map_odom, finder.comparison.tools.obstacles)
         T_odom_base = observation.odometry.T_odom_base
         stop = self._moving.stops(T_odom_base)
         command = finder.compare(self._tick(observation, T_map_odom @ T_odom_base, stop=stop))
@@ -173,7 +173,7 @@ class NavigationDriver(Driver):
 
     def _forget(self) -> None:
         """Drop what was planned and seen by a pose that was wrong."""
-        self.tools.live.clear()
+        self.tools.obstacles.clear()
         self._forget_route()
 
     def _forget_route(self) -> None:
@@ -196,10 +196,12 @@ class NavigationDriver(Driver):
 
     def _pursue(self, pursuit: _Pursuit, observation: Observation, pose: SE2) -> Twist:
         """The next step to a goal; one in an obstacle or off the map is rejected."""
-        now, live = observation.stamp_ns, self.tools.live
+        now, obstacles = observation.stamp_ns, self.tools.obstacles
         if pursuit.runner is None:
             self.tools.publisher.goal(now, pursuit.goal)
-            if not live.stands_in(pursuit.goal) and not fits(live.static, self.tools.model, pursuit.goal):
+            if not obstacles.stands_in(pursuit.goal) and not fits(
+                obstacles.static, self.tools.model, pursuit.goal
+            ):
                 self.sequence.close("rejected", "the goal is in an obstacle or off the map", now)
                 return self._stop("wait")
             seed = self.tools.seed + 1_000_000 * self.sequence.index
@@ -221,7 +223,7 @@ class NavigationDriver(Driver):
         arrived, doubtful = verdict.status == "reached", False
         if self.finder is not None:
             localiser = self.finder.localiser
-            doubtful = not fits(self.tools.live.static, self.tools.model, T_map_base)
+            doubtful = not fits(self.tools.obstacles.static, self.tools.model, T_map_base)
             doubtful = doubtful or (localiser.contradicted if arrived else localiser.amcl.lost)
             if doubtful and pursuit.doubted < self.finder.lost.config.restarts:
                 pursuit.doubted += 1

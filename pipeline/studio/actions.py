@@ -77,7 +77,7 @@ def pose_estimate(run: Run, action: inputs.PoseEstimate) -> str:
     """Tell the robot where it is."""
     navigation, _ = _on_map(run, "pose_estimate")
     pose = SE2.from_xyt(*action.pose)
-    require_on_map("pose_estimate", pose, navigation.tools.live.static, run.map_path)
+    require_on_map("pose_estimate", pose, navigation.tools.obstacles.static, run.map_path)
     navigation.told(pose, run.observation.odometry.T_odom_base)
     run.frame_changed()
     x, y, yaw = action.pose
@@ -103,7 +103,7 @@ def goal(run: Run, action: inputs.SetGoal) -> str:
         driver = make_mapless(pilot.kit, run.observation.odometry.T_odom_base, sequence)
         return _begin(run, Task("goal", run.stamp_ns, driver, sequence), "drive to a goal without a map")
     navigation = _localised(run, "goal")
-    costmap = navigation.tools.live.static
+    costmap = navigation.tools.obstacles.static
     require_free("goal", T_map_goal, costmap, pilot.kit.robot.model, run.map_path)
     run.end_task("ended: another goal was set")
     sequence = _sequence(run, [Waypoint(T_map_goal, "", action.pose)], SINGLE_GOAL)

@@ -14,7 +14,7 @@ from turtlebag.pipeline.slam.mapper import Mapper
 from turtlebag.pipeline.studio.tasks import Task
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 from turtlebag.planners.tasks.sequence import GoalSequence
 from turtlebag.sim.robots import PERIOD_S
 
@@ -78,7 +78,7 @@ class Pilot(Driver):
     def keep_out(self, costmap: Costmap) -> None:
         """The map that is loaded has other places to keep out of."""
         assert self.navigation is not None
-        self.navigation.use(self.kit.tools(LiveLayer(costmap)))
+        self.navigation.use(self.kit.tools(ObstacleLayer(costmap)))
 
     def begin(self, task: Task) -> None:
         """Do this from the next step on."""

@@ -27,7 +27,7 @@ from turtlebag.pipeline.studio.view import (
     Path,
     SectorMarks,
 )
-from turtlebag.planners.live import LiveLayer
+from turtlebag.planners.obstacle_layer import ObstacleLayer
 
 Made = TypeVar("Made")
 AHEAD_S, AHEAD_STEPS = 1.5, 16
@@ -159,10 +159,10 @@ class Visuals:
 
     def costmap(self) -> CostLayer | None:
         """What the robot plans on, with the obstacles that it sees."""
-        live = self._live()
-        if live is None:
+        layer = self._obstacle_layer()
+        if layer is None:
             return None
-        costmap, task, radius = live.costmap, self._pilot.task, self._pilot.kit.robot.model.inscribed_radius
+        costmap, task, radius = layer.costmap, self._pilot.task, self._pilot.kit.robot.model.inscribed_radius
         T = SE2.identity() if task is None else self._T_map_task(task)
         return self._cached.get("costmap", (costmap, self._frame), lambda: CostLayer(costmap, T, radius))
 
@@ -227,13 +227,13 @@ class Visuals:
         mapless = isinstance(task.driver, NavigationDriver) and task.driver.finder is None
         return self._pilot.T_map_odom if mapless else SE2.identity()
 
-    def _live(self) -> LiveLayer | None:
+    def _obstacle_layer(self) -> ObstacleLayer | None:
         driver = None if self._pilot.task is None else self._pilot.task.driver
         if isinstance(driver, NavigationDriver):
-            return driver.tools.live
+            return driver.tools.obstacles
         if self._pilot.task is not None and self._pilot.task.explorer is not None:
-            return self._pilot.task.explorer.tools.live
-        return None if self._pilot.navigation is None else self._pilot.navigation.tools.live
+            return self._pilot.task.explorer.tools.obstacles
+        return None if self._pilot.navigation is None else self._pilot.navigation.tools.obstacles
 
 
 def _graph(T_map_keys: SE2, constraints: Sequence[Constraint]) -> Graph:

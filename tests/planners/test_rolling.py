@@ -21,68 +21,68 @@ def window(side: float = 8.0) -> RollingLayer:
     return RollingLayer(np.zeros(2), side, 0.05, 1.0)
 
 
-def see(live: RollingLayer, now_s: float, x: float, hits) -> None:
-    live.update(now_s, SE2.from_xyt(x, 0.0, 0.0), np.asarray(hits, dtype=float).reshape(-1, 2), NOTHING)
+def see(layer: RollingLayer, now_s: float, x: float, hits) -> None:
+    layer.update(now_s, SE2.from_xyt(x, 0.0, 0.0), np.asarray(hits, dtype=float).reshape(-1, 2), NOTHING)
 
 
 def test_an_obstacle_stays_where_it_is_while_the_window_moves():
-    live, post = window(), np.array([[2.02, 1.03]])
+    layer, post = window(), np.array([[2.02, 1.03]])
     for k in range(3):
-        see(live, 0.1 * k, 0.0, post)
-    assert live.costmap.clearance_at(post)[0] == 0.0
+        see(layer, 0.1 * k, 0.0, post)
+    assert layer.costmap.clearance_at(post)[0] == 0.0
     for k in range(12):
-        see(live, 1.0 + 0.1 * k, 0.3 * k, [])
-    assert live.costmap.T_map_grid.x > -4.0 + 2.0
-    assert live.marked == 1
-    assert live.costmap.clearance_at(post)[0] == 0.0
-    assert live.costmap.clearance_at(np.array([2.32, 1.03])) == pytest.approx(0.3, abs=1e-6)
+        see(layer, 1.0 + 0.1 * k, 0.3 * k, [])
+    assert layer.costmap.T_map_grid.x > -4.0 + 2.0
+    assert layer.marked == 1
+    assert layer.costmap.clearance_at(post)[0] == 0.0
+    assert layer.costmap.clearance_at(np.array([2.32, 1.03])) == pytest.approx(0.3, abs=1e-6)
 
 
 def test_the_window_stays_as_large_as_it_was_however_far_the_robot_drives():
-    live = window()
+    layer = window()
     rng = np.random.default_rng(3)
     for k in range(400):
         x = 0.5 * k
         points = np.array([x, 0.0]) + rng.uniform(-3.0, 3.0, (40, 2))
-        see(live, 0.1 * k, x, points)
-        assert live.costmap.lethal.shape == (160, 160)
-        off = live.costmap.T_grid_map @ np.array([x, 0.0]) - 4.0
+        see(layer, 0.1 * k, x, points)
+        assert layer.costmap.lethal.shape == (160, 160)
+        off = layer.costmap.T_grid_map @ np.array([x, 0.0]) - 4.0
         assert np.abs(off).max() < 1.1
-    assert live.costmap.clearance_at(np.array([0.0, 0.0])) == 0.0
+    assert layer.costmap.clearance_at(np.array([0.0, 0.0])) == 0.0
 
 
 def test_what_left_the_window_is_forgotten():
-    live, post = window(4.0), np.array([[-1.5, 0.0]])
+    layer, post = window(4.0), np.array([[-1.5, 0.0]])
     for k in range(3):
-        see(live, 0.1 * k, 0.0, post)
-    assert live.marked == 1
-    see(live, 1.0, 3.0, [])
-    see(live, 1.1, 0.0, [])
-    assert live.marked == 0
+        see(layer, 0.1 * k, 0.0, post)
+    assert layer.marked == 1
+    see(layer, 1.0, 3.0, [])
+    see(layer, 1.1, 0.0, [])
+    assert layer.marked == 0
 
 
 def test_a_goal_beyond_the_window_is_made_for_round_a_wall():
-    live = window()
+    layer = window()
     wall = np.stack([np.full(81, 2.02), np.arange(-3.0, 1.05, 0.05) + 0.02], axis=1)
     for k in range(3):
-        see(live, 0.1 * k, 0.0, wall)
+        see(layer, 0.1 * k, 0.0, wall)
     goal, pose = SE2.from_xyt(12.0, -1.0, 0.0), SE2.from_xyt(0.0, 0.0, 0.0)
-    assert live.stands_in(goal)
-    aim = live.aim(pose, goal, 0.3)
+    assert layer.stands_in(goal)
+    aim = layer.aim(pose, goal, 0.3)
     assert float(aim.x) == pytest.approx(4.0 - 0.8, abs=0.1)
-    assert not live.stands_in(aim) or math.hypot(*(aim.xy - goal.xy)) < 10.0
+    assert not layer.stands_in(aim) or math.hypot(*(aim.xy - goal.xy)) < 10.0
     near = SE2.from_xyt(3.0, 0.0, 0.0)
-    assert live.aim(pose, near, 0.3) is near
+    assert layer.aim(pose, near, 0.3) is near
 
 
 def test_no_way_out_of_a_ring_of_obstacles_is_said_so():
-    live = window()
+    layer = window()
     angles = np.linspace(0.0, 2.0 * np.pi, 400)
     ring = 1.5 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for k in range(3):
-        see(live, 0.1 * k, 0.0, ring)
+        see(layer, 0.1 * k, 0.0, ring)
     with pytest.raises(NoPath, match="no path"):
-        live.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.2)
+        layer.aim(SE2.identity(), SE2.from_xyt(9.0, 0.0, 0.0), 0.2)
 
 
 @pytest.mark.parametrize("share", [0.002, 0.05, 0.6])

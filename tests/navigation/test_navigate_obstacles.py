@@ -9,7 +9,7 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
-from turtlebag.planners.live import LiveLayer, Marking
+from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 from turtlebag.planners.tasks.recovery import Ladder, ProgressWatch, RecoveryConfig
 from turtlebag.sim.robots import load_robot
@@ -17,43 +17,43 @@ from turtlebag.sim.robots import load_robot
 NOTHING = np.zeros((0, 2))
 
 
-def layer(**settings) -> LiveLayer:
-    return LiveLayer(costmap_from_grid(room(60, 60), CostmapConfig()), Marking(**settings))
+def layer(**settings) -> ObstacleLayer:
+    return ObstacleLayer(costmap_from_grid(room(60, 60), CostmapConfig()), Marking(**settings))
 
 
 def test_two_sweeps_mark_what_the_map_does_not_know_and_the_clearance_is_exact():
-    live = layer()
+    obstacles = layer()
     origin, hit = SE2.from_xyt(-0.2, 0.5, 0.0), np.array([[0.77, 0.52]])
-    live.update(0.0, origin, hit, NOTHING)
-    assert live.marked == 0
-    live.update(0.2, origin, hit, NOTHING)
-    assert live.marked == 1
-    expected = clearance_field(live.costmap.lethal, 0.05)
+    obstacles.update(0.0, origin, hit, NOTHING)
+    assert obstacles.marked == 0
+    obstacles.update(0.2, origin, hit, NOTHING)
+    assert obstacles.marked == 1
+    expected = clearance_field(obstacles.costmap.lethal, 0.05)
     near = expected < 1.0
-    np.testing.assert_allclose(live.costmap.clearance[near], expected[near], atol=1e-6)
+    np.testing.assert_allclose(obstacles.costmap.clearance[near], expected[near], atol=1e-6)
 
 
 def test_known_walls_are_not_marked():
-    live = layer()
+    obstacles = layer()
     wall = np.array([[-0.98, 0.5], [-0.95, 0.6], [-0.91, 0.7]])
     for k in range(4):
-        live.update(0.2 * k, SE2.from_xyt(0.3, 0.5, 0.0), wall, NOTHING)
-    assert live.marked == 0
+        obstacles.update(0.2 * k, SE2.from_xyt(0.3, 0.5, 0.0), wall, NOTHING)
+    assert obstacles.marked == 0
 
 
 def test_beams_that_pass_clear_and_time_forgets():
-    live = layer(decay=5.0)
+    obstacles = layer(decay=5.0)
     origin, hit = SE2.from_xyt(-0.2, 0.5, 0.0), np.array([[0.77, 0.52]])
     for k in range(3):
-        live.update(0.2 * k, origin, hit, NOTHING)
-    live.update(0.8, origin, NOTHING, np.array([[1.77, 0.54]]))
-    assert live.marked == 0
+        obstacles.update(0.2 * k, origin, hit, NOTHING)
+    obstacles.update(0.8, origin, NOTHING, np.array([[1.77, 0.54]]))
+    assert obstacles.marked == 0
     for k in range(3):
-        live.update(1.0 + 0.2 * k, origin, hit, NOTHING)
-    assert live.marked == 1
-    live.update(9.0, origin, NOTHING, NOTHING)
-    assert live.marked == 0
-    assert live.costmap is live.static
+        obstacles.update(1.0 + 0.2 * k, origin, hit, NOTHING)
+    assert obstacles.marked == 1
+    obstacles.update(9.0, origin, NOTHING, NOTHING)
+    assert obstacles.marked == 0
+    assert obstacles.costmap is obstacles.static
 
 
 def test_the_ladder_is_bounded_and_starts_again_after_progress():
@@ -193,6 +193,6 @@ def test_an_escape_from_a_corner_is_found_where_one_exists():
 
 
 def test_costmaps_of_a_live_layer_keep_their_frame():
-    live = layer()
-    assert isinstance(live.costmap, Costmap)
-    np.testing.assert_array_equal(live.costmap.T_map_grid.xyt, live.static.T_map_grid.xyt)
+    obstacles = layer()
+    assert isinstance(obstacles.costmap, Costmap)
+    np.testing.assert_array_equal(obstacles.costmap.T_map_grid.xyt, obstacles.static.T_map_grid.xyt)

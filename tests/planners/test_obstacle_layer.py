@@ -1,4 +1,4 @@
-"""Live obstacles, the rolling window and frontiers beside plain loops over beams and cells."""
+"""The obstacle layer, the rolling window and frontiers beside plain loops over beams and cells."""
 
 import math
 
@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import ENTRY_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
-from turtlebag.planners.live import NEVER, Beams, LiveLayer, Marking, _mark_and_clear
+from turtlebag.planners.obstacle_layer import NEVER, Beams, Marking, ObstacleLayer, _mark_and_clear
 from turtlebag.planners.rolling import (
     RIM_M,
     RollingLayer,
@@ -74,9 +74,9 @@ def empty(rows=40, cols=50, T=None):
 
 
 def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.35)
+    monkeypatch.setattr("turtlebag.planners.obstacle_layer.REACH_M", 0.35)
     config = Marking(hits=2, decay=5.0, known=0.0, obstacle_range=9.0)
-    layer = LiveLayer(empty(), config)
+    layer = ObstacleLayer(empty(), config)
     T = layer.static.T_map_grid
     origin, post = T @ SE2.from_xyt(1.05, 1.05, 1.0), T @ np.array([[2.55, 3.05]])
     for now, marked in ((0.0, 0), (1.0, 1), (5.9, 1)):
@@ -112,12 +112,12 @@ def test_a_layer_keeps_marks_for_their_time_and_counts_their_hits(monkeypatch):
     assert not layer.stands_in(goal)
 
 
-@pytest.mark.parametrize("live", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
-def test_near_live_cells_the_clearance_is_that_of_both(live, monkeypatch):
-    monkeypatch.setattr("turtlebag.planners.live.REACH_M", 0.8)
-    layer = LiveLayer(empty())
+@pytest.mark.parametrize("marked", [[(0, 0)], [(39, 49)], [(0, 7), (12, 49)], [(20, 20), (22, 25)]])
+def test_near_marked_cells_the_clearance_is_that_of_both(marked, monkeypatch):
+    monkeypatch.setattr("turtlebag.planners.obstacle_layer.REACH_M", 0.8)
+    layer = ObstacleLayer(empty())
     mask = np.zeros((40, 50), dtype=bool)
-    mask[tuple(np.transpose(live))] = True
+    mask[tuple(np.transpose(marked))] = True
     exact = clearance_field(layer.static.lethal | mask, RES)
     away = ndimage.distance_transform_edt(~mask) * RES
     found = layer._combined(mask).clearance

@@ -16,7 +16,7 @@ from turtlebag.planners.distance import distance_field
 NEVER = -1.0e9
 """Stamp [s] of a cell in which nothing was seen: before any run."""
 REACH_M = 1.2
-"""How far round live obstacles the clearance is computed anew: more room than that nobody asks for."""
+"""How far round obstacles seen the clearance is computed anew: more room than that nobody asks for."""
 
 
 class Marking(NamedTuple):
@@ -37,8 +37,8 @@ class Marking(NamedTuple):
 ON_MAP = Marking()
 
 
-class LiveLayer:
-    """Live obstacles over a static costmap of the same grid."""
+class ObstacleLayer:
+    """Obstacles that the lidar sees, over a static costmap of the same grid."""
 
     def __init__(self, static: Costmap, marking: Marking = ON_MAP) -> None:
         self.marking = marking
@@ -47,9 +47,9 @@ class LiveLayer:
         self._seen: NDArray[np.float64] = np.full(shape, NEVER)
         self._hits: NDArray[np.int16] = np.zeros(shape, dtype=np.int16)
         self.costmap = static
-        """The static map with the live obstacles of the last update."""
+        """The static map with the obstacles seen up to the last update."""
         self.marked = 0
-        """Number of live cells."""
+        """Number of cells with an obstacle seen."""
 
     def update(self, now_s: float, origin: SE2, hits: Array, passes: Array) -> None:
         """Take in a sweep: end points (n, 2) of beams that hit, and of those that met nothing, map frame.
@@ -61,10 +61,10 @@ class LiveLayer:
         ends = static.T_grid_map @ np.concatenate([hits, passes])
         beams = Beams(x, y, ends, len(hits), c.obstacle_range, c.known)
         _mark_and_clear(self._seen, self._hits, static.clearance, static.resolution, beams, now_s)
-        live = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
+        marked = (self._seen > now_s - c.decay) & (self._hits >= c.hits)
         self._hits[self._seen <= now_s - c.decay] = 0
-        self.marked = int(live.sum())
-        self.costmap = self._combined(live) if self.marked else static
+        self.marked = int(marked.sum())
+        self.costmap = self._combined(marked) if self.marked else static
 
     def aim(self, pose: SE2, goal: SE2, radius: float) -> SE2:
         """Where to plan to on the way from a pose to a goal: on a map, the goal itself."""
@@ -77,27 +77,27 @@ class LiveLayer:
         return False
 
     def clear(self) -> None:
-        """Forget all live obstacles."""
+        """Forget all obstacles seen."""
         self._seen[:] = NEVER
         self._hits[:] = 0
         self.marked = 0
         self.costmap = self.static
 
-    def _combined(self, live: Mask) -> Costmap:
-        """The lesser of both clearances: exact within REACH_M of the live cells, and so everywhere."""
+    def _combined(self, marked: Mask) -> Costmap:
+        """The lesser of both clearances: exact within REACH_M of the cells marked, and so everywhere."""
         static = self.static
-        rows, cols = np.flatnonzero(live.any(axis=1)), np.flatnonzero(live.any(axis=0))
+        rows, cols = np.flatnonzero(marked.any(axis=1)), np.flatnonzero(marked.any(axis=0))
         pad = math.ceil(REACH_M / static.resolution)
         window = (
             slice(max(rows[0] - pad, 0), rows[-1] + pad + 1),
             slice(max(cols[0] - pad, 0), cols[-1] + pad + 1),
         )
         # Of one layout, or it would be compiled once more.
-        near = distance_field(np.ascontiguousarray(live[window]), static.resolution)
+        near = distance_field(np.ascontiguousarray(marked[window]), static.resolution)
         clearance = static.clearance.copy()
-        # Beyond the reach the live obstacle's distance is cut short on purpose: nothing is that near.
+        # Beyond the reach a marked obstacle's distance is cut short on purpose: nothing is that near.
         np.minimum(clearance[window], near, out=clearance[window])
-        combined = Costmap(static.lethal | live, static.resolution, static.T_map_grid)
+        combined = Costmap(static.lethal | marked, static.resolution, static.T_map_grid)
         combined.__dict__["clearance"] = clearance
         return combined
 
