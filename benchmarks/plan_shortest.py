@@ -16,10 +16,10 @@ from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners import lattice
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice_search import BLOCKED, shortest
 from turtlebag.planners.oriented import pull
 from turtlebag.planners.smoothing import densify, path_length
-from turtlebag.planners.wavefront import wave
 
 
 class Lattice(lattice.Lattice):
@@ -37,7 +37,7 @@ class Lattice(lattice.Lattice):
         (r0, c0), (r1, c1) = ((int(T.y / res), int(T.x / res)) for T in ends)
         goals = np.array([(r1, c1, k) for k in range(lattice.N)])
         start = np.array([(r0, c0, np.argmax(np.cos(lattice.YAWS - float(ends[0].yaw))))])
-        rest = wave(self._floor.numbers != BLOCKED, r1, c1, np.inf)
+        rest = grid_distance(self._floor.numbers != BLOCKED, r1, c1, np.inf)
         path = shortest(self._floor, start, np.zeros(1), goals, rest)
         if len(path) == 0:
             return math.inf

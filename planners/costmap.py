@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
-from turtlebag.planners.distance import distance_field
-from turtlebag.planners.wavefront import Wave, wave
+from turtlebag.planners.distance_transform import distance_field
+from turtlebag.planners.grid_distance import GridDistance, grid_distance
 
 Mask = NDArray[np.bool_]
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
@@ -126,14 +126,14 @@ def nearest_free(free: Mask, xy: Array, reach: float) -> tuple[int, int] | None:
     return (int(cells[best, 0]), int(cells[best, 1])) if gap[best] <= reach else None
 
 
-def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> Wave | None:
+def ways_from(costmap: Costmap, T_map_base: SE2, radius: float) -> GridDistance | None:
     """How far each cell is from a pose for a disc of `radius` [m], along the floor [m]; inf: out of reach.
 
     None where the robot stands too near an obstacle.
     """
     free, res = costmap.clearance > radius, costmap.resolution
     start = nearest_free(free, costmap.T_grid_map @ T_map_base.xy / res, ENTRY_M / res)
-    return None if start is None else wave(free, *start, np.inf) * np.float32(res)
+    return None if start is None else grid_distance(free, *start, np.inf) * np.float32(res)
 
 
 def polygon_mask(costmap: Costmap, polygon_map: Array) -> Mask:

@@ -22,13 +22,13 @@ from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import COST_SCALING, Costmap, nearest_free
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.lattice import Lattice
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, solve
 from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.planner import GlobalPlanner, NoPath, Plan, require_plan
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import SPACING_M, Band, densify, path_length, relax, shortcut, with_headings
-from turtlebag.planners.wavefront import descend, wave
 
 BAND_PULL, BAND_PUSHES, BAND_SWEEPS = 0.5, (0.1, 0.05, 0.02, 0.0), 60
 """Weights and sweeps of the elastic band; a gentler push leaves the path shorter and nearer to the walls."""
@@ -263,7 +263,7 @@ class _Search:
     def to_goal(self, goal: tuple[int, int]) -> NDArray[np.float32]:
         """Distance from every cell to the goal's, in cells."""
         if self._from_goal is None or self._from_goal[0] != goal:
-            self._from_goal = goal, wave(self.free, goal[0], goal[1], np.inf)
+            self._from_goal = goal, grid_distance(self.free, goal[0], goal[1], np.inf)
         return self._from_goal[1]
 
     def connected(self, a: tuple[int, int], b: tuple[int, int]) -> bool:
@@ -290,7 +290,7 @@ class _Search:
         from_goal = self.to_goal(goal)
         limit = float(from_goal[start]) * INFORMED + 2.0
         # Informed set (Gammell et al. 2014) by distances along the floor instead of straight ones.
-        inside = wave(self.free, start[0], start[1], limit) + from_goal <= limit
+        inside = grid_distance(self.free, start[0], start[1], limit) + from_goal <= limit
         over_cells = self.grid_path(start, goal)
         floor = DiscFloor(self.field, self.resolution, self.radius, inside)
         raw = solve(floor, a, b, GOOD_ENOUGH * path_length(over_cells), ompl, seed)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice_search import BLOCKED, Floor, ends, flood, number_cells, shortest
 from turtlebag.planners.oriented import Ground, free_from, pull, turning
 from turtlebag.planners.smoothing import SPACING_M, densify
-from turtlebag.planners.wavefront import wave
 
 _REACH = range(-3, 4)
 HEADINGS = np.array(
@@ -56,7 +56,7 @@ class Lattice:
         if len(starts) == 0 or len(goals) == 0:
             return None
         row, col = (int(v) for v in np.floor(T_grid_goal.xy[::-1] / self._ground.res))
-        rest = wave(self._floor.numbers != BLOCKED, row, col, np.inf)
+        rest = grid_distance(self._floor.numbers != BLOCKED, row, col, np.inf)
         states = shortest(self._floor, starts, costs, goals, rest)
         if len(states) == 0:
             return None

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import Array
 from turtlebag.planners.footprint import Field32, footprint_free
+from turtlebag.planners.grid_distance import GridDistance
 from turtlebag.planners.oriented import Ground, drives, moves, turns
-from turtlebag.planners.wavefront import Wave
 
 BLOCKED, WIDE = -1, -2
 SLIP = 4.0
@@ -225,7 +225,7 @@ def _bits(floor: Floor, r: int, c: int, k: int) -> np.int64:
 
 @njit(cache=True)
 def shortest(
-    floor: Floor, starts: NDArray[np.int64], costs: Array, goals: NDArray[np.int64], rest: Wave
+    floor: Floor, starts: NDArray[np.int64], costs: Array, goals: NDArray[np.int64], rest: GridDistance
 ) -> NDArray[np.int64]:
     """States (n, 3) as column, row, heading (-1: any) of the cheapest way (A*, Hart 1968); empty: none.
 

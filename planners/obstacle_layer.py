@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.planners.costmap import Costmap, Mask
-from turtlebag.planners.distance import distance_field
+from turtlebag.planners.distance_transform import distance_field
 
 NEVER = -1.0e9
 """Stamp [s] of a cell in which nothing was seen: before any run."""

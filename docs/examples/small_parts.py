@@ -9,9 +9,9 @@ from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.driver import Driver
 from turtlebag.pipeline.slam.pose_graph import residuals
 from turtlebag.planners.control.interface import Ramped
+from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import path_length, with_headings
-from turtlebag.planners.wavefront import descend, wave
 from turtlebag.sim.shapes import box
 from turtlebag.sim.simulator import CONTROL_HZ
 from turtlebag.sim.world import World
@@ -60,7 +60,7 @@ class OverCells:
         start, goal = costmap.T_grid_map @ T_map_start, costmap.T_grid_map @ T_map_goal
         free = costmap.clearance > model.circumscribed_radius + 0.1
         (row, col), to = (tuple(np.floor(T.xy[::-1] / costmap.resolution).astype(int)) for T in (start, goal))
-        from_goal = wave(free, *to, np.inf)
+        from_goal = grid_distance(free, *to, np.inf)
         if not np.isfinite(from_goal[row, col]):
             raise NoPath("no path leads there")
         cells = descend(from_goal, row, col)[1:-1, ::-1]

@@ -19,7 +19,7 @@ from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ram
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit
 from turtlebag.planners.costmap import COST_SCALING, Costmap
-from turtlebag.planners.distance import distance_field
+from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import (
     Field32,
     FootprintSamples,
@@ -27,7 +27,7 @@ from turtlebag.planners.footprint import (
     footprint_clearance,
     sample_footprint,
 )
-from turtlebag.planners.wavefront import wave
+from turtlebag.planners.grid_distance import grid_distance
 
 
 class DwaConfig(Settings):
@@ -170,7 +170,9 @@ class Dwa(Ramped):
             s.inscribed + PASSAGE_M,
         ):
             free = costmap.clearance > radius
-            self._to_goal = wave(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(res)
+            self._to_goal = grid_distance(free, int(cells[-1, 0]), int(cells[-1, 1]), np.inf) * np.float32(
+                res
+            )
             if np.isfinite(self._to_goal[here[0], here[1]]):
                 break
         on = np.zeros(costmap.lethal.shape, dtype=bool)

@@ -14,9 +14,9 @@ from turtlebag.planners.control.along_path import arc_lengths, braked, curvature
 from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc
 from turtlebag.planners.control.monitor import depth_inside, free_time, moved, padded
 from turtlebag.planners.costmap import clearance_field
-from turtlebag.planners.distance import distance_field
+from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import field_at, footprint_clearance, sample_footprint
-from turtlebag.planners.wavefront import wave
+from turtlebag.planners.grid_distance import grid_distance
 
 RES = 0.05
 
@@ -245,7 +245,7 @@ def test_the_best_arc_is_the_cheapest_of_all_that_can_be_stopped_in_time(changed
         on = np.zeros((50, 50), dtype=bool)
         on[25, 25:] = True
         to_path = distance_field(on, RES)
-        to_goal = wave(clearance > 0.12, *rng.integers(5, 45, 2), np.inf) * np.float32(RES)
+        to_goal = grid_distance(clearance > 0.12, *rng.integers(5, 45, 2), np.inf) * np.float32(RES)
         pose = (*rng.uniform(1.05, 1.45, 2), rng.uniform(-3.0, 3.0))
         vs, ws = np.linspace(-0.3, 0.6, 7), np.linspace(-1.5, 1.5, 7)
         found = best_arc(

@@ -10,6 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import ENTRY_M, Costmap, clearance_field, nearest_free
 from turtlebag.planners.global_plan import NoPath
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.obstacle_layer import NEVER, Beams, Marking, ObstacleLayer, _mark_and_clear
 from turtlebag.planners.rolling import (
     RIM_M,
@@ -19,7 +20,6 @@ from turtlebag.planners.rolling import (
     _shifted,
 )
 from turtlebag.planners.tasks.frontier import SPENT_M, VIEW_M, frontiers, next_view
-from turtlebag.planners.wavefront import wave
 
 RES = 0.1
 
@@ -186,7 +186,7 @@ def test_a_goal_beyond_the_rim_is_made_for_by_the_shortest_way():
         pose = SE2.from_xyt(*rng.uniform(-0.5, 0.5, 2), 0.0)
         free = layer.costmap.clearance > radius
         start = nearest_free(free, (layer.costmap.T_grid_map @ pose.xy) / res, ENTRY_M / res)
-        ways = wave(free, *start, math.inf) * res
+        ways = grid_distance(free, *start, math.inf) * res
         best = (math.inf, None)
         inset = round(RIM_M / res)
         for r, c in np.ndindex(n, n):
@@ -243,7 +243,7 @@ def test_the_next_view_is_the_cheapest_less_what_its_frontier_is_worth(seed, mos
     costmap = Costmap(grid.cells != FREE, RES, grid.T_map_grid)
     robot = grid.T_map_grid @ SE2.from_xyt(2.5, 2.0, 0.0)
     start = standing(costmap, robot, 0.15)
-    ways = wave(costmap.clearance > 0.15, *start, np.inf) * RES
+    ways = grid_distance(costmap.clearance > 0.15, *start, np.inf) * RES
     spots = np.argwhere(labels > 0)
     spent = [grid.center_of(np.array([30, 16]))]
     best = (math.inf, None)

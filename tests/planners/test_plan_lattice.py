@@ -9,6 +9,7 @@ import pytest
 
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice import BACKWARDS, TURN
 from turtlebag.planners.lattice_search import (
     BLOCKED,
@@ -23,7 +24,6 @@ from turtlebag.planners.lattice_search import (
     shortest,
 )
 from turtlebag.planners.oriented import Ground, drives, moves, turns
-from turtlebag.planners.wavefront import wave
 
 RES = 0.05
 SHAPE = np.array([[-0.15, -0.06], [0.07, -0.06], [0.07, 0.06], [-0.15, 0.06]])
@@ -138,7 +138,7 @@ def test_the_way_through_the_lattice_is_the_cheapest(seed):
     found = 0
     for _ in range(4):
         goal = standing(floor, rng, (10, 19))
-        rest = wave(floor.numbers != BLOCKED, goal[0], goal[1], np.inf)
+        rest = grid_distance(floor.numbers != BLOCKED, goal[0], goal[1], np.inf)
         way = shortest(floor.args(), np.array(starts), costs, np.array([goal]), rest)
         if floor.state(*goal) not in reached:
             assert len(way) == 0
@@ -158,7 +158,7 @@ def test_of_several_goals_the_nearest_is_taken_and_a_start_that_is_a_goal_is_the
     floor = Room(0, share=0.0)
     start, near, far = (8, 6, 0), (8, 9, 0), (8, 15, 0)
     assert all(floor.numbers[s[:2]] == WIDE for s in (start, near, far))
-    rest = np.minimum(*(wave(floor.numbers != BLOCKED, *s[:2], np.inf) for s in (near, far)))
+    rest = np.minimum(*(grid_distance(floor.numbers != BLOCKED, *s[:2], np.inf) for s in (near, far)))
     way = shortest(floor.args(), np.array([start]), np.zeros(1), np.array([far, near]), rest)
     assert way.tolist() == [[c, 8, -1] for c in (6, 7, 8, 9)]
     at_once = shortest(

@@ -9,9 +9,9 @@ import pytest
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import clearance_field
 from turtlebag.planners.footprint import disc_segment_free, field_at, footprint_free
+from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.oriented import Ground, drives, free_from, moves, pull, turning, turns
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut, with_headings
-from turtlebag.planners.wavefront import descend, wave
 
 RES = 0.05
 LONG = np.array([[-0.2, -0.07], [0.1, -0.07], [0.13, 0.0], [0.1, 0.07], [-0.2, 0.07]])
@@ -120,7 +120,7 @@ def walk(field, seed):
     cells = np.argwhere(free)
     while True:
         start, goal = cells[rng.integers(len(cells), size=2)]
-        distance = wave(free, *start, np.inf)
+        distance = grid_distance(free, *start, np.inf)
         if 12.0 < distance[tuple(goal)] < np.inf:
             return (descend(distance, *goal)[:, ::-1] + 0.5) * RES
 
@@ -219,7 +219,7 @@ def test_a_path_in_the_open_is_free_and_one_whose_goal_is_not_is_nowhere():
 @pytest.mark.parametrize("seed", range(4))
 def test_descending_goes_to_the_least_of_the_eight_neighbours_each_time(seed):
     rng = np.random.default_rng(seed)
-    distance = wave(rng.random((20, 26)) > 0.25, 5, 6, np.inf)
+    distance = grid_distance(rng.random((20, 26)) > 0.25, 5, 6, np.inf)
     distance[7, 8] = 0.3  # a dip that leads nowhere
     starts = np.argwhere(np.isfinite(distance))
     for row, col in starts[rng.integers(len(starts), size=20)]:

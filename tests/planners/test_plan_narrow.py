@@ -14,11 +14,11 @@ from turtlebag.planners.control.monitor import padded
 from turtlebag.planners.costmap import Costmap
 from turtlebag.planners.footprint import footprint_free
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.lattice import HEADINGS, YAWS
 from turtlebag.planners.lattice_search import WIDE, Floor, ends
 from turtlebag.planners.ompl_planner import OmplConfig
 from turtlebag.planners.oriented import Ground, free_from
-from turtlebag.planners.wavefront import wave
 
 RES = 0.05
 WAFFLE = RobotModel(
@@ -103,7 +103,7 @@ def plain_joined(lethal: np.ndarray, corners: np.ndarray, a: tuple, b: tuple) ->
 
 def disc_joined(costmap: Costmap, radius: float, a: tuple, b: tuple) -> bool:
     free = costmap.clearance > radius
-    return bool(free[a[:2]] and free[b[:2]] and np.isfinite(wave(free, *b[:2], np.inf)[a[:2]]))
+    return bool(free[a[:2]] and free[b[:2]] and np.isfinite(grid_distance(free, *b[:2], np.inf)[a[:2]]))
 
 
 def pose_of(state: tuple) -> SE2:

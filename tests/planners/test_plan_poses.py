@@ -13,12 +13,12 @@ from turtlebag.planners import lattice
 from turtlebag.planners.control.dwa import Dwa, DwaConfig, numbers
 from turtlebag.planners.control.interface import ramped
 from turtlebag.planners.costmap import Costmap
-from turtlebag.planners.distance import distance_field
+from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import footprint_free
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.ompl_planner import OmplConfig
 from turtlebag.planners.pose_planner import solve_poses
 from turtlebag.planners.smoothing import path_length
-from turtlebag.planners.wavefront import wave
 
 RES = 0.05
 
@@ -109,7 +109,7 @@ def test_dwa_looks_at_the_floor_with_room_to_turn_and_else_with_less():
         controller._look_at(T @ SE2.from_xyt(1.2, y, 0.0), costmap)
         s = controller.samples
         radius = s.inscribed + 0.08 if tight else s.circumscribed + 0.04
-        expected = wave(costmap.clearance > radius, 46, 24, np.inf) * np.float32(RES)
+        expected = grid_distance(costmap.clearance > radius, 46, 24, np.inf) * np.float32(RES)
         np.testing.assert_array_equal(controller._to_goal, expected)
         on = np.zeros((60, 60), dtype=bool)
         on[[14, 22, 30, 38, 46], 24] = True

@@ -19,10 +19,10 @@ from turtlebag.planners.global_plan import (
     _without_repeats,
     plan_path,
 )
+from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import _bounds, iteration_limit
 from turtlebag.planners.oriented import Ground, free_from
 from turtlebag.planners.smoothing import densify, path_length, shortcut
-from turtlebag.planners.wavefront import descend, wave
 
 RES = 0.05
 
@@ -68,13 +68,13 @@ def test_cells_at_the_edge_are_cells_and_those_beyond_are_none():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_way_over_cells_is_the_waves_drawn_tight(seed):
+def test_the_way_over_cells_is_the_grid_distances_drawn_tight(seed):
     found = search(cluttered(seed), radius=0.1)
     cells = np.argwhere(found.free)
     rng = np.random.default_rng(seed)
     for a, b in rng.integers(len(cells), size=(8, 2)):
         start, goal = tuple(cells[a].tolist()), tuple(cells[b].tolist())
-        distance = wave(found.free, *goal, np.inf)
+        distance = grid_distance(found.free, *goal, np.inf)
         assert found.connected(start, goal) == bool(np.isfinite(distance[start]))
         np.testing.assert_array_equal(found.to_goal(goal), distance)
         if not found.connected(start, goal) or start == goal:
@@ -111,8 +111,8 @@ def test_the_planner_is_told_when_to_stop_and_the_way_over_the_cells_stands_in_f
         assert planner == by
     assert path_length(path) == pytest.approx(math.dist(a, b), rel=1e-3)
     # only floor on some way at most a tenth longer than the shortest, and two cells, is searched
-    limit = 1.1 * float(wave(found.free, *goal, np.inf)[start]) + 2.0
-    through = wave(found.free, *start, np.inf) + wave(found.free, *goal, np.inf)
+    limit = 1.1 * float(grid_distance(found.free, *goal, np.inf)[start]) + 2.0
+    through = grid_distance(found.free, *start, np.inf) + grid_distance(found.free, *goal, np.inf)
     np.testing.assert_array_equal(asked[-1], through <= limit)
     path, planner = found.run(goal, goal, 1)
     np.testing.assert_array_equal(path, [b, b])

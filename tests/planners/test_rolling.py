@@ -9,10 +9,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from turtlebag.datasets.se2 import SE2
-from turtlebag.planners.distance import distance_field
+from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.global_plan import NoPath
+from turtlebag.planners.grid_distance import grid_distance
 from turtlebag.planners.rolling import RollingLayer
-from turtlebag.planners.wavefront import wave
 
 NOTHING = np.zeros((0, 2))
 
@@ -97,7 +97,7 @@ def test_nothing_blocked_is_infinitely_far():
     assert np.all(np.isinf(distance_field(np.zeros((4, 6), dtype=bool), 0.05)))
 
 
-def test_the_wave_finds_dijkstras_lengths_up_to_its_limit():
+def test_the_grid_distance_finds_dijkstras_lengths_up_to_its_limit():
     rng = np.random.default_rng(2)
     free = ndimage.gaussian_filter(rng.normal(size=(40, 50)), 1.0) > -0.15
     row, col = np.argwhere(free)[600]
@@ -114,8 +114,8 @@ def test_the_wave_finds_dijkstras_lengths_up_to_its_limit():
         (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends))), shape=(free.size, free.size)
     )
     expected = dijkstra(graph.tocsr(), directed=False, indices=index[row, col]).reshape(free.shape)
-    np.testing.assert_allclose(wave(free, row, col, np.inf), expected, rtol=1e-5)
-    short = wave(free, row, col, 12.5)
+    np.testing.assert_allclose(grid_distance(free, row, col, np.inf), expected, rtol=1e-5)
+    short = grid_distance(free, row, col, 12.5)
     reached = expected <= 12.5
     np.testing.assert_allclose(short[reached], expected[reached], rtol=1e-5)
     assert not np.isfinite(short[expected > 14.0]).any()

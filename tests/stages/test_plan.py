@@ -9,9 +9,9 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid
 from turtlebag.planners.global_plan import NoPath, PlanConfig, fits, plan_path
+from turtlebag.planners.grid_distance import descend, grid_distance
 from turtlebag.planners.ompl_planner import DiscFloor, OmplConfig, _with_start, solve
 from turtlebag.planners.smoothing import Band, densify, path_length, relax, shortcut
-from turtlebag.planners.wavefront import descend, wave
 
 
 def walled_room() -> OccupancyGrid:
@@ -99,7 +99,7 @@ def test_a_plan_in_a_turned_map_is_the_turned_plan():
     assert turned.clearance_at(densify(b.poses.xy.copy(), 0.01)).min() > BURGER.circumscribed_radius
 
 
-def test_wave_distances_match_a_plain_relaxation():
+def test_grid_distances_match_a_plain_relaxation():
     rng = np.random.default_rng(8)
     free = rng.random((15, 20)) > 0.3
     free[3, 3] = True
@@ -119,12 +119,12 @@ def test_wave_distances_match_a_plain_relaxation():
         expected[3, 3] = 0.0
         if np.array_equal(before, expected):
             break
-    np.testing.assert_allclose(wave(free, 3, 3, np.inf), expected, rtol=1e-5)
+    np.testing.assert_allclose(grid_distance(free, 3, 3, np.inf), expected, rtol=1e-5)
 
 
-def test_descending_a_wave_walks_to_its_source_over_free_cells():
+def test_descending_the_grid_distance_walks_to_its_source_over_free_cells():
     free = costmap_from_grid(walled_room(), CostmapConfig()).clearance > 0.15
-    distance = wave(free, 20, 20, np.inf)
+    distance = grid_distance(free, 20, 20, np.inf)
     path = descend(distance, 20, 60)
     assert path[0].tolist() == [20, 60]
     assert path[-1].tolist() == [20, 20]

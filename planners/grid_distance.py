@@ -14,11 +14,12 @@ _STEPS = sorted(
 _DR, _DC = np.array(_STEPS).T.copy()
 _COST = np.hypot(_DR, _DC)
 
-Wave = NDArray[np.float32]
+GridDistance = NDArray[np.float32]
+"""What `grid_distance` gives: (rows, cols), in cells."""
 
 
 @njit(cache=True)
-def wave(free: NDArray[np.bool_], row: int, col: int, limit: float) -> Wave:
+def grid_distance(free: NDArray[np.bool_], row: int, col: int, limit: float) -> GridDistance:
     """Dijkstra over eight neighbours from one cell: distance in cells, inf where not reached.
 
     Stops where distances pass `limit`. The source itself counts as free. In place of a heap there
@@ -56,8 +57,8 @@ def wave(free: NDArray[np.bool_], row: int, col: int, limit: float) -> Wave:
 
 
 @njit(cache=True)
-def descend(distance: Wave, row: int, col: int) -> NDArray[np.int64]:
-    """Cells (n, 2) from (row, col) down a wave to its source."""
+def descend(distance: GridDistance, row: int, col: int) -> NDArray[np.int64]:
+    """Cells (n, 2) from (row, col) down a grid distance to its source."""
     rows, cols = distance.shape
     path = [(np.int64(row), np.int64(col))]
     r, c = row, col
