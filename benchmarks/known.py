@@ -151,11 +151,11 @@ class Known:
         late = self.times >= start
         return self.recorded(stamps_ns=self.recording.stamps_ns - np.where(late, round(seconds * 1e9), 0))
 
-    def shaken_stamps(self, share: float, spread: float, seed: int = 1) -> Known:
+    def shaken_stamps(self, share: float, std_s: float, seed: int = 1) -> Known:
         """The log with a share of stamps wrong, so that some go backwards (as Intel's)."""
         rng = stream(seed, "stamps")
         n = len(self.recording)
-        wrong = np.where(rng.random(n) < share, rng.normal(0.0, spread, n), 0.0)
+        wrong = np.where(rng.random(n) < share, rng.normal(0.0, std_s, n), 0.0)
         return self.recorded(stamps_ns=self.recording.stamps_ns + np.round(wrong * 1e9).astype(np.int64))
 
 

@@ -112,7 +112,7 @@ def detection(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def spread(rows: Sequence[Row]) -> Row:
+def accuracy(rows: Sequence[Row]) -> Row:
     """Figures of many maps with exact truth; m after a rigid fit."""
     done = [row for row in rows if "error" not in row]
     if not done:
@@ -140,13 +140,13 @@ def spread(rows: Sequence[Row]) -> Row:
 
 
 def by(*keys: str) -> Callable[[list[Row]], list[Row]]:
-    """A table of `spread`: all rows, and those of each value of some columns."""
+    """A table of `accuracy`: all rows, and those of each value of some columns."""
 
     def table(rows: list[Row]) -> list[Row]:
         parts = {"all": rows}
         for key in keys:
             for value in dict.fromkeys(row[key].partition(":")[0] for row in rows):
                 parts[value] = [row for row in rows if row[key].partition(":")[0] == value]
-        return [{"of": name, **spread(part)} for name, part in parts.items()]
+        return [{"of": name, **accuracy(part)} for name, part in parts.items()]
 
     return table

@@ -181,7 +181,7 @@ def _stands(floor: Floor, r: int, c: int, k: int, to: int) -> bool:
 def flood(floor: Floor, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> bool:
     """Whether the lattice joins any of some states (n, 3) with any of others (m, 3).
 
-    Spreads from both in turn: the smaller of two parts that are not joined says no.
+    Expands from both in turn: the smaller of two parts that are not joined says no.
     """
     n = len(floor.headings)
     reach = math.sqrt((floor.ground.corners**2).sum(axis=1).max())

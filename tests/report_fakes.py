@@ -83,8 +83,8 @@ def write_bag(
             if particles and k % 300 == 0:
                 bag.goal(stamp, SE2.from_xyt(*goals[k // 300], 0.0))
             if particles and k % 30 == 0:
-                spread = 0.4 * np.exp(-k / 150.0) + 0.02
-                bag.particles(stamp, SE2.from_array(truth[k].xyt + rng.normal(scale=spread, size=(200, 3))))
+                std = 0.4 * np.exp(-k / 150.0) + 0.02
+                bag.particles(stamp, SE2.from_array(truth[k].xyt + rng.normal(scale=std, size=(200, 3))))
     return stamps, truth, odometry
 
 

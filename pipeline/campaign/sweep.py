@@ -180,7 +180,7 @@ def _run(
     if left:
         progress.start()
         log.info(f"the page of how far it is: {where.runs.url}/{PAGE}")
-        found = start(_spread(left, campaign))
+        found = start(_interleaved(left, campaign))
         for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row
             if wall_s is not None:
@@ -203,7 +203,7 @@ def _told(found: Iterable[Done], total: int) -> Iterator[Done]:
             log.info(f"{done} of {total} cases, about {left_s / 60.0:.0f} min left")
 
 
-def _spread(left: Sequence[Case], campaign: Campaign) -> list[Case]:
+def _interleaved(left: Sequence[Case], campaign: Campaign) -> list[Case]:
     """The cases in such an order that those which share an output come one after the other's first: workers
     rather make two outputs than wait for one."""
     if not campaign.shared:

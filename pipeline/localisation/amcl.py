@@ -139,7 +139,7 @@ class Amcl:
     def initialise(
         self, T_map_base: SE2, covariance: Array | None = None, T_odom_base: SE2 | None = None
     ) -> None:
-        """Spread the cloud about a pose estimate (covariance (3, 3), default: initial_cov_*).
+        """Draw the cloud about a pose estimate (covariance (3, 3), default: initial_cov_*).
 
         With `T_odom_base`, the odometry now, `T_map_odom` is set at once; otherwise the pose is taken
         to hold at the next scan.
@@ -220,7 +220,7 @@ class Amcl:
         return math.hypot(x, y) >= self.config.update_min_d or abs(yaw) >= self.config.update_min_a
 
     def _pushed(self, scan: Scan, T_odom_base: SE2) -> Array | None:
-        """How far to spread the cloud (3,) where someone has pushed the standing robot; None otherwise."""
+        """Standard deviations (3,) to draw the cloud with after the standing robot was pushed; else None."""
         if not self.converged:
             return None
         beams = functools.cache(lambda: self._prepare(scan, T_start_end=None))

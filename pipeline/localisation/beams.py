@@ -59,7 +59,7 @@ def prepare(
     return Beams(points, origins, ranges[hit], silent_directions, silent_origins)
 
 
-def spread(count: int, most: int) -> NDArray[np.int64]:
+def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
     """At most `most` indices, evenly spaced over `count`."""
     if count <= most:
         return np.arange(count)

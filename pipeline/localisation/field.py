@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 
 FloatGrid = NDArray[np.float32]
@@ -145,5 +145,7 @@ class LikelihoodField:
 
     def weigh(self, poses: Array, beams: Beams) -> Array:
         """Log weights (n,) of poses (n, 3) in the map frame."""
-        points = (beams.points[spread(len(beams), self._max_beams)] * self._frame[3]).astype(np.float32)
+        points = (beams.points[evenly_spaced(len(beams), self._max_beams)] * self._frame[3]).astype(
+            np.float32
+        )
         return sum_over_beams(self._table, self._outside, self._frame, poses, points)

@@ -21,7 +21,7 @@ from turtlebag.pipeline.localisation.estimate import Estimate, narrow
 from turtlebag.pipeline.localisation.surfaces import fit_surfaces
 from turtlebag.pipeline.localisation.wall_filter import WallFilter
 
-# Less than this apart [m or rad], the two agree whatever the cloud's spread: its field is a cell coarse.
+# Less than this apart [m or rad], the two agree however wide the cloud is: its field is a cell coarse.
 LEAST_REACH = 0.08
 # Share of the alphas' standard deviation, at first and at least (all of it at most); how fast it follows the
 # scans' NIS, which it holds at this (below 1: residuals of one wall are alike), and the most one may say.

@@ -1,6 +1,6 @@
 """Finding the robot from nothing: poses drawn from what one scan says about the whole free space.
 
-A cloud of some thousand particles spread over a building has none near the truth to the width of the
+A cloud of some thousand particles drawn over a building has none near the truth to the width of the
 likelihood's peak. So candidates are annealed (Deutscher, Blake, Reid 2000; tempering as in Del Moral,
 Doucet, Jasra 2006): weighed by a flattened likelihood, resampled, shaken, weighed by a steeper one.
 As a source of the recovery's random particles this is sensor resetting (Lenser, Veloso 2000).
@@ -17,12 +17,12 @@ from turtlebag.datasets.grid import FREE, OccupancyGrid
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array, wrap
 from turtlebag.datasets.types import LidarSpec
-from turtlebag.pipeline.localisation.beams import Beams, spread
+from turtlebag.pipeline.localisation.beams import Beams, evenly_spaced
 from turtlebag.pipeline.localisation.field import DistanceField, FloatGrid, distance_field
 from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.localisation.sampling import effective_size, low_variance
 
-# Poses spread over the free space; the best are kept.
+# Poses drawn over the free space; the best are kept.
 CANDIDATES = 20000
 # Shaking after each stage: standard deviations [m and rad], and the particles left for the next.
 SHAKES = (0.10, 0.05, 0.03)
@@ -103,8 +103,8 @@ class GlobalSearch:
         return np.log(p).sum(axis=1)
 
     def _arguments(self, poses: Array, beams: Beams, most: int) -> tuple:
-        hits = spread(len(beams), most)
-        silent = spread(len(beams.silent_origins), int(SILENT_SHARE * most))
+        hits = evenly_spaced(len(beams), most)
+        silent = evenly_spaced(len(beams.silent_origins), int(SILENT_SHARE * most))
         starts = np.concatenate([beams.origins[hits], beams.silent_origins[silent]])
         ways = np.concatenate(
             [beams.points[hits] - beams.origins[hits], beams.silent_directions[silent] * self.range_max]

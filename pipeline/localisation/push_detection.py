@@ -25,8 +25,8 @@ OFF_M, OFF_RAD, BETTER_BY = 0.025, 0.03, 0.04
 # After a push every scan is held against the map for so long; after a look in vain there is a pause, which
 # doubles [scans].
 ALERT, LONGEST_PAUSE = 5, 32
-# The cloud is spread as far as the place found for a forced update, and at least so far [m] or OFF_RAD.
-LEAST_SPREAD_M = 0.05
+# The cloud is drawn as wide as the place found for a forced update, and at least so wide [m] or OFF_RAD.
+LEAST_STD_M = 0.05
 
 
 class PushDetector:
@@ -45,7 +45,7 @@ class PushDetector:
     def pushed(
         self, scan: Scan, T_odom_base: SE2, pose: Array, agreement: Callable[[Array], Array]
     ) -> Array | None:
-        """By how much to spread the cloud, (3,) standard deviations; None when nothing has happened.
+        """How wide to draw the cloud anew, (3,) standard deviations; None when nothing has happened.
 
         `pose` (3,) is the estimate, `agreement` says how well the map explains the scan from poses (n, 3).
         """
@@ -63,7 +63,7 @@ class PushDetector:
         self._reference = (scan.ranges.astype(np.float64), T_odom_base)
         self._alert, self._pause, self._next_pause = ALERT, 0, 0
         self.pushes += 1
-        return np.array([max(xy, LEAST_SPREAD_M), max(xy, LEAST_SPREAD_M), max(float(offset[2]), OFF_RAD)])
+        return np.array([max(xy, LEAST_STD_M), max(xy, LEAST_STD_M), max(float(offset[2]), OFF_RAD)])
 
     def _worth_a_look(self, scan: Scan, T_odom_base: SE2) -> bool:
         """Whether the view has changed for good, or has lately been found to shift."""

@@ -112,7 +112,7 @@ class WallFilter:
             if step < STEP_DONE:
                 break
         P_predicted = self._P[:POSE, :POSE].copy()
-        spread(self._x, self._P, state, before, last, information, gradient)
+        full_update(self._x, self._P, state, before, last, information, gradient)
         return nis(before[:POSE], P_predicted, self._x[:POSE], self._P[:POSE, :POSE])
 
     def _admit(self, seen: Indices) -> NDArray[np.int64]:
@@ -276,7 +276,7 @@ def _pull(before: Array, x: Array, information: Array, gradient: Array) -> Array
 
 
 @njit(cache=True)
-def spread(
+def full_update(
     x: Array,
     P: Array,
     state: NDArray[np.int64],

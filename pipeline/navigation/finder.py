@@ -19,7 +19,7 @@ JUMP = 0.25
 """An estimate that moves more than this [m or rad] with one scan was wrong before."""
 SURE = 10
 """Filter updates in a row without a doubt after which the robot is sure of where it is."""
-SPREAD = 0.05
+MOVED_STD = 0.05
 """Standard deviation [m and rad] of an estimate that was moved to the right hypothesis."""
 
 
@@ -150,7 +150,7 @@ class Finder:
     def _move_to(self, T_map_map: SE2) -> None:
         """Move the estimate if it is not there; that is no reason for doubt."""
         if not np.allclose(T_map_map.xyt, 0.0):
-            self.localiser.move(T_map_map, SPREAD**2 * np.eye(3))
+            self.localiser.move(T_map_map, MOVED_STD**2 * np.eye(3))
             self._T_map_odom, self.void = self.localiser.T_map_odom, True
 
 

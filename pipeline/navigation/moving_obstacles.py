@@ -15,7 +15,7 @@ from turtlebag.planners.control.monitor import depth_inside, padded
 
 BEFORE_NS = 350_000_000
 """Sweeps are compared over this long: at 0.3 m/s a thing has moved 10 cm, well beyond the noise."""
-BINS, SPREAD_BINS = 360, 2
+BINS, DILATION_BINS = 360, 2
 """Bearings of a profile; a beam stands for so many to both sides."""
 SHIFT_M = 0.06
 """A sweep that saw so much farther saw through the place."""
@@ -62,8 +62,8 @@ def profile(ends_lidar: Array) -> Array:
         bins = _bins(ends_lidar)
         np.minimum.at(ranges, bins, np.linalg.norm(ends_lidar, axis=1))
     ranges[np.isinf(ranges)] = 0.0
-    shifted = [np.roll(ranges, k) for k in range(-SPREAD_BINS, SPREAD_BINS + 1)]
-    return np.asarray(np.min(shifted, axis=0))
+    dilated = [np.roll(ranges, k) for k in range(-DILATION_BINS, DILATION_BINS + 1)]
+    return np.asarray(np.min(dilated, axis=0))
 
 
 def moved_points(sweep: DeskewedScan, T_odom_lidar: SE2, ranges: Array) -> Array:

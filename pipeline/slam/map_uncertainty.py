@@ -19,7 +19,7 @@ from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.pose_graph import mahalanobis
 from turtlebag.pipeline.slam.track import Track
 
-# So many keys are asked, evenly spread over the log.
+# So many keys are asked, evenly spaced over the log.
 ASKED = 50
 Shared = tuple[NDArray[np.int64], Array]
 """Constraints (k,), and what one standard deviation of errors that they share moves their ends by, in these
@@ -60,15 +60,15 @@ def position_sigmas(
     moved = scipy.linalg.block_diag(*lever.reshape(-1, 2, 3))
     rigid = np.linalg.qr(lever)[0]
     moved -= rigid @ (rigid.T @ moved)
-    spread = moved @ answers((np.arange(3 * n) == row).astype(float) for row in rows) @ moved.T
+    covariance = moved @ answers((np.arange(3 * n) == row).astype(float) for row in rows) @ moved.T
     for of, errors in shared:
         pulls = weights[of] @ plane_motions(T_map_keys.xyt[j[of]]) @ errors
         pushes = np.zeros((n, 3, errors.shape[2]))
         np.add.at(pushes, j[of], pulls)
         np.subtract.at(pushes, i[of], pulls)
         together = moved @ answers(pushes.reshape(3 * n, -1).T)
-        spread += together @ together.T
-    xx, yy, xy = np.diag(spread)[0::2], np.diag(spread)[1::2], np.diag(spread, 1)[0::2]
+        covariance += together @ together.T
+    xx, yy, xy = np.diag(covariance)[0::2], np.diag(covariance)[1::2], np.diag(covariance, 1)[0::2]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
     return asked, np.sqrt(np.maximum(largest, 0.0))
 

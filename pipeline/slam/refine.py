@@ -110,7 +110,7 @@ def overlapping_pairs(
     T_map_keys: SE2, radius: float, neighbours: int, alike: int = ALIKE
 ) -> NDArray[np.int64]:
     """Pairs (n, 2), i < j, of keys near each other: for each key the two beside it in time and its
-    nearest ones, spread over the visits to the place rather than taken from the last one only: of keys
+    nearest ones, distributed over the visits to the place rather than taken from the last one only: of keys
     that follow each other, those up to `alike` from one taken are left out."""
     n = len(T_map_keys)
     tree = scipy.spatial.cKDTree(T_map_keys.xy)

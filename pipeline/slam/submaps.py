@@ -22,7 +22,7 @@ from turtlebag.pipeline.slam.correlative import points_in_map
 # keys, or points on surfaces, it is none.
 HALF_KEYS, STRIDE = 8, 6
 LEAST_KEYS, LEAST_POINTS = 6, 200
-# It reaches so far from its middle [m]; its picture has cells of this size [m], points spread so far.
+# It reaches so far from its middle [m]; its picture has cells of this size [m], points blurred so far.
 REACH_M, RESOLUTION_M, BLUR_CELLS = 10.0, 0.25, 1
 # A picture is so wide: twice the reach, the shifts looked at and what wraps around; they go so far. [cells]
 CELLS = 128

@@ -180,8 +180,8 @@ class _Turns(NamedTuple):
     @property
     def sigma(self) -> float:
         """Standard deviation at the best delay [rad]."""
-        spread = np.median(np.abs(self.off), axis=2).min() if len(self.stretch) else 0.0
-        return max(PER_MEDIAN * float(spread), 1e-3)
+        deviation = np.median(np.abs(self.off), axis=2).min() if len(self.stretch) else 0.0
+        return max(PER_MEDIAN * float(deviation), 1e-3)
 
     @property
     def alike(self) -> bool:

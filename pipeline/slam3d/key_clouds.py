@@ -34,7 +34,7 @@ class Keys:
 
 
 def thinned(values: NDArray[Any], most: int) -> NDArray[Any]:
-    """About `most` of the values (n, ...), evenly spread."""
+    """About `most` of the values (n, ...), evenly spaced."""
     return np.ascontiguousarray(values[:: max(1, len(values) // most)])
 
 

@@ -23,7 +23,7 @@ MAX_CELLS = 24_000_000
 NOISE_M = 0.01
 """Least standard deviation of a surfel [m]."""
 FLATNESS = 4.0
-"""A surfel's spread along itself is at least this many times (in variance) that across."""
+"""A surfel's variance along itself is at least this many times that across."""
 MIN_POINTS = 5
 SETTLED = 5e-5
 """Alignment ends when a step is smaller [rad, m]."""

@@ -154,7 +154,7 @@ class Run:
 
     def _task_over(self, task: Task) -> None:
         if isinstance(task.driver, WiggleDriver):
-            self.say(task.driver.spread)
+            self.say(task.driver.convergence)
         explorer = task.explorer
         grid = None if explorer is None else explorer.grid
         metrics = self.room.run_log.end(task, grid)

@@ -66,7 +66,7 @@ class WiggleDriver(Driver):
         self._limits = SpeedLimits.of(model, PERIOD_S)
 
     @property
-    def spread(self) -> str:
+    def convergence(self) -> str:
         """How narrow the cloud is, for people."""
         amcl = self._localiser.amcl
         assert isinstance(amcl, Amcl)

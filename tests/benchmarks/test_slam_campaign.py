@@ -16,7 +16,7 @@ from benchmarks.disturb import KINDS, SCORED
 from benchmarks.numbers import counted
 from benchmarks.rows import Case, Rows
 from benchmarks.slam_cases import drive_cases
-from benchmarks.slam_detector import detection, detector_cases, judged, spread
+from benchmarks.slam_detector import accuracy, detection, detector_cases, judged
 from benchmarks.slam_parts import NUMBERS, multiply_constant
 from benchmarks.workers import in_processes
 from turtlebag.pipeline.slam import (
@@ -174,9 +174,9 @@ def test_code_is_the_same_code_when_only_its_comments_change(tmp_path, monkeypat
 def test_figures_of_many_maps_count_those_far_off_and_what_was_said_of_them():
     drive = {"m": 0.01, "worst_m": 0.04, "anchored_worst_m": 0.04, "cpu_s": 1.0, "verdict": "good"}
     bad = {**drive, "worst_m": 0.3, "anchored_worst_m": 0.3}
-    found = spread([drive, bad, {"error": "x"}])
+    found = accuracy([drive, bad, {"error": "x"}])
     assert (found["maps"], found["errors"], found["under 10 cm"], found["of these good"]) == (2, 1, 1, 1)
-    assert spread([{"error": "x"}]) == {"maps": 0, "errors": 1}
+    assert accuracy([{"error": "x"}]) == {"maps": 0, "errors": 1}
 
 
 def test_numbers_that_somebody_chose_are_counted():

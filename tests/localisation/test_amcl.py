@@ -170,13 +170,13 @@ def test_scans_that_agree_less_than_they_once_did_are_worth_a_second_look_now_an
 
 
 @pytest.mark.parametrize(
-    ("alphas", "spread"),
+    ("alphas", "std"),
     [
         ({"alpha2": 0.04}, (0.0, 0.2 * 0.5)),  # turns in proportion to the way
         ({"alpha3": 0.04}, (0.2 * 0.5, 0.0)),  # the way in proportion to the way
     ],
 )
-def test_what_the_alphas_spread_is_what_their_names_say(room, log, alphas, spread):
+def test_what_the_alphas_add_is_what_their_names_say(room, log, alphas, std):
     """Straight on by 0.5 m: standard deviations of the way and of the heading at its end, without a scan."""
     none = dict.fromkeys(("alpha1", "alpha2", "alpha3", "alpha4"), 0.0)
     amcl = make(room, refine=False, **{**none, **alphas})
@@ -186,9 +186,9 @@ def test_what_the_alphas_spread_is_what_their_names_say(room, log, alphas, sprea
     amcl.update(blind, start)
     amcl.update(blind, start @ SE2.from_xyt(0.5, 0.0, 0.0))
     x, y, yaw = amcl.particles.xyt.T
-    assert np.hypot(x - 1.5, y - 1.5).std() == pytest.approx(spread[0], rel=0.1, abs=1e-9)
+    assert np.hypot(x - 1.5, y - 1.5).std() == pytest.approx(std[0], rel=0.1, abs=1e-9)
     # the turn before the way and the turn after it
-    assert yaw.std() == pytest.approx(np.sqrt(2.0) * spread[1], rel=0.1, abs=1e-9)
+    assert yaw.std() == pytest.approx(np.sqrt(2.0) * std[1], rel=0.1, abs=1e-9)
 
 
 @pytest.mark.parametrize(("interval", "resampled"), [(1, True), (1000, False)])

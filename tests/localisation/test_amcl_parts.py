@@ -23,7 +23,7 @@ def test_the_limits_of_the_ranges_are_the_lidars_or_narrower():
     assert filter_.search.range_max == 2.0
 
 
-def test_a_cloud_is_spread_about_the_pose_it_was_told():
+def test_a_cloud_is_drawn_about_the_pose_it_was_told():
     filter_ = made(max_particles=20000, initial_cov_xx=0.04, initial_cov_yy=0.09, initial_cov_aa=0.01)
     odometry = SE2.from_xyt(-1.0, 3.0, 2.0)
     told = SE2.from_xyt(2.0, 2.0, 3.1)

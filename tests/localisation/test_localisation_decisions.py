@@ -53,7 +53,7 @@ def watched(changes, agreement=None, odometry=None):
 
 def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     _, told = watched([0.0, 0.1, 0.0, 0.1, 0.1])
-    assert [spread is not None for spread in told] == [False, False, False, False, True]
+    assert [std is not None for std in told] == [False, False, False, False, True]
     np.testing.assert_allclose(told[-1], [0.3, 0.3, standing.OFF_RAD], atol=0.011)
     # after it every scan is held against the map for a while, though the view stays as it is now
     looks = []
@@ -66,13 +66,13 @@ def test_a_push_is_looked_for_when_two_scans_in_a_row_see_otherwise():
     for k in range(12):
         scan = Scan(0, np.full(20, 1.1 if k else 1.0, np.float32), STILL_LIDAR)
         out.append(watch.pushed(scan, SE2.identity(), np.zeros(3), found_once))
-    assert [k for k, spread in enumerate(out) if spread is not None] == [2]
+    assert [k for k, std in enumerate(out) if std is not None] == [2]
     assert sorted(set(looks)) == [2, 3, 4, 5, 6, 7]
     watch, told = watched([0.0, 0.1, 0.1])
     assert (watch._alert, watch._pause, watch._next_pause) == (standing.ALERT, 0, 0)
     assert watch._reference[0][0] == pytest.approx(1.1)
     driven = [SE2.from_xyt(0.02 * k, 0.0, 0.0) for k in range(5)]
-    assert all(spread is None for spread in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])
+    assert all(std is None for std in watched([0.0, 0.1, 0.2, 0.3, 0.4], odometry=driven)[1])
 
 
 def test_a_look_in_vain_is_followed_by_pauses_that_double():

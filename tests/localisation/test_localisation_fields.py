@@ -10,7 +10,7 @@ from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import global_search as search
-from turtlebag.pipeline.localisation.beams import prepare, spread
+from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
 from turtlebag.pipeline.localisation.field import (
     LikelihoodField,
     distance_field,
@@ -123,7 +123,7 @@ def test_a_beam_is_as_likely_as_its_path_and_its_end_say(seed):
     assert len(np.unique(found[:, 7:])) == 2
 
 
-def test_the_likelihood_field_multiplies_what_spread_beams_say():
+def test_the_likelihood_field_multiplies_what_evenly_spaced_beams_say():
     room, rng = l_shaped_room(), np.random.default_rng(11)
     T = SE2.from_xyt(2.0, 2.0, 0.3)
     ranges = room.ranges(SE2((T @ T_BASE_LIDAR).xyt[None]), LIDAR.angles, 2.0)
@@ -134,7 +134,7 @@ def test_the_likelihood_field_multiplies_what_spread_beams_say():
     table = np.log(hit_probability(distance, config.sigma_hit, config.z_hit, config.z_rand, 2.0)).astype(
         np.float32
     )
-    points = (beams.points[spread(len(beams), 30)] * factor / 0.05).astype(np.float32)
+    points = (beams.points[evenly_spaced(len(beams), 30)] * factor / 0.05).astype(np.float32)
     wanted = sum_over_beams(table, float(table.min()), frame_of(field, factor), poses, points)
     np.testing.assert_allclose(LikelihoodField(config, field, 2.0).weigh(poses, beams), wanted, rtol=1e-6)
 

@@ -9,7 +9,7 @@ from localisation_room import T_BASE_LIDAR
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import estimate, motion, sampling
-from turtlebag.pipeline.localisation.beams import prepare, spread
+from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
 
 
 def wrapped(angle):
@@ -103,8 +103,8 @@ def test_kld_counts_as_foxs_bound_says_draw_by_draw():
         assert sampling.kld_bound(bins, err, z) == math.ceil(exact)
     assert (sampling.kld_bound(1, 0.05, 2.33), sampling.kld_bound(0, 0.05, 2.33)) == (1, 1)
     rng = np.random.default_rng(6)
-    for spread_m, least in ((0.2, 10), (0.5, 30), (1.5, 5)):
-        numbers = sampling.bin_numbers(rng.normal(0.0, spread_m, (900, 3)), 0.25, 0.2)
+    for std_m, least in ((0.2, 10), (0.5, 30), (1.5, 5)):
+        numbers = sampling.bin_numbers(rng.normal(0.0, std_m, (900, 3)), 0.25, 0.2)
         drawn = 0
         while drawn < 900:
             seen = len(set(numbers[:drawn].tolist()))
@@ -161,7 +161,7 @@ def test_beams_within_their_limits_become_points_and_silent_ones_directions():
         )
         np.testing.assert_allclose(beams.origins, np.tile(T_BASE_LIDAR.xy, (len(kept), 1)))
         np.testing.assert_allclose(beams.silent_directions, lidar.directions[[1, 3, 4]])
-    assert [spread(7, 3).tolist(), spread(3, 3).tolist(), spread(4, 9).tolist()] == [
+    assert [evenly_spaced(7, 3).tolist(), evenly_spaced(3, 3).tolist(), evenly_spaced(4, 9).tolist()] == [
         [0, 2, 4],
         [0, 1, 2],
         [0, 1, 2, 3],

@@ -14,7 +14,7 @@ from turtlebag.datasets.grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import motion, sampling
-from turtlebag.pipeline.localisation.beams import prepare, spread
+from turtlebag.pipeline.localisation.beams import evenly_spaced, prepare
 from turtlebag.pipeline.localisation.estimate import main_cluster
 from turtlebag.pipeline.localisation.field import distance_field, hit_probability, sum_over_beams
 from turtlebag.pipeline.localisation.global_search import GlobalSearch, path_probabilities, tempered
@@ -195,8 +195,8 @@ def test_nan_and_minus_inf_are_dropped_and_what_is_past_range_max_is_silent():
 
 
 @given(st.integers(0, 400), st.integers(1, 100))
-def test_beams_are_spread_evenly(count, most):
-    picked = spread(count, most)
+def test_beams_are_spaced_evenly(count, most):
+    picked = evenly_spaced(count, most)
     assert len(picked) == min(count, most)
     assert len(np.unique(picked)) == len(picked)
     if count > most > 1:

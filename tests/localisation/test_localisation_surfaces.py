@@ -21,12 +21,12 @@ from turtlebag.pipeline.localisation.surfaces import (
 )
 from turtlebag.pipeline.localisation.wall_filter import (
     ODOMETRY_WALK,
+    full_update,
     match_beams,
     move,
     nis,
     normal_equations,
     posterior,
-    spread,
 )
 
 
@@ -260,7 +260,7 @@ def test_normal_equations_put_each_walls_sums_in_its_rows():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_step_and_its_spread_are_the_kalman_filters(seed):
+def test_a_step_and_its_covariance_are_the_kalman_filters(seed):
     """A measurement of some of the states, by the textbook's inverse of the whole covariance."""
     rng = np.random.default_rng(seed)
     n, state = 10, np.array([0, 1, 2, 6, 8])
@@ -276,7 +276,7 @@ def test_a_step_and_its_spread_are_the_kalman_filters(seed):
     H[range(5), state] = 1.0
     whole = np.linalg.inv(np.linalg.inv(P) + H.T @ information @ H)
     wanted = x + whole @ (H.T @ (information @ moved - gradient))
-    spread(x, P, state, before, last, information, gradient)
+    full_update(x, P, state, before, last, information, gradient)
     np.testing.assert_allclose(P, whole, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(x, wanted, rtol=1e-7, atol=1e-10)
     # a heading that turned over is a small step

@@ -20,8 +20,8 @@ from turtlebag.reports.figures.style import BAD, LINES, SERIES, new_figure
 WHOLE = (-3.0, 3.0, -2.5, 2.5)
 
 
-def cloud(spread_m, n=500):
-    return SE2.from_array(stream(3, "cloud").normal(scale=spread_m, size=(n, 3)) + np.array([1.0, 0.5, 0.0]))
+def cloud(std_m, n=500):
+    return SE2.from_array(stream(3, "cloud").normal(scale=std_m, size=(n, 3)) + np.array([1.0, 0.5, 0.0]))
 
 
 def width(box):

@@ -26,9 +26,9 @@ from turtlebag.pipeline.slam.sessions import border_constraint, joined_track
 from turtlebag.pipeline.slam.track import HYPOTHESES, Track
 
 
-def random_poses(n, seed, spread=2.0):
+def random_poses(n, seed, std=2.0):
     rng = np.random.default_rng(seed)
-    return np.column_stack([rng.normal(0.0, spread, (n, 2)), rng.uniform(-3.0, 3.0, n)])
+    return np.column_stack([rng.normal(0.0, std, (n, 2)), rng.uniform(-3.0, 3.0, n)])
 
 
 def place(i, j, T_j_i, overlap=0.8):
@@ -103,7 +103,7 @@ def test_scans_are_carried_by_the_keys_before_and_after_and_across_a_gap_by_one(
 
 
 def test_partners_are_the_nearest_by_way_and_turn_no_two_alike():
-    poses = SE2(random_poses(40, 6, spread=1.5))
+    poses = SE2(random_poses(40, 6, std=1.5))
     found = {tuple(p) for p in overlapping_pairs(poses, 2.0, 4).tolist()}
     expected = {(k, k + 1) for k in range(39)} | {(k, k + 2) for k in range(38)}
     for i in range(40):
@@ -146,7 +146,7 @@ def test_passes_farther_apart_than_four_metres_are_laid_together_where_the_lidar
 
 
 def test_revisits_are_pairs_near_in_place_and_far_in_time(monkeypatch):
-    poses = SE2(random_poses(60, 7, spread=1.0))
+    poses = SE2(random_poses(60, 7, std=1.0))
     monkeypatch.setattr(selfcheck, "APART_KEYS", 20)
     expected = [
         (i, j) for i, j in itertools.combinations(range(60), 2)

@@ -185,7 +185,7 @@ def test_the_outcome_is_in_shares_of_the_points_and_every_nth_of_many_is_used(cl
     assert (blind.overlap, blind.cost, blind.rmse, blind.agreement) == (0.0, 1.0, 0.0, 0.0)
 
 
-def spread(seed):
+def random_information(seed):
     a = np.random.default_rng(seed).normal(size=(6, 3))
     return a.T @ a
 
@@ -193,9 +193,9 @@ def spread(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_step_weighs_the_scan_against_the_prior(seed):
     rng = np.random.default_rng(seed)
-    h, faked, g = 900.0 * spread(seed), 200.0 * rng.random(), rng.normal(size=3)
+    h, faked, g = 900.0 * random_information(seed), 200.0 * rng.random(), rng.normal(size=3)
     pose, prior = rng.normal(0.0, 2.0, 3), rng.normal(0.0, 2.0, 3)
-    information = 500.0 * spread(seed + 10)
+    information = 500.0 * random_information(seed + 10)
     seen = observable(h, faked)
     toward = -seen @ np.linalg.solve(h, g)
     for soft in (0.0, 1.5):
@@ -216,7 +216,7 @@ def test_a_step_weighs_the_scan_against_the_prior(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_weaker_direction_loses_what_normals_fake(seed):
-    h = spread(seed) * np.array([1.0, 3.0, 0.5])[:, None] * np.array([1.0, 3.0, 0.5])
+    h = random_information(seed) * np.array([1.0, 3.0, 0.5])[:, None] * np.array([1.0, 3.0, 0.5])
     schur = h[:2, :2] - np.outer(h[:2, 2], h[2, :2]) / h[2, 2]
     values, vectors = np.linalg.eigh(schur)
     for faked in (0.0, 0.4 * values[0], 0.9 * values[0]):
@@ -228,7 +228,7 @@ def test_the_weaker_direction_loses_what_normals_fake(seed):
 
 
 def test_solving_damps_by_a_millionth_of_the_information():
-    a, b = spread(1), np.array([1.0, -2.0, 0.5])
+    a, b = random_information(1), np.array([1.0, -2.0, 0.5])
     scale = 1e-9 + 1e-6 * (a[0, 0] + a[1, 1])
     damped = a + np.diag([scale, scale, 1e-9 + 1e-6 * a[2, 2] + 1e-3 * scale])
     np.testing.assert_allclose(damped @ _safe_solve(a, b), b, rtol=1e-9)

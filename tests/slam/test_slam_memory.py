@@ -73,20 +73,20 @@ def test_only_the_points_of_key_scans_stay_in_memory(monkeypatch):
 def test_clouds_of_some_scans_are_those_of_all():
     whole, some = make_clouds(LOG, 30.0), np.array([0, 3, 4, 41])
     for found in (make_clouds(LOG, 30.0, scans=some), chosen(whole, some)):
-        spread = among(found, some, len(LOG))
-        assert arrays(chosen(spread, some)).keys() == arrays(found).keys()
-        for name, value in arrays(chosen(spread, some)).items():
+        sparse = among(found, some, len(LOG))
+        assert arrays(chosen(sparse, some)).keys() == arrays(found).keys()
+        for name, value in arrays(chosen(sparse, some)).items():
             np.testing.assert_array_equal(value, arrays(found)[name])
         for k, scan in enumerate(some.tolist()):
             np.testing.assert_array_equal(found.of(k), whole.of(scan))
-            np.testing.assert_array_equal(spread.of(scan), whole.of(scan))
+            np.testing.assert_array_equal(sparse.of(scan), whole.of(scan))
             seen = whole.table[scan] >= 0
             np.testing.assert_array_equal(found.table[k] >= 0, seen)
             np.testing.assert_array_equal(
                 found.points[found.table[k][seen]], whole.points[whole.table[scan][seen]]
             )
-        assert len(spread.of(1)) == 0
-        assert (spread.table[1] == -1).all()
+        assert len(sparse.of(1)) == 0
+        assert (sparse.table[1] == -1).all()
 
 
 def test_a_map_that_is_surely_too_large_is_refused_before_it_is_drawn(monkeypatch):

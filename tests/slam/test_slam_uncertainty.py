@@ -55,8 +55,8 @@ def drawn_by_gtsam(T, constraints, rng, maps=4000):
     rigid[0::2, 2], rigid[1::2, 2] = -T.y, T.x
     flat = moved.reshape(maps, -1).T
     flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
-    spread = [np.linalg.eigvalsh(np.cov(flat[2 * k : 2 * k + 2]))[-1] for k in range(len(T))]
-    return np.sqrt(spread)
+    variances = [np.linalg.eigvalsh(np.cov(flat[2 * k : 2 * k + 2]))[-1] for k in range(len(T))]
+    return np.sqrt(variances)
 
 
 @pytest.fixture(autouse=True)
@@ -120,7 +120,7 @@ def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
     by_wheels = [replace(c, kind="odometry") for c in constraints]
     sd = 1e-3 * np.array([1.0, 0.4, 0.2])
     asked, found = position_sigmas(T, by_wheels, np.diag(sd**2))
-    steps, spread = np.array([c.T_i_j for c in constraints]), np.zeros((len(T), 2, 2))
+    steps, covariance = np.array([c.T_i_j for c in constraints]), np.zeros((len(T), 2, 2))
     levers = np.zeros((2 * len(T), 3))
     levers[0::2, 0] = levers[1::2, 1] = 1.0
     levers[0::2, 2], levers[1::2, 2] = -T.y, T.x
@@ -131,8 +131,8 @@ def test_shares_of_turn_bend_the_map_as_they_bend_the_odometry():
             bent.append(bent[-1] @ SE2(step))
         apart = (np.array([pose.xy for pose in bent]) - T.xy)[asked].ravel()
         apart = (apart - levers @ np.linalg.lstsq(levers, apart, rcond=None)[0]).reshape(-1, 2)
-        spread[asked] += apart[:, :, None] * apart[:, None, :]
-    assert found == pytest.approx(np.sqrt(np.linalg.eigvalsh(spread[asked])[:, -1]), rel=0.01)
+        covariance[asked] += apart[:, :, None] * apart[:, None, :]
+    assert found == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[asked])[:, -1]), rel=0.01)
 
 
 def test_one_scan_is_where_it_is():

@@ -93,9 +93,9 @@ def test_the_particles_draw_together_about_the_truth(walked):
     told, wiggled = seen["told"], seen["wiggled"]
     assert not seen["loaded"].localised
     assert told.localised
-    spread = [np.linalg.norm(view.particles[:, :2].std(axis=0)) for view in (told, wiggled)]
+    std = [np.linalg.norm(view.particles[:, :2].std(axis=0)) for view in (told, wiggled)]
     error = [np.linalg.norm(view.T_map_base.xy - view.T_world_base.xy) for view in (told, wiggled)]
-    assert spread[1] < 0.5 * spread[0]
+    assert std[1] < 0.5 * std[0]
     assert error[0] > 0.15
     assert error[1] < 0.05
     assert wiggled.lost is None

@@ -32,7 +32,7 @@ ROUND = (
 )
 SCENE = "import('./scene.js').then(({ scene }) => "
 KNOWN = f"{SCENE}scene.grids.map?.cells.reduce((count, cell) => count + (cell !== 255), 0) ?? 0)"
-SPREAD = f"""{SCENE}{{
+PARTICLES_STD = f"""{SCENE}{{
   const cloud = scene.blobs.particles ?? [], n = cloud.length / 3;
   const sum = (value) => cloud.reduce((all, here, at) => all + value(here, at % 3), 0);
   const middle = [0, 1].map((k) => sum((here, column) => (column === k ? here : 0)) / n);
@@ -135,13 +135,13 @@ def test_the_tutorial_in_the_window(browser, tmp_path):
         x, y, yaw = person.head["true_pose"]
         person.arrow("p", x + 0.2, y + 0.22, yaw + math.radians(20))
         until(lambda: person.head["localised"], 60.0)
-        wide = until(lambda: browser.evaluate(SPREAD))
+        wide = until(lambda: browser.evaluate(PARTICLES_STD))
         assert person.shift() > 0.2
         person.speed(0)
         click(browser, "#pause")
         click(browser, "[data-do=wiggle]")
         person.task("wiggle", 60.0)
-        until(lambda: browser.evaluate(SPREAD) < 0.25 * wide)
+        until(lambda: browser.evaluate(PARTICLES_STD) < 0.25 * wide)
         assert person.shift() < 0.05
 
         person.arrow("g", 0.0, 1.9, 0.0)
