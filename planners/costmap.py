@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
+from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.settings import Settings
 from turtlebag.planners.distance_transform import distance_field
@@ -24,7 +25,9 @@ SPECK_M2 = 0.06
 ENTRY_M = 0.5
 """How far from a robot that stands too near something its way may begin."""
 COST_SCALING = 3.0
-"""How fast costs fade with the distance d from an obstacle, exp(-3 d): turtlebot3's for costmap_2d."""
+"""How fast inflated costs fade [1/m]: turtlebot3's for costmap_2d."""
+INSCRIBED_COST = 253
+"""costmap_2d's cost of a place that the robot's inscribed disc may not enter."""
 TOUCH = 1e-6
 """A share of a cell: an outline along a border, but for rounding, reaches the cells on both sides of it."""
 
@@ -83,6 +86,18 @@ def clearance_field(lethal: Mask, resolution: float) -> NDArray[np.float32]:
     """Exact distance transform of a mask [m]; the world beyond it is lethal."""
     # One ring of lethal cells stands for everything beyond the grid.
     return distance_field(np.pad(lethal, 1, constant_values=True), resolution)[1:-1, 1:-1].copy()
+
+
+def inflated_cost(room: Any, scaling: float) -> Any:
+    """costmap_2d's cost outside of obstacles: 252 at the inscribed disc's border, fading to 0.
+
+    `room` is the clearance less the inscribed radius [m], a number or an array; `scaling` is per metre.
+    """
+    return (INSCRIBED_COST - 1.0) * np.exp(-scaling * np.maximum(room, 0.0))
+
+
+inflated_cost_at = njit(cache=True)(inflated_cost)
+"""The same of a number, for kernels."""
 
 
 def costmap_from_grid(grid: OccupancyGrid, config: CostmapConfig, keepout: Sequence[Array] = ()) -> Costmap:

@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.planners.costmap import Costmap
+from turtlebag.planners.costmap import INSCRIBED_COST, Costmap, inflated_cost
 from turtlebag.sim.robots import RobotSpec
 from turtlebag.sim.simulator import CONTROL_HZ
 from turtlebag.sim.world import World
 
 Level = Literal["info", "warning", "error"]
-LETHAL, INSCRIBED, FADING = 254, 253, 10.0
-"""Costs as in costmap_2d: of a cell that stops the robot, of one its disc may not enter, and how fast they
-fade beyond that [1/m]."""
+LETHAL, FADING = 254, 10.0
+"""costmap_2d's cost of a cell that stops the robot, and its default for how fast costs fade [1/m]."""
 
 
 class Event(NamedTuple):
@@ -115,9 +114,7 @@ class CostLayer:
     def cells(self) -> NDArray[np.uint8]:
         """(rows, cols), row 0 lowest: 0 free to 254 lethal."""
         beyond = self.costmap.clearance - self.inscribed_radius
-        costs = np.where(
-            beyond <= 0.0, INSCRIBED, (INSCRIBED - 1) * np.exp(-FADING * np.maximum(beyond, 0.0))
-        )
+        costs = np.where(beyond <= 0.0, INSCRIBED_COST, inflated_cost(beyond, FADING))
         return np.where(self.costmap.lethal, LETHAL, costs).astype(np.uint8)
 
 

@@ -18,7 +18,7 @@ from turtlebag.datasets.types import RobotModel, Twist
 from turtlebag.planners.control.interface import ACCELERATION_SHARE, Ramped, ramped
 from turtlebag.planners.control.monitor import depth_inside, moved
 from turtlebag.planners.control.pursuit import Pursuit
-from turtlebag.planners.costmap import COST_SCALING, Costmap
+from turtlebag.planners.costmap import COST_SCALING, Costmap, inflated_cost_at
 from turtlebag.planners.distance_transform import distance_field
 from turtlebag.planners.footprint import (
     Field32,
@@ -269,7 +269,7 @@ def best_arc(
             if c.nose > 0.0:
                 cost += c.nose * _value(floor.to_path, resolution, fx, fy, 1.0)
             if c.occupied > 0.0:
-                cost += c.occupied * 252.0 * min(math.exp(-COST_SCALING * (room - inscribed)), 1.0)
+                cost += c.occupied * inflated_cost_at(room - inscribed, COST_SCALING)
             if cost < best_cost:
                 best_cost, best_v, best_w = cost, v, w
     return best_v, best_w
