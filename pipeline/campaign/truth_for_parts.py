@@ -107,10 +107,10 @@ def true_drive(world: World, mission: Mission, true_map: Path, parts: Collection
 
         def make(mission: Mission, first: Observation, bag: BagWriter, say: Callable[[str], None]) -> Made:
             driver, localiser, sequence = make_driver(mission, first, bag, say)
-            finder = driver.finder if isinstance(driver, NavigationDriver) else None
-            if "localisation" in parts and finder is not None:
-                localiser = _TrueLocaliser(finder.localiser, driver.sensing, bag, simulator)
-                finder.localiser = localiser
+            relocaliser = driver.relocaliser if isinstance(driver, NavigationDriver) else None
+            if "localisation" in parts and relocaliser is not None:
+                localiser = _TrueLocaliser(relocaliser.localiser, driver.sensing, bag, simulator)
+                relocaliser.localiser = localiser
             return driver, localiser, sequence
 
         return drive(simulator, mission, make=make)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from turtlebag.datasets.types import Observation, RobotModel, Twist
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.sensing import DeskewedScan, Sensing
 from turtlebag.planners.control.interface import SpeedLimits, ramped
 from turtlebag.planners.tasks.avoid import AvoidConfig, Decision, decision_line, tutorial_rule
@@ -25,7 +25,7 @@ class AvoidDriver(Driver):
         say: Callable[[str], None],
     ) -> None:
         super().__init__(sensing)
-        self._guard = Guard(model) if config.mode == "guarded" else None
+        self._avoidance = ReactiveAvoidance(model) if config.mode == "guarded" else None
         self._limits = SpeedLimits.of(model, PERIOD_S)
         self._duration_ns = round(duration_s * 1e9)
         self._say = say
@@ -36,7 +36,7 @@ class AvoidDriver(Driver):
         sweep, T_odom_base = self.sensing.sweep, observation.odometry.T_odom_base
         if self.finished or sweep is None:
             return Twist()
-        if self._guard is None:
+        if self._avoidance is None:
             if observation.scan is not None:
                 decision = tutorial_rule(sweep.sectors)
                 self._tell(observation, sweep, decision)
@@ -45,10 +45,10 @@ class AvoidDriver(Driver):
         new_sweep = observation.scan is not None
         if self.sensing.blind:
             self.state = "blind"
-            self._guard.interrupted()
-        wanted = self._guard.command(sweep, T_odom_base, self._last, new_sweep=new_sweep)
+            self._avoidance.interrupted()
+        wanted = self._avoidance.command(sweep, T_odom_base, self._last, new_sweep=new_sweep)
         if new_sweep:
-            self._tell(observation, sweep, self._guard.decision)
+            self._tell(observation, sweep, self._avoidance.decision)
         self._last = ramped(wanted, self._last, self._limits)
         return self._last
 
@@ -60,9 +60,9 @@ class AvoidDriver(Driver):
 
     def resume(self, last: Twist) -> None:
         """Drive again, with nothing planned."""
-        self._last = Twist() if self._guard is None else last
-        if self._guard is not None:
-            self._guard.interrupted()
+        self._last = Twist() if self._avoidance is None else last
+        if self._avoidance is not None:
+            self._avoidance.interrupted()
 
     def _tell(self, observation: Observation, sweep: DeskewedScan, decision: Decision) -> None:
         """Say what was seen when something else is decided than before."""

@@ -20,13 +20,13 @@ from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing
 from turtlebag.pipeline.navigation.avoid import AvoidDriver
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.explore import ARRIVED, ExploreDriver
-from turtlebag.pipeline.navigation.finder import Finder
 from turtlebag.pipeline.navigation.goal_runner import Tools
-from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.pipeline.navigation.lost import Lost, State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.online_map import OnlineMap
+from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
+from turtlebag.pipeline.navigation.relocalisation import Relocaliser
+from turtlebag.pipeline.navigation.relocalisation_states import RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.control.dwa import Dwa
 from turtlebag.planners.control.interface import Controller, require_twist
@@ -80,8 +80,14 @@ def make_navigator(
     tools = kit.tools(ObstacleLayer(costmap))
     search = amcl.search if isinstance(amcl, Amcl) else global_search(grid, lidar, config.amcl)
     aliasing = Aliasing(search, stream(kit.seed, "rivals"))
-    finder = Finder(Lost(config.relocalise, state), localiser, aliasing, tools, Guard(robot.model))
-    return NavigationDriver(tools, kit.sensing, sequence, finder), localiser
+    relocaliser = Relocaliser(
+        RelocalisationStates(config.relocalise, state),
+        localiser,
+        aliasing,
+        tools,
+        ReactiveAvoidance(robot.model),
+    )
+    return NavigationDriver(tools, kit.sensing, sequence, relocaliser), localiser
 
 
 def make_mapless(kit: Kit, T_odom_base: SE2, sequence: GoalSequence) -> NavigationDriver:

@@ -11,10 +11,10 @@ from typing import Literal
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.navigation.driver import Driver
-from turtlebag.pipeline.navigation.finder import Finder
 from turtlebag.pipeline.navigation.goal_runner import GoalRunner, Tools, Verdict
-from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.moving_obstacles import MovingWatch
+from turtlebag.pipeline.navigation.relocalisation import Relocaliser
+from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.global_plan import fits
 from turtlebag.planners.tasks.sequence import GoalSequence
@@ -35,36 +35,36 @@ class _Pursuit:
 
 
 class NavigationDriver(Driver):
-    """Drives on a map, or without one where there is no `finder`."""
+    """Drives on a map, or without one where there is no `relocaliser`."""
 
     def __init__(
-        self, tools: Tools, sensing: Sensing, sequence: GoalSequence, finder: Finder | None = None
+        self, tools: Tools, sensing: Sensing, sequence: GoalSequence, relocaliser: Relocaliser | None = None
     ) -> None:
         super().__init__(sensing)
-        self.tools, self.sequence, self.finder = tools, sequence, finder
+        self.tools, self.sequence, self.relocaliser = tools, sequence, relocaliser
         self._moving = MovingWatch(tools.model)
         self._pursuit: _Pursuit | None = None
         self._now = 0
 
     def step(self, observation: Observation) -> Twist:
         """Localise, ask the task for the goal, pursue it."""
-        now, finder = observation.stamp_ns, self.finder
+        now, relocaliser = observation.stamp_ns, self.relocaliser
         span_ns, self._now = now - self._now, now
         sweep = self.sensing.observe(observation)
         T_frame_odom = self._localise(observation)
-        if finder is not None and not finder.localiser.amcl.initialised:
+        if relocaliser is not None and not relocaliser.localiser.amcl.initialised:
             self.sequence.close_all("rejected", "no initial pose", now)
             return self._stop("no_pose", finished=True)
-        if finder is not None and sweep is not None:
+        if relocaliser is not None and sweep is not None:
             self._moving.observe(sweep)
         if self.sensing.blind:
             return self._wait_for_scan(now)
-        if finder is not None:
-            state = finder.update(observation, examine=not self.sequence.finished)
-            if finder.void:
+        if relocaliser is not None:
+            state = relocaliser.update(observation, examine=not self.sequence.finished)
+            if relocaliser.void:
                 self._forget()
             if state is not State.DRIVE and not self.sequence.finished:
-                return self._find(finder, state, observation, span_ns)
+                return self._find(relocaliser, state, observation, span_ns)
         if sweep is not None and T_frame_odom is not None:
             self._see(sweep, T_frame_odom, self.tools.obstacles)
         goal = self.sequence.update(now)
@@ -81,27 +81,27 @@ class NavigationDriver(Driver):
     def begin(self, sequence: GoalSequence) -> None:
         """Other goals from the next step on; what it knows of its place stays."""
         self.sequence, self._pursuit, self.finished = sequence, None, False
-        if self.finder is not None:
-            self.finder.accept()
+        if self.relocaliser is not None:
+            self.relocaliser.accept()
 
     def told(self, T_map_base: SE2 | Literal["global"], T_odom_base: SE2) -> None:
         """A person says where the robot is, or to find out: what was seen by another pose is void."""
-        assert self.finder is not None
-        self.finder.localiser.tell(T_map_base, T_odom_base)
-        self.finder.told(State.WIGGLE if T_map_base == "global" else State.DRIVE)
+        assert self.relocaliser is not None
+        self.relocaliser.localiser.tell(T_map_base, T_odom_base)
+        self.relocaliser.told(State.WIGGLE if T_map_base == "global" else State.DRIVE)
         self._forget()
 
     def use(self, tools: Tools) -> None:
         """Other tools from the next step on: the costmap has changed, say."""
         self.tools = tools
-        if self.finder is not None:
-            self.finder.tools = tools
+        if self.relocaliser is not None:
+            self.relocaliser.tools = tools
         self._forget_route()
 
     def stand_by(self, observation: Observation) -> None:
         """Localise and look on while someone else drives; the goal's clock stands."""
         sweep = self.sensing.observe(observation)
-        if self.finder is None or self.finder.localiser.amcl.initialised:
+        if self.relocaliser is None or self.relocaliser.localiser.amcl.initialised:
             T_frame_odom = self._localise(observation)
             if sweep is not None and T_frame_odom is not None:
                 self._see(sweep, T_frame_odom, self.tools.obstacles)
@@ -112,8 +112,8 @@ class NavigationDriver(Driver):
         """Pursue the goal anew from where the robot has been brought."""
         super().resume(last)
         self._forget_route()
-        if self.finder is not None:
-            self.finder.rest()
+        if self.relocaliser is not None:
+            self.relocaliser.rest()
 
     def _wait_for_scan(self, now: int) -> Twist:
         """Stand still; goals run out of time, and are given up when the lidar stays silent."""
@@ -124,12 +124,12 @@ class NavigationDriver(Driver):
             self.sequence.close_all("unreachable", reason, now)
         return self._stop("blind", finished=self.sequence.finished)
 
-    def _find(self, finder: Finder, state: State, observation: Observation, span_ns: int) -> Twist:
+    def _find(self, relocaliser: Relocaliser, state: State, observation: Observation, span_ns: int) -> Twist:
         """The command of a robot that does not drive to its goal now; a goal may be given up for that."""
         now, sequence = observation.stamp_ns, self.sequence
         self.state = state.value
         if state is State.COMPARE:
-            return self._compare(finder, observation, span_ns)
+            return self._compare(relocaliser, observation, span_ns)
         if state is State.GIVE_UP and sequence.goal is not None:
             sequence.close("unreachable", LOST, now)
         elif state is not State.WIGGLE:
@@ -140,34 +140,34 @@ class NavigationDriver(Driver):
         if self._moving.stops(observation.odometry.T_odom_base):
             self._last = self.tools.controller.brake(self._last)
         else:
-            self._last = finder.turn_or_roam(observation, self._last, self.sensing)
+            self._last = relocaliser.turn_or_roam(observation, self._last, self.sensing)
         return self._last
 
-    def _compare(self, finder: Finder, observation: Observation, span_ns: int) -> Twist:
+    def _compare(self, relocaliser: Relocaliser, observation: Observation, span_ns: int) -> Twist:
         """Drive to find out which of the hypotheses is right; the goal's clock stands.
 
         A goal is given up when there is nothing that tells them apart, or not in time.
         """
-        now, T_map_odom = observation.stamp_ns, finder.localiser.T_map_odom
-        assert finder.comparison is not None
+        now, T_map_odom = observation.stamp_ns, relocaliser.localiser.T_map_odom
+        assert relocaliser.comparison is not None
         assert T_map_odom is not None
         if self.sequence.goal is not None:
             self.sequence.postpone(span_ns)
         goal = self.sequence.update(now)
         self.goal_index = -1 if goal is None else self.sequence.index
         if observation.scan is not None and self.sensing.sweep is not None:
-            self._see(self.sensing.sweep, T_map_odom, finder.comparison.tools.obstacles)
+            self._see(self.sensing.sweep, T_map_odom, relocaliser.comparison.tools.obstacles)
         T_odom_base = observation.odometry.T_odom_base
         stop = self._moving.stops(T_odom_base)
-        command = finder.compare(self._tick(observation, T_map_odom @ T_odom_base, stop=stop))
-        if finder.void:
+        command = relocaliser.compare(self._tick(observation, T_map_odom @ T_odom_base, stop=stop))
+        if relocaliser.void:
             self._forget()
         if command is not None:
             self._last = command
             return command
         if goal is not None:
             self.sequence.close("unreachable", ALIKE, now)
-        finder.comparison.begin_again(now)
+        relocaliser.comparison.begin_again(now)
         self._last = self.tools.controller.brake(self._last)
         return self._last
 
@@ -187,9 +187,9 @@ class NavigationDriver(Driver):
 
     def _localise(self, observation: Observation) -> SE2 | None:
         """Odometry's frame in the frame of goals and costmap; None while it is not known."""
-        if self.finder is None:
+        if self.relocaliser is None:
             return SE2.identity()
-        localiser = self.finder.localiser
+        localiser = self.relocaliser.localiser
         localiser.observe(observation)
         self.estimate = localiser.T_map_base(observation.odometry.T_odom_base)
         return localiser.T_map_odom
@@ -221,13 +221,13 @@ class NavigationDriver(Driver):
         about then, so often; a goal where the scans still speak against it is not reached.
         """
         arrived, doubtful = verdict.status == "reached", False
-        if self.finder is not None:
-            localiser = self.finder.localiser
+        if self.relocaliser is not None:
+            localiser = self.relocaliser.localiser
             doubtful = not fits(self.tools.obstacles.static, self.tools.model, T_map_base)
             doubtful = doubtful or (localiser.contradicted if arrived else localiser.amcl.lost)
-            if doubtful and pursuit.doubted < self.finder.lost.config.restarts:
+            if doubtful and pursuit.doubted < self.relocaliser.machine.config.restarts:
                 pursuit.doubted += 1
-                self.finder.doubt(now)
+                self.relocaliser.doubt(now)
                 self._forget()
                 return
         if doubtful and arrived:

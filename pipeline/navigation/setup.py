@@ -24,9 +24,9 @@ from turtlebag.pipeline.navigation.drivers import (
     make_navigator,
 )
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.online_map import OnlineMap
 from turtlebag.pipeline.navigation.pose_check import require_free, require_on_map
+from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.takeover import load_script
 from turtlebag.pipeline.terminal.messages import note_degrees

@@ -12,8 +12,8 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.localisation.amcl import Amcl
-from turtlebag.pipeline.navigation.lost import State
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
+from turtlebag.pipeline.navigation.relocalisation_states import State
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.studio.pilot import Pilot
 from turtlebag.pipeline.studio.tasks import Task
@@ -208,8 +208,8 @@ class Visuals:
             return "scans do not fit the map" if self._pilot.slam.lost else None
         if localiser is None or navigation is None or not localiser.amcl.initialised:
             return None
-        assert navigation.finder is not None
-        state = navigation.finder.lost.state
+        assert navigation.relocaliser is not None
+        state = navigation.relocaliser.machine.state
         if self._pilot.task is not None and state not in (State.DRIVE, State.WIGGLE):
             return state.value.replace("_", " ")
         if not localiser.amcl.converged:
@@ -224,7 +224,7 @@ class Visuals:
 
     def _T_map_task(self, task: Task) -> SE2:
         """The frame that the driver of a task works in."""
-        mapless = isinstance(task.driver, NavigationDriver) and task.driver.finder is None
+        mapless = isinstance(task.driver, NavigationDriver) and task.driver.relocaliser is None
         return self._pilot.T_map_odom if mapless else SE2.identity()
 
     def _obstacle_layer(self) -> ObstacleLayer | None:

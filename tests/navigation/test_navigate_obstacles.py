@@ -6,7 +6,7 @@ from planning_room import BURGER, room
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.guarded import Guard
+from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.costmap import Costmap, CostmapConfig, clearance_field, costmap_from_grid
 from turtlebag.planners.obstacle_layer import Marking, ObstacleLayer
@@ -100,15 +100,15 @@ def sweep(points_base, sectors, pose=HERE, now=0.0):
     return DeskewedScan(round(now * 1e9), pose, pose @ points_base, NONE, sectors)
 
 
-def passed(guard, wanted, view):
-    guard.decision = Decision("asked for", wanted)
-    return guard.command(view, HERE, Twist(), new_sweep=False)
+def passed(avoidance, wanted, view):
+    avoidance.decision = Decision("asked for", wanted)
+    return avoidance.command(view, HERE, Twist(), new_sweep=False)
 
 
-def guard_and_view(points_base, pose=None, now=0.0, sectors=None):
+def avoidance_and_view(points_base, pose=None, now=0.0, sectors=None):
     pose = pose or SE2.identity()
     sectors = sectors or Sectors(1.0, 2.0, 1.0)
-    return Guard(BURGER), sweep(points_base, sectors, pose, now)
+    return ReactiveAvoidance(BURGER), sweep(points_base, sectors, pose, now)
 
 
 def circle(radius=2.0, n=360):
@@ -117,10 +117,10 @@ def circle(radius=2.0, n=360):
 
 
 def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
-    guard, _ = guard_and_view(circle())
+    avoidance, _ = avoidance_and_view(circle())
 
     def turn(left: float, right: float) -> float:
-        return guard.decide(sweep(circle(), Sectors(left, 0.4, right)), HERE, Twist()).command.w
+        return avoidance.decide(sweep(circle(), Sectors(left, 0.4, right)), HERE, Twist()).command.w
 
     assert turn(1.0, 1.0) < 0.0
     assert turn(1.2, 1.0) > 0.0
@@ -128,15 +128,15 @@ def test_the_guard_turns_to_the_freer_side_and_stops_dithering():
     assert turn(1.2, 1.0) > 0.0
     # The third change of mind was the last one, until the way was free.
     assert turn(1.0, 1.2) > 0.0
-    guard.decide(sweep(circle(), Sectors(1.0, 2.0, 1.2), now=1.0), HERE, Twist())
+    avoidance.decide(sweep(circle(), Sectors(1.0, 2.0, 1.2), now=1.0), HERE, Twist())
     assert turn(1.0, 1.2) < 0.0
 
 
 def test_the_guard_lets_nothing_pass_that_touches():
     touching = np.concatenate([circle(), [[0.06, 0.0], [0.06, 0.03]]])
-    guard, view = guard_and_view(touching)
-    assert passed(guard, Twist(0.2, 0.0), view).v < 0.05
-    assert passed(guard, Twist(-0.1, 0.0), view).v == -0.1
+    avoidance, view = avoidance_and_view(touching)
+    assert passed(avoidance, Twist(0.2, 0.0), view).v < 0.05
+    assert passed(avoidance, Twist(-0.1, 0.0), view).v == -0.1
 
 
 def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
@@ -144,52 +144,52 @@ def test_the_guard_notices_wheels_that_turn_in_vain_and_backs_off():
     xs, ys = np.linspace(-2.0, 2.0, 60), np.linspace(-1.5, 1.5, 50)
     walls = [[[x, y] for x in xs] for y in (-1.5, 1.5)] + [[[x, y] for y in ys] for x in (-2.0, 2.0)]
     room_points = np.concatenate([np.array(wall) for wall in walls])
-    guard = Guard(BURGER)
+    avoidance = ReactiveAvoidance(BURGER)
     moving, standing = 0, 0
     for k in range(10):
         pose = SE2.from_xyt(0.04 * k, 0.0, 0.0)
         seen_moving = room_points + rng.normal(0.0, 0.01, room_points.shape)
         new = DeskewedScan(k * 10**8, pose, seen_moving, NONE, Sectors(1.5, 2.0, 1.5))
-        moving += guard.decide(new, pose, Twist(0.2, 0.0)).command.v < 0.0
+        moving += avoidance.decide(new, pose, Twist(0.2, 0.0)).command.v < 0.0
     for k in range(10):
         pose = SE2.from_xyt(0.4 + 0.04 * k, 0.0, 0.0)
         # The robot stands at 0.4 while odometry goes on: the sweep moves along with it.
         seen = room_points + np.array([0.04 * k, 0.0]) + rng.normal(0.0, 0.01, room_points.shape)
         new = DeskewedScan((20 + 2 * k) * 10**8, pose, seen, NONE, Sectors(1.5, 2.0, 1.5))
-        decision = guard.decide(new, pose, Twist(0.2, 0.0))
+        decision = avoidance.decide(new, pose, Twist(0.2, 0.0))
         if decision.command.v < 0.0:
             standing += 1
             break
     assert moving == 0
     assert standing == 1
-    assert len(guard.points_base(new, pose)) > len(seen)
+    assert len(avoidance.points_base(new, pose)) > len(seen)
 
 
 @pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
 @pytest.mark.parametrize("speed", [0.2, -0.2])
 def test_what_nobody_sees_is_remembered_outside_the_robot(name, speed):
     model = load_robot(name).model
-    guard = Guard(model)
+    avoidance = ReactiveAvoidance(model)
     view = sweep(circle(), Sectors(1.0, 2.0, 1.0))
-    guard._bumps._slip.slipping = lambda *seen: True
-    guard.decide(view, HERE, Twist(speed, 0.0))
-    remembered = guard.points_base(view, HERE)[len(view.hits_odom) :]
+    avoidance._bumps._slip.slipping = lambda *seen: True
+    avoidance.decide(view, HERE, Twist(speed, 0.0))
+    remembered = avoidance.points_base(view, HERE)[len(view.hits_odom) :]
     tail, nose = model.footprint[:, 0].min(), model.footprint[:, 0].max()
     beyond = remembered[:, 0] - nose if speed > 0.0 else tail - remembered[:, 0]
     assert np.ptp(remembered[:, 1]) >= np.ptp(model.footprint[:, 1])
     assert np.all((beyond > 0.0) & (beyond < 0.06))
     # It slows the way towards it, and leaves the other one open.
-    assert abs(passed(guard, Twist(speed, 0.0), view).v) < 0.6 * abs(speed)
-    assert passed(guard, Twist(-speed, 0.0), view).v == -speed
+    assert abs(passed(avoidance, Twist(speed, 0.0), view).v) < 0.6 * abs(speed)
+    assert passed(avoidance, Twist(-speed, 0.0), view).v == -speed
 
 
 def test_an_escape_from_a_corner_is_found_where_one_exists():
     # Walls close ahead and to the left, room to the right and behind.
     ahead = [[0.12, y] for y in np.linspace(-0.3, 0.2, 40)]
     left = [[x, 0.14] for x in np.linspace(-0.2, 0.12, 40)]
-    guard = Guard(BURGER)
+    avoidance = ReactiveAvoidance(BURGER)
     view = sweep(np.array(ahead + left), Sectors(0.14, 0.12, 2.0))
-    assert guard.command(view, HERE, Twist(), new_sweep=True) != Twist()
+    assert avoidance.command(view, HERE, Twist(), new_sweep=True) != Twist()
 
 
 def test_costmaps_of_a_live_layer_keep_their_frame():

@@ -26,9 +26,9 @@ from turtlebag.pipeline.localisation.pose_hypotheses import (
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.disambiguation import nearest_difference, passable_under_all
 from turtlebag.pipeline.navigation.episode import drive
-from turtlebag.pipeline.navigation.lost import RelocaliseConfig
 from turtlebag.pipeline.navigation.navigator import ALIKE as REASON
 from turtlebag.pipeline.navigation.navigator import LOST
+from turtlebag.pipeline.navigation.relocalisation_states import RelocaliseConfig
 from turtlebag.pipeline.navigation.setup import Request
 from turtlebag.pipeline.navigation.setup import prepare as prepare_mission
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid

@@ -6,7 +6,7 @@ import pytest
 
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
-from turtlebag.pipeline.navigation.lost import Event, Lost, RelocaliseConfig
+from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, RelocaliseConfig
 from turtlebag.planners.tasks.recovery import Ladder, Move, ProgressWatch, RecoveryConfig, Rung, Wait
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -74,7 +74,7 @@ def test_progress_is_a_move_or_a_turn_large_enough_within_the_time():
 
 def test_a_lost_robot_keeps_its_times():
     config = RelocaliseConfig(look=5.0, roam=45.0, restarts=1)
-    r = Lost(config)
+    r = RelocalisationStates(config)
     at = lambda s, narrow, agrees, updates: r.update(round(s * S), narrow, agrees, updates)  # noqa: E731
     assert [at(0, False, True, 1), at(1, False, True, 1), at(2, True, True, 2), at(3, False, True, 3)] == [
         "drive"
@@ -95,7 +95,7 @@ def test_a_lost_robot_keeps_its_times():
     # a narrow cloud after looking about is trusted, for a while, whatever the scans say
     r.on(Event.DOUBTED, 200 * S, 20)
     assert [at(205, True, False, 20), at(206, True, False, 21)] == ["roam", "roam"]
-    r = Lost(config)
+    r = RelocalisationStates(config)
     r.on(Event.DOUBTED, 300 * S, 30)
     assert [at(304, True, False, 31), at(305, True, False, 31)] == ["look", "drive"]
     assert [at(319.9, True, False, 40), at(319.95, True, False, 41), at(320, True, False, 42)] == [

@@ -33,7 +33,7 @@ RESTLESS_S, RESTLESS_M = 19.9, 0.4
 MARGINS = StoppingMargins(padding=0.03, reaction=0.15, braking_share=0.6)
 
 
-class Guard:
+class ReactiveAvoidance:
     """Decides at every sweep, and watches over every command."""
 
     def __init__(self, model: RobotModel) -> None:

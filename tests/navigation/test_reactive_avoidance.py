@@ -1,4 +1,4 @@
-"""The guard and its escape, by hand-computed cases."""
+"""Reactive avoidance and its escape, by hand-computed cases."""
 
 import math
 
@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit
-from turtlebag.pipeline.navigation.guarded import Guard, _to_most_room
+from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance, _to_most_room
 from turtlebag.pipeline.navigation.sensing import DeskewedScan
 from turtlebag.planners.tasks.avoid import Decision, Sectors
 
@@ -25,8 +25,8 @@ def view(points=FAR, now=0.0, pose=None, sectors=OPEN):
     return DeskewedScan(round(now * 1e9), pose, hits, np.zeros((0, 2)), sectors)
 
 
-def guard():
-    return Guard(BURGER)
+def avoidance():
+    return ReactiveAvoidance(BURGER)
 
 
 def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
@@ -34,10 +34,10 @@ def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
     points = np.array(
         [[1.0, 0.0], [0.5, half - 0.001], [0.3, half + 0.001], [0.3, -half - 0.001], [-0.2, 0.0]]
     )
-    assert guard()._gap(points) == pytest.approx(0.5 - 0.041)
-    assert guard()._gap(points[[0, 2, 3, 4]]) == pytest.approx(1.0 - 0.041)
-    assert guard()._gap(points[[2, 4]]) == math.inf
-    assert guard()._gap(np.array([[0.4, 0.1 - half]])) == pytest.approx(0.4 - 0.041)
+    assert avoidance()._gap(points) == pytest.approx(0.5 - 0.041)
+    assert avoidance()._gap(points[[0, 2, 3, 4]]) == pytest.approx(1.0 - 0.041)
+    assert avoidance()._gap(points[[2, 4]]) == math.inf
+    assert avoidance()._gap(np.array([[0.4, 0.1 - half]])) == pytest.approx(0.4 - 0.041)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_the_gap_is_the_free_length_before_the_nose_within_the_corridor():
     ],
 )
 def test_the_guard_decides_by_sectors_and_by_the_gap_before_its_nose(sectors, points, expected):
-    decision = guard().decide(view(points, sectors=sectors), HERE, Twist())
+    decision = avoidance().decide(view(points, sectors=sectors), HERE, Twist())
     assert (decision.action, decision.command.v, decision.command.w) == expected
 
 
@@ -73,7 +73,7 @@ def test_most_room_is_where_the_nearest_point_of_a_sector_is_farthest():
 
 
 def test_a_robot_long_about_one_place_turns_to_where_most_room_is():
-    g = guard()
+    g = avoidance()
     at = lambda now, x: g._progress.stuck(round(now * 1e9), SE2.from_xyt(x, 0.0, 9.0 * now))  # noqa: E731
     assert [at(0.0, 0.0), at(19.9, 0.3), at(20.0, 0.3), at(25.0, 0.3)] == [False, False, True, False]
     # begun anew when it said so, and wherever the robot has come to
@@ -81,14 +81,14 @@ def test_a_robot_long_about_one_place_turns_to_where_most_room_is():
     at(61.1, 0.8)
     g.interrupted()
     assert not at(90.0, 0.8)
-    again = guard()
+    again = avoidance()
     again.decide(view(now=0.0), HERE, Twist())
     assert again.decide(view(now=20.0), HERE, Twist()).action == "turn away"
     assert again.decide(view(now=20.2), HERE, Twist()).command == Twist(0.0, -0.5)
 
 
 def pushing(g, **where):
-    """What the guard decides at a sweep that shows that it pushes against something."""
+    """What it decides at a sweep that shows that it pushes against something."""
     g._bumps._slip.slipping = lambda *seen: True
     v = where.pop("v", 0.1)
     pose = where.get("pose") or HERE
@@ -96,7 +96,7 @@ def pushing(g, **where):
 
 
 def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
-    g = guard()
+    g = avoidance()
     assert pushing(g, sectors=Sectors(2.0, 2.0, 1.0)).command == Twist(-0.1, 0.0)
     g._turning, g._flips = 1.0, 2
     g.interrupted()
@@ -108,7 +108,7 @@ def test_an_interrupted_guard_forgets_what_it_was_doing_and_not_what_it_knows():
 
 @pytest.mark.parametrize(("v", "left", "backs", "turns"), [(0.1, 2.0, -0.1, 0.5), (-0.1, 1.0, 0.1, -0.5)])
 def test_what_it_is_stuck_at_is_remembered_and_left_the_other_way(v, left, backs, turns):
-    g, pose = guard(), SE2.from_xyt(1.0, 2.0, 0.5)
+    g, pose = avoidance(), SE2.from_xyt(1.0, 2.0, 0.5)
     g._turning = 1.0
     found = pushing(g, v=v, now=3.0, pose=pose, sectors=Sectors(left, 2.0, 1.5))
     assert (found.command, g._turning) == (Twist(backs, 0.0), 0.0)
@@ -145,14 +145,14 @@ def test_an_escape_is_bounded_in_time_and_in_the_turn():
 def test_what_touches_is_replaced_by_the_first_motion_that_does_not():
     wall = np.column_stack([np.full(30, 0.065), np.linspace(-0.1, 0.1, 30)])
     ahead = Decision("straight", Twist(0.2, 0.0))
-    g = guard()
+    g = avoidance()
     free = Decision("straight", Twist(-0.1, 0.0))
     assert g._possible(free, wall) is free
     turned = g._possible(ahead, np.array([[0.065, 0.0]]))
     assert turned.action in ("turn", "back off")
     # a post beside the nose on the left: it turns right into free space, and remembers the side
     post = [[0.06, 0.09], [0.066, 0.0]]
-    g = guard()
+    g = avoidance()
     found = g._possible(Decision("stop, turn left", Twist(0.2, 0.5)), np.array(post))
     limits = {w: g.monitor.limit(Twist(0.0, w), np.array(post)) for w in (0.5, -0.5)}
     expected = next((w for w in (0.5, -0.5) if limits[w] > 0.15), None)
@@ -164,9 +164,10 @@ def test_what_touches_is_replaced_by_the_first_motion_that_does_not():
     ring = np.vstack([wall, np.column_stack([np.full(30, -0.128), np.linspace(-0.1, 0.1, 30)])])
     ring = np.vstack([ring, np.column_stack([np.linspace(-0.12, 0.06, 30), np.full(30, 0.128)])])
     ring = np.vstack([ring, ring * [1.0, -1.0]])
-    held = guard()._possible(ahead, ring)
+    held = avoidance()._possible(ahead, ring)
     assert all(
-        guard().monitor.limit(t, ring) <= 0.15 for t in (Twist(0.0, 0.5), Twist(-0.1, 0.0), Twist(0.05, 0.0))
+        avoidance().monitor.limit(t, ring) <= 0.15
+        for t in (Twist(0.0, 0.5), Twist(-0.1, 0.0), Twist(0.05, 0.0))
     )
     assert (held.action, held.command) == ("hold", Twist())
 

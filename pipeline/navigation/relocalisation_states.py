@@ -93,7 +93,7 @@ class RelocaliseConfig(Settings, allow_inf_nan=False):
     """Two places look alike: it drives for so long to where they would not; then the goal is given up."""
 
 
-class Lost:
+class RelocalisationStates:
     """The state, tick by tick, from `narrow` (the cloud), `agrees` (scans and map) and the updates so far."""
 
     def __init__(self, config: RelocaliseConfig, state: State = State.DRIVE) -> None:

@@ -1,4 +1,4 @@
-"""A robot that finds out where it is: events for the state machine of `lost.py`, and its commands."""
+"""A robot that finds out where it is: events for `relocalisation_states.py`, commands for its states."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from turtlebag.datasets.types import Observation, Twist
 from turtlebag.pipeline.localisation.pose_hypotheses import Aliasing, apart
 from turtlebag.pipeline.navigation.disambiguation import Disambiguation
 from turtlebag.pipeline.navigation.goal_runner import Tick, Tools
-from turtlebag.pipeline.navigation.guarded import Guard
 from turtlebag.pipeline.navigation.localiser import Localiser
-from turtlebag.pipeline.navigation.lost import Event, Lost, State
+from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance
+from turtlebag.pipeline.navigation.relocalisation_states import Event, RelocalisationStates, State
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.planners.tasks.wiggle import Wiggle
 
@@ -23,13 +23,18 @@ MOVED_STD = 0.05
 """Standard deviation [m and rad] of an estimate that was moved to the right hypothesis."""
 
 
-class Finder:
+class Relocaliser:
     """Watches the localiser, and drives while the robot is lost."""
 
     def __init__(
-        self, lost: Lost, localiser: Localiser, aliasing: Aliasing, tools: Tools, guard: Guard
+        self,
+        machine: RelocalisationStates,
+        localiser: Localiser,
+        aliasing: Aliasing,
+        tools: Tools,
+        avoidance: ReactiveAvoidance,
     ) -> None:
-        self.lost = lost
+        self.machine = machine
         self.localiser = localiser
         self.comparison: Disambiguation | None = None
         """The drive that decides between pose hypotheses, while there are any."""
@@ -37,45 +42,45 @@ class Finder:
         """Whether this tick has shown that what was planned and seen before was by a wrong pose."""
         self.tools = tools
         """What it drives with."""
-        self._aliasing, self._guard, self._wiggle = aliasing, guard, Wiggle()
+        self._aliasing, self._avoidance, self._wiggle = aliasing, avoidance, Wiggle()
         self._sureness = _Sureness()
         self._T_map_odom: SE2 | None = None
 
     def update(self, observation: Observation, *, examine: bool) -> State:
         """What to do in this tick; hypotheses are looked for where there is a goal to `examine` them for."""
-        now, lost, localiser = observation.stamp_ns, self.lost, self.localiser
-        before, self.void = lost.state, False
+        now, machine, localiser = observation.stamp_ns, self.machine, self.localiser
+        before, self.void = machine.state, False
         if before is State.WIGGLE:
             return before
         self.void = self._jumped(observation.odometry.T_odom_base)
         driving = before in (State.DRIVE, State.COMPARE, State.PUSHED)
         if self.void and driving and localiser.updates > 0:
             self.doubt(now)
-        if lost.state is not State.DRIVE or localiser.updates > 0:
-            lost.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
-        if lost.state is State.RESTART:
+        if machine.state is not State.DRIVE or localiser.updates > 0:
+            machine.update(now, localiser.amcl.converged, localiser.amcl.agrees, localiser.updates)
+        if machine.state is State.RESTART:
             localiser.amcl.initialise_globally()
-        if lost.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
-            lost.on(Event.PUSHED, now, localiser.updates)
-        if lost.state not in (State.DRIVE, State.COMPARE, State.PUSHED):
+        if machine.state in (State.DRIVE, State.PUSHED) and localiser.pushed:
+            machine.on(Event.PUSHED, now, localiser.updates)
+        if machine.state not in (State.DRIVE, State.COMPARE, State.PUSHED):
             self.void |= driving
             self._sureness.doubted = True
             if self.comparison is not None:
                 self.comparison, self._sureness.searches = None, -1
-        elif lost.state is State.DRIVE and examine:
+        elif machine.state is State.DRIVE and examine:
             self._examine(now)
-        if lost.state is not before:
+        if machine.state is not before:
             self._wiggle = Wiggle()
-            self._guard.interrupted()
-        return lost.state
+            self._avoidance.interrupted()
+        return machine.state
 
     def told(self, state: State) -> None:
         """A person has told the localiser a pose, or to search for one: all doubts before are over."""
-        self.lost, self.comparison = Lost(self.lost.config, state), None
+        self.machine, self.comparison = RelocalisationStates(self.machine.config, state), None
         self._sureness = _Sureness(self.localiser.amcl.searches)
         self.accept()
         self._wiggle = Wiggle()
-        self._guard.interrupted()
+        self._avoidance.interrupted()
 
     def accept(self) -> None:
         """How the estimate has moved until now is no reason for doubt."""
@@ -83,7 +88,7 @@ class Finder:
 
     def doubt(self, now_ns: int) -> None:
         """Something else speaks for being lost: look about at once."""
-        self.lost.on(Event.DOUBTED, now_ns, self.localiser.updates)
+        self.machine.on(Event.DOUBTED, now_ns, self.localiser.updates)
 
     def rest(self) -> None:
         """Someone else has driven meanwhile."""
@@ -92,18 +97,20 @@ class Finder:
 
     def turn_or_roam(self, observation: Observation, last: Twist, sensing: Sensing) -> Twist:
         """The command while it is lost: no map is used, nothing seen is touched."""
-        now, state, T_odom_base = observation.stamp_ns, self.lost.state, observation.odometry.T_odom_base
+        now, state, T_odom_base = observation.stamp_ns, self.machine.state, observation.odometry.T_odom_base
         controller = self.tools.controller
         if state is State.ROAM and sensing.sweep is not None:
             new = observation.scan is not None
-            return controller.ramp(self._guard.command(sensing.sweep, T_odom_base, last, new_sweep=new), last)
+            return controller.ramp(
+                self._avoidance.command(sensing.sweep, T_odom_base, last, new_sweep=new), last
+            )
         if state not in (State.WIGGLE, State.LOOK):
             return controller.brake(last)
         amcl, wiggling = self.localiser.amcl, state is State.WIGGLE
         turn = self._wiggle.command(now, wiggling and amcl.converged)
         if turn is None and wiggling:
             lost = self._wiggle.gave_up and amcl.lost
-            self.lost.on(Event.DOUBTED if lost else Event.FOUND, now, self.localiser.updates)
+            self.machine.on(Event.DOUBTED if lost else Event.FOUND, now, self.localiser.updates)
             self._wiggle = Wiggle()
         if turn is None:
             return controller.brake(last)
@@ -117,10 +124,10 @@ class Finder:
             left = self.comparison.judge(self.localiser)
             if left is not None:
                 self.comparison, self.void = None, True
-                self.lost.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
+                self.machine.on(Event.DECIDED, tick.now_ns, self.localiser.updates)
                 self._move_to(left)
                 return self.tools.controller.brake(tick.last)
-        return self.comparison.command(tick, self.lost.config.tell_apart)
+        return self.comparison.command(tick, self.machine.config.tell_apart)
 
     def _jumped(self, T_odom_base: SE2) -> bool:
         """Whether the estimate has moved otherwise than by odometry since the last question.
@@ -143,7 +150,7 @@ class Finder:
             if len(found) > 1:
                 self.comparison = Disambiguation(self._aliasing, found, self.tools, now_ns)
                 self._sureness.new_update(localiser)
-                self.lost.on(Event.ALIKE, now_ns, localiser.updates)
+                self.machine.on(Event.ALIKE, now_ns, localiser.updates)
             else:
                 self._move_to(found[0])
 

@@ -11,8 +11,14 @@ from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.navigation.config import NavigateConfig
 from turtlebag.pipeline.navigation.episode import drive
-from turtlebag.pipeline.navigation.lost import TRANSITIONS, Event, Lost, RelocaliseConfig, State
 from turtlebag.pipeline.navigation.navigator import LOST
+from turtlebag.pipeline.navigation.relocalisation_states import (
+    TRANSITIONS,
+    Event,
+    RelocalisationStates,
+    RelocaliseConfig,
+    State,
+)
 from turtlebag.pipeline.navigation.setup import Request, prepare
 from turtlebag.planners.tasks.sequence import GoalSequence, SequenceConfig
 from turtlebag.planners.tasks.waypoints import Waypoint
@@ -120,8 +126,8 @@ def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
 
 
 def test_a_few_doubts_are_nothing_and_many_stop_the_robot(monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 3)
-    task = Lost(RelocaliseConfig(look=5.0))
+    monkeypatch.setattr("turtlebag.pipeline.navigation.relocalisation_states.DOUBTS", 3)
+    task = RelocalisationStates(RelocaliseConfig(look=5.0))
     assert [task.update(k * S, True, False, k) for k in (1, 2)] == ["drive", "drive"]
     assert task.update(3 * S, True, True, 3) == "drive"
     # Time alone, without the filter being asked, is no doubt.
@@ -132,8 +138,8 @@ def test_a_few_doubts_are_nothing_and_many_stop_the_robot(monkeypatch):
 
 
 def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place(monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
-    task = Lost(RelocaliseConfig(look=5.0))
+    monkeypatch.setattr("turtlebag.pipeline.navigation.relocalisation_states.DOUBTS", 1)
+    task = RelocalisationStates(RelocaliseConfig(look=5.0))
     assert task.update(1 * S, True, False, 1) == "look"
     assert task.update(6 * S, True, False, 9) == "drive"
     assert [task.update((6 + k) * S, True, False, 10 + k) for k in range(1, 10)] == ["drive"] * 9
@@ -141,8 +147,8 @@ def test_a_narrow_cloud_is_trusted_when_looking_about_finds_no_better_place(monk
 
 
 def test_what_it_does_when_it_never_finds_out_is_bounded(monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
-    task = Lost(RelocaliseConfig(look=5.0, roam=10.0, restarts=2))
+    monkeypatch.setattr("turtlebag.pipeline.navigation.relocalisation_states.DOUBTS", 1)
+    task = RelocalisationStates(RelocaliseConfig(look=5.0, roam=10.0, restarts=2))
     said = [task.update(k * S, False, False, k) for k in range(1, 60)]
     turns = [a for a, b in zip(said, [None, *said], strict=False) if a != b]
     assert turns[:9] == ["look", "roam", "restart", "look", "roam", "restart", "look", "roam", "give_up"]
@@ -184,27 +190,27 @@ def test_the_diagram_in_the_docs_is_the_table_of_transitions():
 
 
 def test_a_pushed_robot_stands_until_nobody_has_pushed_it_for_a_while(monkeypatch):
-    monkeypatch.setattr("turtlebag.pipeline.navigation.lost.DOUBTS", 1)
-    lost = Lost(RelocaliseConfig())
-    lost.on(Event.PUSHED, 1 * S, 1)
-    assert lost.update(2 * S, True, True, 1) == "pushed"
-    lost.on(Event.PUSHED, 2 * S, 2)
-    assert [lost.update(t * S, True, True, 2) for t in (3, 4)] == ["pushed", "pushed"]
-    assert lost.update(4 * S + 1, True, True, 2) == "drive"
-    lost.on(Event.PUSHED, 5 * S, 3)
-    assert lost.update(6 * S, False, False, 4) == "look"
+    monkeypatch.setattr("turtlebag.pipeline.navigation.relocalisation_states.DOUBTS", 1)
+    machine = RelocalisationStates(RelocaliseConfig())
+    machine.on(Event.PUSHED, 1 * S, 1)
+    assert machine.update(2 * S, True, True, 1) == "pushed"
+    machine.on(Event.PUSHED, 2 * S, 2)
+    assert [machine.update(t * S, True, True, 2) for t in (3, 4)] == ["pushed", "pushed"]
+    assert machine.update(4 * S + 1, True, True, 2) == "drive"
+    machine.on(Event.PUSHED, 5 * S, 3)
+    assert machine.update(6 * S, False, False, 4) == "look"
 
 
 def test_doubts_in_a_row_are_counted_while_hypotheses_are_compared():
-    lost = Lost(RelocaliseConfig())
-    assert lost.update(1 * S, False, True, 1) == "drive"
-    lost.on(Event.ALIKE, 1 * S, 1)
-    assert lost.update(2 * S, True, True, 2) == "tell_apart"
-    assert lost.update(3 * S, False, True, 3) == "tell_apart"
-    lost.on(Event.DECIDED, 3 * S, 3)
-    assert lost.update(4 * S, False, True, 4) == "look"
+    machine = RelocalisationStates(RelocaliseConfig())
+    assert machine.update(1 * S, False, True, 1) == "drive"
+    machine.on(Event.ALIKE, 1 * S, 1)
+    assert machine.update(2 * S, True, True, 2) == "tell_apart"
+    assert machine.update(3 * S, False, True, 3) == "tell_apart"
+    machine.on(Event.DECIDED, 3 * S, 3)
+    assert machine.update(4 * S, False, True, 4) == "look"
 
 
 def test_an_event_that_a_state_does_not_know_is_an_error():
     with pytest.raises(KeyError):
-        Lost(RelocaliseConfig()).on(Event.FOUND, 0, 0)
+        RelocalisationStates(RelocaliseConfig()).on(Event.FOUND, 0, 0)
