@@ -15,7 +15,7 @@ from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, mapped, picture
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
-from turtlebag.datasets.kept import read_kept, write_kept
+from turtlebag.datasets.cache_files import read_cached, write_cached
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
 from turtlebag.datasets.se2 import SE2
@@ -118,14 +118,14 @@ def log_row(log: Path, files: Files) -> Row:
 
 def keep(file: Path, found: Trajectory) -> Trajectory:
     """Keep the poses of a map for other cases."""
-    write_kept(file, np.ascontiguousarray(found.poses.xyt).tobytes())
+    write_cached(file, np.ascontiguousarray(found.poses.xyt).tobytes())
     return found
 
 
 def undisturbed(log: Path, files: Files) -> Trajectory:
     """The map's trajectory of a log as it is: kept, or made."""
     recording, file = read(log), files.kept(stem(log))
-    if (found := read_kept(file)) is None:
+    if (found := read_cached(file)) is None:
         return keep(file, mapped(recording)[0].trajectory)
     return Trajectory(recording.stamps_ns, SE2(np.frombuffer(found).reshape(-1, 3)))
 

@@ -31,8 +31,8 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
+from turtlebag.datasets.cache_files import read_cached, trim_cached, user_cache, write_cached
 from turtlebag.datasets.fingerprints import fingerprint
-from turtlebag.datasets.kept import read_kept, trim_kept, user_cache, write_kept
 
 MADE_BY = [numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag]
 LIMIT_BYTES, LIMIT_FILES = 100_000_000, 2000
@@ -74,7 +74,7 @@ class KernelCache(_Cache):
         """What was kept for the argument types; None when nothing was."""
         target_context.refresh()
         for folder in folders() if self._on else ():
-            kept = read_kept(folder / self._name(sig, target_context.codegen()))
+            kept = read_cached(folder / self._name(sig, target_context.codegen()))
             if kept is not None:
                 try:
                     types, result = pickle.loads(kept)
@@ -89,8 +89,8 @@ class KernelCache(_Cache):
             return
         name, written = self._name(sig, data.codegen), dumps((sig, data._reduce()))
         for folder in folders(make=True):
-            if write_kept(folder / name, written):
-                trim_kept(folder, NAME, LIMIT_BYTES, LIMIT_FILES)
+            if write_cached(folder / name, written):
+                trim_cached(folder, NAME, LIMIT_BYTES, LIMIT_FILES)
                 return
 
     def _name(self, sig: Any, codegen: Any) -> str:

@@ -17,8 +17,8 @@ from threading import get_ident
 MAGIC = b"turtlebag kept 1\n"
 
 
-def read_kept(path: Path) -> bytes | None:
-    """What `write_kept` was given, which counts as a use; None when the file is not there or not that."""
+def read_cached(path: Path) -> bytes | None:
+    """What `write_cached` was given, which counts as a use; None when the file is not there or not that."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -31,7 +31,7 @@ def read_kept(path: Path) -> bytes | None:
     return payload
 
 
-def write_kept(path: Path, payload: bytes) -> bool:
+def write_cached(path: Path, payload: bytes) -> bool:
     """Keep the bytes under the name; whether that was possible."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.{get_ident()}")
     try:
@@ -45,7 +45,7 @@ def write_kept(path: Path, payload: bytes) -> bool:
     return True
 
 
-def trim_kept(folder: Path, names: re.Pattern[str], limit_bytes: int, limit_files: int) -> None:
+def trim_cached(folder: Path, names: re.Pattern[str], limit_bytes: int, limit_files: int) -> None:
     """Remove the least recently used files, and what killed processes left, beyond the limits.
 
     `names` are those of kept files; whose any other file is nobody knows, and it stays.
