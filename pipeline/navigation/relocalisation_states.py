@@ -9,8 +9,8 @@ from enum import Enum, StrEnum, auto
 
 from pydantic import Field
 
+from turtlebag.datasets.durations import Seconds
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import Seconds
 
 
 class State(StrEnum):

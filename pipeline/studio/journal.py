@@ -14,9 +14,9 @@ from typing import Any, Literal
 import yaml
 from pydantic import Field
 
+from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import LONGEST_S
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import checked, read_mapping
 from turtlebag.pipeline.navigation.takeover import Interval, TakeoverConfig

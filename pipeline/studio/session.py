@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from turtlebag.datasets.bags.writer import BagWriter
+from turtlebag.datasets.durations import LONGEST_S
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import sha256_text
-from turtlebag.datasets.spans import LONGEST_S
 from turtlebag.datasets.types import Twist
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.navigation.recorder import NoBag

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from turtlebag.datasets.durations import Seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import Seconds
 from turtlebag.datasets.types import Twist, yaw_difference
 
 Preset = Literal["default", "tutorial"]

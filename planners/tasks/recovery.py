@@ -10,9 +10,9 @@ from typing import Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from turtlebag.datasets.durations import LONGEST_S, Seconds
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import LONGEST_S, Seconds
 from turtlebag.datasets.types import Twist
 
 Kind = Literal["wait", "clear", "back_up", "rotate"]

@@ -8,9 +8,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from turtlebag.datasets.durations import Seconds
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
-from turtlebag.datasets.spans import Seconds
 from turtlebag.planners.tasks.waypoints import Waypoint
 
 Status = Literal["reached", "timeout", "unreachable", "rejected", "collided"]

@@ -1,4 +1,4 @@
-"""Spans of time as settings give them."""
+"""Durations as settings give them."""
 
 from __future__ import annotations
 
