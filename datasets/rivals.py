@@ -14,7 +14,7 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.se3 import inverse, lifted
-from turtlebag.datasets.tracks import Track, read_track
+from turtlebag.datasets.trajectories_3d import Trajectory3D, read_trajectory_3d
 from turtlebag.datasets.types import Stamps, seconds
 
 OURS, TRUTH = "TurtleBag", "truth"
@@ -83,7 +83,7 @@ class System:
     """Poses of the base and a map, by one system in its own frame; `notes` say what was done to read them."""
 
     name: str
-    track: Track | None
+    track: Trajectory3D | None
     grid: OccupancyGrid | None
     notes: tuple[str, ...] = ()
 
@@ -93,7 +93,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     grid = None if files.map is None else load_map(files.map)
     if files.trajectory is None:
         return System(files.name, None, grid)
-    read = read_track(files.trajectory, files.times, scans_ns)
+    read = read_trajectory_3d(files.trajectory, files.times, scans_ns)
     if len(read) < FEWEST:
         raise InputError(
             f"{files.trajectory}: has {len(read)} of the {FEWEST} poses that it takes to compare"
@@ -117,7 +117,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     return System(files.name, track, grid, tuple(notes))
 
 
-def _looks_through_a_camera(track: Track) -> bool:
+def _looks_through_a_camera(track: Trajectory3D) -> bool:
     extent = np.ptp(track.T[:, :3, 3], axis=0)
     return bool(extent[2] > CLIMB_M and extent[2] > 0.5 * extent[:2].max())
 

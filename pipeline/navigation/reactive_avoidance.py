@@ -1,4 +1,4 @@
-"""The guarded way of driving about: the tutorial's tiers, for a robot that knows its own shape.
+"""Reactive obstacle avoidance, `avoid.mode=guarded`: the tutorial's tiers for a robot that knows its shape.
 
 It never asks for a motion that the last sweep shows to end in a touch, treats beams that are too
 short to measure as touching, turns one way until the way is free, notices by comparing sweeps that

@@ -12,7 +12,7 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.rivals import OURS, RivalFiles, System, load_rival
 from turtlebag.datasets.se2 import SE2
-from turtlebag.datasets.tracks import Track
+from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.pipeline.stages.map_references import References
 from turtlebag.reports.metrics.systems import Known, Measured, measure
 from turtlebag.reports.stages import MARK, Group, Manifest, RivalEntry, Stage
@@ -34,7 +34,7 @@ def measured(
     stage: Stage, files: Sequence[RivalFiles], group: Group | None = None
 ) -> tuple[Known, list[Measured]]:
     """Ours and its rivals, measured; InputError for what cannot be read or compared."""
-    track = None if stage.trajectory is None else Track.of(stage.trajectory)
+    track = None if stage.trajectory is None else Trajectory3D.of(stage.trajectory)
     scans = np.zeros(0, dtype=np.int64) if track is None else track.stamps_ns
     ours = System(OURS, track, stage.map)
     rivals = [load_rival(entry, scans) for entry in files]

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from turtlebag.datasets.rivals import covered
 from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.se3 import interpolate, inverse, quaternions
-from turtlebag.datasets.tracks import Track
+from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Stamps, neighbours
 from turtlebag.reports.metrics.relations import nearest
 
 MATCH_NS = 10_000_000
 """Stamps this near are one instant: evo's --t_max_diff."""
 ENOUGH = 0.9
-"""Where fewer of the sparser track's poses find a partner, the reference is interpolated."""
+"""Where fewer of the sparser one's poses find a partner, the reference is interpolated."""
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
@@ -47,8 +47,8 @@ class Relative(TypedDict):
 class Paired:
     """Poses of an estimate and of a reference at the same instants; `interpolated`: the reference's."""
 
-    estimate: Track
-    reference: Track
+    estimate: Trajectory3D
+    reference: Trajectory3D
     interpolated: bool = False
 
     def __len__(self) -> int:
@@ -64,10 +64,10 @@ class Paired:
         return replace(self, estimate=replace(self.estimate, T=T @ self.estimate.T))
 
 
-def pair(estimate: Track, reference: Track) -> Paired:
-    """Pairs at the same instants, of tracks in time; empty when there are none.
+def pair(estimate: Trajectory3D, reference: Trajectory3D) -> Paired:
+    """Pairs at the same instants, of trajectories in time; empty when there are none.
 
-    As evo does it, each pose of the sparser track with the other's nearest, at most 10 ms away. Where the
+    As evo does it, each pose of the sparser one with the other's nearest, at most 10 ms away. Where the
     stamps do not meet like this, the reference is interpolated at the estimate's, but never over a gap.
     """
     sparse, dense = (estimate, reference) if len(estimate) <= len(reference) else (reference, estimate)
@@ -81,10 +81,10 @@ def pair(estimate: Track, reference: Track) -> Paired:
     return Paired(estimate[inside], at(reference, estimate.stamps_ns[inside]), interpolated=True)
 
 
-def at(track: Track, stamps: Stamps) -> Track:
-    """Interpolated poses at stamps within the track's span."""
+def at(track: Trajectory3D, stamps: Stamps) -> Trajectory3D:
+    """Interpolated poses at stamps within the trajectory's span."""
     low, high, fraction = neighbours(track.stamps_ns, stamps)
-    return Track(stamps, interpolate(track.T[low], track.T[high], fraction))
+    return Trajectory3D(stamps, interpolate(track.T[low], track.T[high], fraction))
 
 
 def umeyama(xyz_a: Array, xyz_b: Array) -> Array:
@@ -129,7 +129,7 @@ def by_frame(count: int) -> Pairs:
     return index, index + 1
 
 
-def by_metre(estimate: Track) -> Pairs:
+def by_metre(estimate: Trajectory3D) -> Pairs:
     """Poses a metre of the estimate's path apart, one pair after the other: `--delta 1 --delta_unit m`."""
     steps = np.linalg.norm(np.diff(estimate.T[:, :3, 3], axis=0), axis=1)
     chosen, driven = [0], 0.0

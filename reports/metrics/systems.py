@@ -14,8 +14,8 @@ from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.rivals import System, coverage, covered, gaps
 from turtlebag.datasets.se2 import SE2, Array
 from turtlebag.datasets.se3 import lifted
-from turtlebag.datasets.tracks import Track
 from turtlebag.datasets.trajectories import stamp_text
+from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Trajectory, seconds
 from turtlebag.reports.metrics import evo
 from turtlebag.reports.metrics.map import map_metrics, visible_surface
@@ -59,7 +59,7 @@ def measure(ours: System, rivals: Sequence[System], known: Known) -> list[Measur
 
     InputError for a trajectory that cannot be paired with the reference.
     """
-    reference = Track.of(known.truth).in_time() if known.truth is not None else ours.track
+    reference = Trajectory3D.of(known.truth).in_time() if known.truth is not None else ours.track
     span = _span(ours)
     found: list[Measured] = []
     for system in (ours, *rivals):
@@ -79,7 +79,7 @@ def _span(ours: System) -> tuple[int, int] | None:
 def _measure_track(
     system: System,
     ours: System,
-    reference: Track,
+    reference: Trajectory3D,
     span: tuple[int, int],
     relations: Relations | None,
     truth_known: bool,
@@ -98,7 +98,7 @@ def _measure_track(
         inside = whole[covered(whole.stamps_ns, track.stamps_ns)]
         numbers["ours_there"] = path_errors(evo.pair(inside, reference)) if len(inside) > 2 else None
     T = fit_rigid(paired.estimate.T[:, :2, 3], paired.reference.T[:, :2, 3])
-    path = Track(track.stamps_ns, lifted(T) @ track.T).planar()
+    path = Trajectory3D(track.stamps_ns, lifted(T) @ track.T).planar()
     notes = [*system.notes, *_notes(track, paired, span)] if system is not ours else []
     return Measured(system, numbers, notes, paired, path)
 
@@ -119,7 +119,7 @@ def path_errors(paired: evo.Paired) -> dict[str, Any]:
     }
 
 
-def _check_paired(name: str, track: Track, reference: Track, paired: evo.Paired) -> None:
+def _check_paired(name: str, track: Trajectory3D, reference: Trajectory3D, paired: evo.Paired) -> None:
     if len(paired) > 2:
         return
     theirs, ours = (
@@ -133,7 +133,7 @@ def _check_paired(name: str, track: Track, reference: Track, paired: evo.Paired)
     )
 
 
-def _notes(track: Track, paired: evo.Paired, span: tuple[int, int]) -> list[str]:
+def _notes(track: Trajectory3D, paired: evo.Paired, span: tuple[int, int]) -> list[str]:
     """What a reader must know of the stamps of a rival."""
     notes = []
     begin, end = span
@@ -154,13 +154,15 @@ def _notes(track: Track, paired: evo.Paired, span: tuple[int, int]) -> list[str]
     return notes
 
 
-def with_poses_at(track: Track, relations: Relations) -> Trajectory:
-    """A track with interpolated poses at those stamps of relations at which it has none, but for gaps."""
+def with_poses_at(track: Trajectory3D, relations: Relations) -> Trajectory:
+    """The trajectory, with interpolated poses at stamps of relations where it has none, but for gaps."""
     wanted = np.unique(np.concatenate([relations.stamps_a_ns, relations.stamps_b_ns]))
     _, met = nearest(track.stamps_ns, wanted)
     ordered = track.in_time()
     added = evo.at(ordered, wanted[~met & covered(wanted, ordered.stamps_ns)])
-    both = Track(np.concatenate([track.stamps_ns, added.stamps_ns]), np.concatenate([track.T, added.T]))
+    both = Trajectory3D(
+        np.concatenate([track.stamps_ns, added.stamps_ns]), np.concatenate([track.T, added.T])
+    )
     return both.planar()
 
 

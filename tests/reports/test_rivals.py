@@ -15,8 +15,8 @@ from turtlebag.datasets.relations import Relations
 from turtlebag.datasets.rivals import RivalFiles, System
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
-from turtlebag.datasets.tracks import Track
 from turtlebag.datasets.trajectories import load_tum, save_tum
+from turtlebag.datasets.trajectories_3d import Trajectory3D
 from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_rivals
@@ -95,8 +95,8 @@ def test_a_rate_of_its_own_changes_little(tree, tmp_path):
 
 
 def test_without_a_truth_the_others_are_measured_against_ours():
-    path = Track.of(Trajectory(np.arange(150, dtype=np.int64) * 200_000_000, ellipse()[::6]))
-    moved = Track(path.stamps_ns, path.T.copy())
+    path = Trajectory3D.of(Trajectory(np.arange(150, dtype=np.int64) * 200_000_000, ellipse()[::6]))
+    moved = Trajectory3D(path.stamps_ns, path.T.copy())
     moved.T[:, 0, 3] += 2.0
     a, b = np.array([0, 51]), np.array([30, 141])
     poses = path.planar().poses

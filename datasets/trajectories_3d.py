@@ -22,16 +22,16 @@ Lines = list[tuple[int, list[str]]]
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Trajectory3D:
     """Stamped poses in space, `T` (n, 4, 4), in the order of their source."""
 
     stamps_ns: Stamps
     T: Array
 
     @staticmethod
-    def of(trajectory: Trajectory) -> Track:
+    def of(trajectory: Trajectory) -> Trajectory3D:
         """A planar trajectory in space."""
-        return Track(trajectory.stamps_ns, lifted(trajectory.poses))
+        return Trajectory3D(trajectory.stamps_ns, lifted(trajectory.poses))
 
     def planar(self) -> Trajectory:
         """x, y and yaw."""
@@ -40,17 +40,17 @@ class Track:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def __getitem__(self, chosen: Any) -> Track:
+    def __getitem__(self, chosen: Any) -> Trajectory3D:
         """The poses that an index array, a mask or a slice picks."""
-        return Track(self.stamps_ns[chosen], self.T[chosen])
+        return Trajectory3D(self.stamps_ns[chosen], self.T[chosen])
 
-    def in_time(self) -> Track:
+    def in_time(self) -> Trajectory3D:
         """Sorted by stamp; of several poses with one stamp the first."""
         stamps, first = np.unique(self.stamps_ns, return_index=True)
-        return Track(stamps, self.T[first])
+        return Trajectory3D(stamps, self.T[first])
 
 
-def read_track(path: Path, times: Path | None, scans_ns: Stamps) -> Track:
+def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Trajectory3D:
     """Read a TUM, KITTI or EuRoC file; which one, its first line tells. InputError for anything else.
 
     KITTI has no stamps: they are in `times` (seconds, one a line), or there is one pose for each of the
@@ -60,18 +60,18 @@ def read_track(path: Path, times: Path | None, scans_ns: Stamps) -> Track:
     first = lines[0][1]
     if len(first) == 12 and not csv:
         stamps = _kitti_stamps(path, len(lines), times, scans_ns)
-        return Track(stamps, _kitti(path, lines))
+        return Trajectory3D(stamps, _kitti(path, lines))
     if times is not None:
         raise InputError(f"{path}: has stamps of its own; leave --rival-times out")
     if csv:
         rows = _rows(path, lines, 8, "'t [ns], x, y, z, qw, qx, qy, qz, ...'", at_least=True)
         stamps = np.array([_nanoseconds(path, number, words[0]) for number, words in lines], dtype=np.int64)
-        return Track(stamps, _poses(path, lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
+        return Trajectory3D(stamps, _poses(path, lines, rows[:, 1:4], rows[:, [5, 6, 7, 4]]))
     if len(first) != 8:
         raise InputError(f"{path}, line {lines[0][0]}: {len(first)} words; {FORMATS}")
     rows = _rows(path, lines, 8, "'t x y z qx qy qz qw'")
     stamps = np.array([_seconds(path, number, words[0]) for number, words in lines], dtype=np.int64)
-    return Track(stamps, _poses(path, lines, rows[:, 1:4], rows[:, 4:8]))
+    return Trajectory3D(stamps, _poses(path, lines, rows[:, 1:4], rows[:, 4:8]))
 
 
 def _lines(path: Path) -> tuple[Lines, bool]:

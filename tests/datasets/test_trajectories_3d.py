@@ -7,8 +7,8 @@ from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.rivals import RivalFiles, coverage, gaps, load_rival
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.se3 import exp, inverse, lifted, quaternions
-from turtlebag.datasets.tracks import Track, read_track
 from turtlebag.datasets.trajectories import save_tum_3d
+from turtlebag.datasets.trajectories_3d import Trajectory3D, read_trajectory_3d
 
 NO_SCANS = np.zeros(0, dtype=np.int64)
 STAMPS = 1_403_636_579_758_555_392 + np.arange(8, dtype=np.int64) * 50_000_000
@@ -32,10 +32,10 @@ def test_tum_kitti_and_euroc_hold_the_same_poses(tmp_path):
     write_euroc(tmp_path / "a.csv", STAMPS, POSES)
     (tmp_path / "times").write_text("".join(f"{s // 10**9}.{s % 10**9:09d}\n" for s in STAMPS.tolist()))
     found = [
-        read_track(tmp_path / "a.tum", None, NO_SCANS),
-        read_track(tmp_path / "a.csv", None, NO_SCANS),
-        read_track(tmp_path / "a.txt", tmp_path / "times", NO_SCANS),
-        read_track(tmp_path / "a.txt", None, STAMPS),
+        read_trajectory_3d(tmp_path / "a.tum", None, NO_SCANS),
+        read_trajectory_3d(tmp_path / "a.csv", None, NO_SCANS),
+        read_trajectory_3d(tmp_path / "a.txt", tmp_path / "times", NO_SCANS),
+        read_trajectory_3d(tmp_path / "a.txt", None, STAMPS),
     ]
     for track in found:
         np.testing.assert_array_equal(track.stamps_ns, STAMPS)
@@ -66,7 +66,7 @@ def test_what_is_no_trajectory_is_refused_in_one_line(tmp_path, text, said):
     path.write_text(text)
     scans = np.zeros(1, dtype=np.int64) if text.startswith("2 0") else NO_SCANS
     with pytest.raises(InputError) as error:
-        read_track(path, None, scans)
+        read_trajectory_3d(path, None, scans)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -75,13 +75,13 @@ def test_times_have_to_fit_their_poses(tmp_path):
     write_kitti(tmp_path / "a.txt", POSES)
     (tmp_path / "times").write_text("1\n2\n")
     with pytest.raises(InputError, match="2 times for the 8 poses"):
-        read_track(tmp_path / "a.txt", tmp_path / "times", STAMPS)
+        read_trajectory_3d(tmp_path / "a.txt", tmp_path / "times", STAMPS)
     (tmp_path / "times").write_text("1 2\n" * 8)
     with pytest.raises(InputError, match="line 1: expected one time"):
-        read_track(tmp_path / "a.txt", tmp_path / "times", STAMPS)
+        read_trajectory_3d(tmp_path / "a.txt", tmp_path / "times", STAMPS)
     save_tum_3d(STAMPS, POSES, tmp_path / "a.tum")
     with pytest.raises(InputError, match="leave --rival-times out"):
-        read_track(tmp_path / "a.tum", tmp_path / "times", STAMPS)
+        read_trajectory_3d(tmp_path / "a.tum", tmp_path / "times", STAMPS)
 
 
 def driven(n=40):
@@ -118,6 +118,6 @@ def test_gaps_are_stretches_longer_than_usual_and_do_not_count_as_covered():
 
 
 def test_repeated_stamps_are_left_out_and_the_rest_is_put_in_order():
-    track = Track(np.array([30, 10, 30, 20], dtype=np.int64), POSES[:4]).in_time()
+    track = Trajectory3D(np.array([30, 10, 30, 20], dtype=np.int64), POSES[:4]).in_time()
     assert track.stamps_ns.tolist() == [10, 20, 30]
     np.testing.assert_array_equal(track.T, POSES[[1, 3, 0]])
