@@ -15,8 +15,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from turtlebag.datasets.claims import MARKER, Claim, claimed, watch_inputs
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_lock import MARKER, OutputLock, lock_output, watch_inputs
 from turtlebag.datasets.output_rules import check_free
 
 PACKAGES = (
@@ -46,32 +46,32 @@ def staged_output(
     killed process left is removed, with `save_bag` an unfinished bag is set aside.
     """
     check_free(out, force=force, inputs=inputs, kind="folder")
-    with claimed(out, force=force, inputs=inputs) as claim, _growing(claim, save_bag=save_bag) as partial:
+    with lock_output(out, force=force, inputs=inputs) as lock, _growing(lock, save_bag=save_bag) as partial:
         yield partial
-        claim.finish()
+        lock.finish()
 
 
 @contextmanager
 def staged_file(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     """A file in `OUT.partial` to write; moved to `out` on success, else removed, as `staged_output`."""
     check_free(out, force=force, inputs=inputs, kind="file")
-    with claimed(out, force=force, inputs=inputs) as claim, _growing(claim) as partial:
+    with lock_output(out, force=force, inputs=inputs) as lock, _growing(lock) as partial:
         yield partial / out.name
-        claim.finish(partial / out.name)
+        lock.finish(partial / out.name)
 
 
 @contextmanager
-def _growing(claim: Claim, *, save_bag: bool = False) -> Iterator[Path]:
+def _growing(lock: OutputLock, *, save_bag: bool = False) -> Iterator[Path]:
     try:
-        yield claim.begin(save_bag=save_bag)
+        yield lock.begin(save_bag=save_bag)
     except BaseException as error:
         with suppress(OSError):
-            claim.clear()
+            lock.clear()
         if isinstance(error, OSError) and error.errno is not None:
-            raise InputError(f"{error.filename or claim.out}: {error.strerror}") from None
+            raise InputError(f"{error.filename or lock.out}: {error.strerror}") from None
         raise
     finally:
-        claim.growing = False
+        lock.growing = False
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from llvmlite.binding import get_host_cpu_name
 
-from turtlebag.datasets.claims import claimed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.fingerprints import fingerprint
+from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.outputs import (
     Output,
     Stopwatch,
@@ -64,28 +64,28 @@ def sweep(
     campaign = load_campaign(campaign_name)
     todo = cases(campaign)
     require_scheduler(scheduler)
-    with claimed(out.folder, force=out.force) as claim:
+    with lock_output(out.folder, force=out.force) as lock:
         inputs = _inputs(campaign_name, todo)
-        claim.watch(inputs.values())
-        where = _where(campaign, store, claim.partial, inputs, scheduler)
+        lock.watch(inputs.values())
+        where = _where(campaign, store, lock.partial, inputs, scheduler)
         _begin(where, campaign, force=out.force)
         progress = Progress(campaign, where, todo)
-        scratch = claim.partial / SCRATCH
+        scratch = lock.partial / SCRATCH
 
         def start(left: Sequence[Case]) -> Iterator[Done]:
             return run_cases(campaign, left, where, run, scratch, scheduler=scheduler, workers=workers)
 
         rows, timing = _run(campaign, todo, where, progress, start)
-        (claim.partial / "config.yaml").write_text(config_text(campaign))
+        (lock.partial / "config.yaml").write_text(config_text(campaign))
         source = Path(campaign_name).name
-        write_results(campaign, source, rows, where.runs, claim.partial, progress.worst)
-        _tidy(Store(str(claim.partial)))
+        write_results(campaign, source, rows, where.runs, lock.partial, progress.worst)
+        _tidy(Store(str(lock.partial)))
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
         wall_s = watch.seconds()
         write_manifest(
-            claim.partial, "sweep", out.command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
+            lock.partial, "sweep", out.command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
         )
-        claim.finish()
+        lock.finish()
     failed = sum(bool(row["failed"]) for row in rows)
     log.info(f"{out.folder}: {len(rows)} cases, {failed} failed")
     return int(failed > 0)

@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from turtlebag.datasets.claims import claimed, release_all
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.files import signatures
+from turtlebag.datasets.output_lock import lock_output, release_all
 from turtlebag.pipeline.cli.arguments import epilog, named_inputs
 from turtlebag.pipeline.setup.missing_package import missing_package
 from turtlebag.pipeline.terminal.messages import Words, guarded_streams, set_verbosity
@@ -138,7 +138,7 @@ def _stopping_cleanly() -> Iterator[None]:
 
 
 def _run(args: argparse.Namespace, stdout: Words) -> int:
-    """Run a command that is parsed, holding the claim to its output if it has one."""
+    """Run a command that is parsed, holding the lock of its output if it has one."""
     set_verbosity(args.verbosity)
     inputs = args.inputs(args)
     out = getattr(args, "out", None)
@@ -147,7 +147,7 @@ def _run(args: argparse.Namespace, stdout: Words) -> int:
             signatures(path)  # no pipes, no devices
         return int(args.run(args))
     stdout.optional = True
-    with claimed(out, force=args.force, inputs=inputs):
+    with lock_output(out, force=args.force, inputs=inputs):
         return int(args.run(args))
 
 

@@ -48,7 +48,7 @@ def test_mistakes_are_made_in_what_functions_do_and_not_in_words_types_or_settin
 
 
 def test_the_same_seed_draws_the_same_mutants_and_kernels_get_their_share(tmp_path):
-    deleting = [f"datasets/{name}.py" for name in ("outputs", "claims", "output_rules")]
+    deleting = [f"datasets/{name}.py" for name in ("outputs", "output_lock", "output_rules")]
     for name in ("planners/footprint.py", "planners/costmap.py", "datasets/se2.py", *deleting):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import turtlebag.pipeline.stages.record
-from turtlebag.datasets.claims import MARKER
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
+from turtlebag.datasets.output_lock import MARKER
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.trajectories import load_tum

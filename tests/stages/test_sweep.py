@@ -8,8 +8,8 @@ from pathlib import Path
 import distributed
 import pytest
 
-from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_lock import MARKER, lock_output
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree, write_json, write_manifest
 from turtlebag.pipeline.campaign.campaign_file import FOLDER, Campaign, load_campaign
 from turtlebag.pipeline.campaign.case import Where, recipes, run_case
@@ -343,11 +343,11 @@ def test_rows_of_other_code_are_not_gone_on_with(tmp_path, scheduler, monkeypatc
     (tmp_path / "campaign.yaml").write_text(UNDRAWN)
     file, out = str(tmp_path / "campaign.yaml"), tmp_path / "out"
     for _ in range(2):
-        with claimed(out) as claim:
+        with lock_output(out) as lock:
             campaign = load_campaign(file)
-            sweep._begin(sweep._where(campaign, None, claim.partial, {}, None), campaign, force=False)
-            (claim.partial / "rows").mkdir(exist_ok=True)
-            (claim.partial / "rows/old.json").write_text("old")
+            sweep._begin(sweep._where(campaign, None, lock.partial, {}, None), campaign, force=False)
+            (lock.partial / "rows").mkdir(exist_ok=True)
+            (lock.partial / "rows/old.json").write_text("old")
     monkeypatch.setattr(sweep, "surroundings", lambda: "of tomorrow")
     with pytest.raises(InputError, match=r"other code.*--force"):
         sweep.sweep(file, Output(out), fake_main, scheduler=scheduler)

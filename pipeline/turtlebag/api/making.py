@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from turtlebag.datasets.claims import claimed
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_lock import lock_output
 from turtlebag.datasets.parts import name_of, told_kind
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.yaml_files import parsed
@@ -91,7 +91,7 @@ def step(
     folder = None if out is not None else TemporaryFolder()
     place = path_if(out, "out") or folder.path / verb  # type: ignore[union-attr]
     now = Step(verb, place, force, [folder, *inputs.values()])
-    with in_python(), _heard(now.notes), claimed(now.out, force=force, inputs=read):
+    with in_python(), _heard(now.notes), lock_output(now.out, force=force, inputs=read):
         yield now
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from turtlebag.datasets.claims import MARKER, claimed
 from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.output_lock import MARKER, lock_output
 from turtlebag.datasets.outputs import sha256_tree, staged_file, staged_output, write_manifest
 from turtlebag.pipeline.cli.main import main
 
@@ -257,7 +257,7 @@ def growing(tmp_path):
 def test_the_second_writer_is_refused_and_the_first_is_whole(tmp_path, growing, force):
     with (
         pytest.raises(InputError, match="another process is writing it"),
-        claimed(tmp_path / "." / "out", force=force),
+        lock_output(tmp_path / "." / "out", force=force),
     ):
         pass
     growing.communicate("\n")

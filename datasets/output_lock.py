@@ -30,10 +30,10 @@ _HIDDEN = ".turtlebag-"
 SESSION = "session.yaml"
 WORTH_SAVING = ("bag/*.mcap", "bags/*/*.mcap", SESSION)
 """What cannot be made again by the same command."""
-_held: dict[Path, Claim] = {}
+_held: dict[Path, OutputLock] = {}
 
 
-class Claim:
+class OutputLock:
     """The right to write one output, held until `release`."""
 
     def __init__(self, out: Path, *, force: bool, inputs: Iterable[Path]) -> None:
@@ -79,7 +79,7 @@ class Claim:
         return self.partial
 
     def clear(self) -> None:
-        """Remove what has grown; the claim stays."""
+        """Remove what has grown; the lock stays."""
         if self._kept:
             return
         for path in self.partial.iterdir():
@@ -114,12 +114,12 @@ class Claim:
             _discard(path)
 
     def require_unchanged(self) -> None:
-        """InputError when a file of the inputs is not the one it was when the claim was made."""
+        """InputError when a file of the inputs is not the one it was when the lock was taken."""
         for path, before in self._inputs.items():
             require_same(path, before)
 
     def release(self) -> None:
-        """Give up the claim; a folder in which nothing grew goes with it."""
+        """Release the lock; a folder in which nothing grew goes with it."""
         with suppress(OSError):
             if not self._kept and is_same(self._folder, self.partial):
                 left = [path.name for path in self.partial.iterdir()]
@@ -178,8 +178,8 @@ class Claim:
 
 
 @contextmanager
-def claimed(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Claim]:
-    """The claim to an output, that of the surrounding command where there is one already.
+def lock_output(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[OutputLock]:
+    """The lock of an output, that of the surrounding command where there is one already.
 
     InputError at once when the output may not be written, or another process is writing it.
     """
@@ -189,27 +189,27 @@ def claimed(out: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> I
         yield held
         return
     with uninterrupted():
-        claim = Claim(out, force=force, inputs=inputs)
-        _held[claim.place] = claim
+        lock = OutputLock(out, force=force, inputs=inputs)
+        _held[lock.place] = lock
     try:
-        yield claim
+        yield lock
     finally:
         with uninterrupted():
-            del _held[claim.place]
-            claim.release()
+            del _held[lock.place]
+            lock.release()
 
 
 def watch_inputs(folder: Path, inputs: Iterable[Path]) -> None:
-    """Hold the claim that grows in `folder`, if any, to inputs that were not known when it was made."""
-    for claim in _held.values():
-        if claim.partial == folder:
-            claim.watch(inputs)
+    """Watch inputs, too, that were unknown when the lock of what grows in `folder`, if any, was taken."""
+    for lock in _held.values():
+        if lock.partial == folder:
+            lock.watch(inputs)
 
 
 def release_all() -> None:
-    """Give up every claim with what has grown in it: for a process that is about to end."""
-    for claim in list(_held.values()):
-        claim.release()
+    """Release every lock with what has grown in it: for a process that is about to end."""
+    for lock in list(_held.values()):
+        lock.release()
 
 
 @contextmanager
