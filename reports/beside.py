@@ -11,10 +11,10 @@ from turtlebag.datasets.rivals import OURS
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.figures import systems as figures
 from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.metric_spec import MORE_IS_BETTER, MetricSpec
+from turtlebag.reports.metric_specs_systems import EVO, NOT_JUDGED, SYSTEMS
 from turtlebag.reports.metrics.systems import Known, Measured
 from turtlebag.reports.numbers import lookup, shown
-from turtlebag.reports.spec import MORE_IS_BETTER, Spec
-from turtlebag.reports.spec_systems import EVO, NOT_JUDGED, SYSTEMS
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Cell:
 class Row:
     """One number of all systems."""
 
-    spec: Spec
+    spec: MetricSpec
     evo: str
     cells: list[Cell]
 
@@ -73,7 +73,7 @@ class Beside:
                 found.append((section.title, section.hint.format(**words), rows))
         return found
 
-    def _row(self, spec: Spec) -> Row:
+    def _row(self, spec: MetricSpec) -> Row:
         values = [lookup(numbers, spec.path) for numbers in self.metrics["systems"].values()]
         texts = [shown(value, spec.unit) for value in values]
         known = [(value, text) for value, text in zip(values, texts, strict=True) if value is not None]

@@ -20,12 +20,12 @@ from turtlebag.reports.draw_localise import given_map, read_path
 from turtlebag.reports.figures import comparison
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.figures.series import time_axis
+from turtlebag.reports.metric_spec import LESS_IS_BETTER, MORE_IS_BETTER
+from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.metrics.trajectory import associate
 from turtlebag.reports.numbers import DASH, leaves, lookup, shown
 from turtlebag.reports.provenance import renamed
-from turtlebag.reports.spec import LESS_IS_BETTER, MORE_IS_BETTER
-from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import Group, Stage
 
 PATHS = {"map": "SLAM's paths", "localise": "AMCL's estimates", "plan": "The plans"}

@@ -11,6 +11,8 @@ from turtlebag.reports.beside import Beside
 from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
 from turtlebag.reports.drawing import draw_map, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.metric_spec import Section
+from turtlebag.reports.metric_specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
 from turtlebag.reports.metrics.recording import recording_metrics
 from turtlebag.reports.numbers import (
@@ -25,8 +27,6 @@ from turtlebag.reports.numbers import (
     shown,
 )
 from turtlebag.reports.pointer import PointerMap, pointer_map
-from turtlebag.reports.spec import Section
-from turtlebag.reports.specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 

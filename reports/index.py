@@ -9,9 +9,9 @@ from typing import Any
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.reports.content import collision_count, stage_metrics, verdict
+from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
-from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import KINDS, Stage, load_stage, read_json
 
 # (head, path in the metrics, unit)

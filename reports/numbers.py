@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from turtlebag.reports.spec import Section, Spec
-from turtlebag.reports.specs import REFERENCES, SECTIONS, SPECS
+from turtlebag.reports.metric_spec import MetricSpec, Section
+from turtlebag.reports.metric_specs import REFERENCES, SECTIONS, SPECS
 from turtlebag.reports.stages import Stage
 
 DASH = "\u2013"
@@ -46,7 +46,7 @@ class Number:
     """A value of one stage with its meaning; `key` is `world/stage:path`, unique in a report."""
 
     key: str
-    spec: Spec
+    spec: MetricSpec
     value: Any
     stage: Stage
 

@@ -16,10 +16,10 @@ from turtlebag.reports.figures import style
 from turtlebag.reports.figures.album import Picture
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.index import Line, used_columns
+from turtlebag.reports.metric_specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.provenance import packages, recipe
-from turtlebag.reports.specs import GOAL_MEANINGS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import Group
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.

@@ -9,8 +9,8 @@ from typing import Any
 
 from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import Chapter, Part
+from turtlebag.reports.metric_specs import GOAL_MEANINGS, GOAL_UNITS
 from turtlebag.reports.numbers import UNITS
-from turtlebag.reports.specs import GOAL_MEANINGS, GOAL_UNITS
 from turtlebag.reports.stage_titles import slug
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}

@@ -29,11 +29,11 @@ from turtlebag.reports.beside import Beside, beside
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.metric_specs import GOAL_UNITS, PLANNER_UNITS, SPECS
+from turtlebag.reports.metric_specs_systems import SYSTEMS
 from turtlebag.reports.metrics.map import occupied
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.page import render
-from turtlebag.reports.spec_systems import SYSTEMS
-from turtlebag.reports.specs import GOAL_UNITS, PLANNER_UNITS, SPECS
 from turtlebag.reports.stages import (
     MARK,
     Group,

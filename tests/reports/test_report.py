@@ -19,9 +19,9 @@ from turtlebag.reports.compare import command_of
 from turtlebag.reports.content import collision_count, verdict
 from turtlebag.reports.glossary import WORDS, explained
 from turtlebag.reports.grouping import group_stages
+from turtlebag.reports.metric_specs import SECTIONS
 from turtlebag.reports.numbers import numbers_of, shown
 from turtlebag.reports.provenance import FLAGS, TAKE_A_PATH, recipe, rename
-from turtlebag.reports.specs import SECTIONS
 from turtlebag.reports.stages import Group, Manifest, Stage, changed_files, load_stage
 
 

@@ -14,8 +14,8 @@ from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_index, make_report
 from turtlebag.reports.content import stage_metrics
 from turtlebag.reports.index import COLUMNS, index_lines, used_columns
+from turtlebag.reports.metric_specs import SPECS
 from turtlebag.reports.numbers import shown
-from turtlebag.reports.specs import SPECS
 from turtlebag.reports.stages import load_stage
 from turtlebag.reports.tables import latex, latex_table
 

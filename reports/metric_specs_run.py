@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from turtlebag.reports.spec import BAG, LOG, SEEN, TRUTH, Spec, section
-from turtlebag.reports.spec_map import WALLS
+from turtlebag.reports.metric_spec import BAG, LOG, SEEN, TRUTH, MetricSpec, section
+from turtlebag.reports.metric_specs_map import WALLS
 
-LARGEST_ERROR = Spec(
+LARGEST_ERROR = MetricSpec(
     "localisation_error_m.max", "localisation error, largest", "cm", "The largest of these distances."
 )
 RUN = (
     section(
         "Outcome",
         "Contacts and clearance come from the simulator through the run log; a bag holds neither.",
-        Spec(
+        MetricSpec(
             "true_success",
             "success (ground truth)",
             "yes",
@@ -22,7 +22,7 @@ RUN = (
             TRUTH,
             trusted=True,
         ),
-        Spec(
+        MetricSpec(
             "success",
             "success (robot's estimate)",
             "yes",
@@ -30,7 +30,7 @@ RUN = (
             "every goal in time.",
             LOG,
         ),
-        Spec(
+        MetricSpec(
             "goals_truly_reached",
             "goals reached",
             "count",
@@ -38,14 +38,14 @@ RUN = (
             (*LOG, *BAG),
             TRUTH,
         ),
-        Spec(
+        MetricSpec(
             "goals_reached",
             "goals reported as reached",
             "count",
             "Goals that the goal checker accepted in time, based on the robot's estimate.",
             LOG,
         ),
-        Spec(
+        MetricSpec(
             "goal_error_m.mean",
             "distance from the goals, mean",
             "cm",
@@ -53,7 +53,7 @@ RUN = (
             BAG,
             TRUTH,
         ),
-        Spec(
+        MetricSpec(
             "goal_error_m.max",
             "distance from the goals, largest",
             "cm",
@@ -61,14 +61,14 @@ RUN = (
             BAG,
             TRUTH,
         ),
-        Spec(
+        MetricSpec(
             "collisions.visible",
             "visible collisions",
             "count",
             "Episodes of contact with an object that crosses the lidar plane, from the run log.",
             LOG,
         ),
-        Spec(
+        MetricSpec(
             "collisions.low",
             "low collisions",
             "count",
@@ -76,7 +76,7 @@ RUN = (
             "from the run log.",
             LOG,
         ),
-        Spec(
+        MetricSpec(
             "min_clearance_m",
             "minimum clearance",
             "cm",
@@ -84,8 +84,8 @@ RUN = (
             "log. verify checks that the true path on the true map leaves at least as much room.",
             LOG,
         ),
-        Spec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
-        Spec(
+        MetricSpec("time_s", "time", "s", "Simulated time of the run.", BAG, TRUTH),
+        MetricSpec(
             "takeovers.count",
             "teleop overrides",
             "count",
@@ -93,7 +93,7 @@ RUN = (
             LOG,
             seldom=True,
         ),
-        Spec(
+        MetricSpec(
             "takeovers.time_s",
             "time under teleop",
             "s",
@@ -101,19 +101,19 @@ RUN = (
             LOG,
             seldom=True,
         ),
-        Spec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
+        MetricSpec("distance_m", "distance driven", "m", "Length of the true path.", BAG, TRUTH),
     ),
     section(
         "Floor seen",
         "For runs without a goal: how much of the world the lidar saw.",
-        Spec(
+        MetricSpec(
             "area.share",
             "floor seen, share",
             "percent",
             "Floor seen, as a share of all free floor that can be seen from anywhere the robot can reach.",
             trusted=True,
         ),
-        Spec(
+        MetricSpec(
             "area.seen_m2",
             "floor seen",
             "m2",
@@ -124,7 +124,7 @@ RUN = (
     section(
         "Localisation",
         "The robot's estimate (AMCL on the map) against the truth at each scan.",
-        Spec(
+        MetricSpec(
             "localisation_error_m.rmse",
             "localisation error, RMSE",
             "cm",

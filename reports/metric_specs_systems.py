@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from turtlebag.reports.spec import Section, Spec, section
-from turtlebag.reports.spec_map import MAP
+from turtlebag.reports.metric_spec import MetricSpec, Section, section
+from turtlebag.reports.metric_specs_map import MAP
 
 _OF_MAPS = {spec.path: spec for part in MAP for spec in part.specs}
 
 
-def shared(path: str, meaning: str = "") -> Spec:
+def shared(path: str, meaning: str = "") -> MetricSpec:
     """A number that reports of maps show too, under the same name; what it means may be said otherwise."""
     spec = _OF_MAPS[path]
     return replace(spec, meaning=meaning or spec.meaning, sources=())
@@ -21,27 +21,27 @@ SYSTEMS: tuple[Section, ...] = (
         "The path",
         "Distance to {reference} at the same instants. The fit moves and turns each path as a whole: two "
         "systems seldom share a frame.{apart}",
-        Spec(
+        MetricSpec(
             "ate_aligned_m.rmse",
             "ATE after a fit in the plane, RMSE",
             "cm",
             "Root mean square distance after the best rigid fit of x and y.",
             trusted=True,
         ),
-        Spec("ate_aligned_m.max", "the same, largest", "cm", "The largest of these distances."),
-        Spec(
+        MetricSpec("ate_aligned_m.max", "the same, largest", "cm", "The largest of these distances."),
+        MetricSpec(
             "ours_there.ate_aligned_m.rmse",
             "TurtleBag over the same part, RMSE",
             "cm",
             "The first number of TurtleBag where this system, which misses some of the drive, has poses.",
         ),
-        Spec(
+        MetricSpec(
             "ate_aligned_3d_m.rmse",
             "ATE after a fit in space, RMSE",
             "cm",
             "The same with height: the fit is in space (Umeyama's SE(3)).",
         ),
-        Spec(
+        MetricSpec(
             "ate_m.rmse",
             "ATE as it is, RMSE",
             "cm",
@@ -56,10 +56,12 @@ SYSTEMS: tuple[Section, ...] = (
             trusted=True,
         ),
         shared("rpe.rot_rad"),
-        Spec("rpe_metre.trans_m.rmse", "RPE, 1 m, RMSE", "cm", "Over pairs a metre of its own path apart."),
-        Spec("rpe_metre.rot_deg.rmse", "RPE, 1 m, angle, RMSE", "deg1", "The same for the angle."),
-        Spec("rpe_frame.trans_m.rmse", "RPE, 1 frame, RMSE", "cm", "From each pose to the next."),
-        Spec("rpe_frame.rot_deg.rmse", "RPE, 1 frame, angle, RMSE", "deg1", "The same for the angle."),
+        MetricSpec(
+            "rpe_metre.trans_m.rmse", "RPE, 1 m, RMSE", "cm", "Over pairs a metre of its own path apart."
+        ),
+        MetricSpec("rpe_metre.rot_deg.rmse", "RPE, 1 m, angle, RMSE", "deg1", "The same for the angle."),
+        MetricSpec("rpe_frame.trans_m.rmse", "RPE, 1 frame, RMSE", "cm", "From each pose to the next."),
+        MetricSpec("rpe_frame.rot_deg.rmse", "RPE, 1 frame, angle, RMSE", "deg1", "The same for the angle."),
     ),
     section(
         "Hand-made relations",
@@ -89,9 +91,9 @@ SYSTEMS: tuple[Section, ...] = (
     section(
         "What there was to measure",
         "",
-        Spec("poses", "poses", "count", "Poses in the file, repeated stamps left out."),
-        Spec("paired", "poses compared", "count", "Poses at the same instant as one of the reference."),
-        Spec("coverage", "share of the drive", "percent", "Time in which the system has poses."),
+        MetricSpec("poses", "poses", "count", "Poses in the file, repeated stamps left out."),
+        MetricSpec("paired", "poses compared", "count", "Poses at the same instant as one of the reference."),
+        MetricSpec("coverage", "share of the drive", "percent", "Time in which the system has poses."),
     ),
 )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
-class Spec:
+class MetricSpec:
     """A number by its dotted path in the metrics: its name, unit, meaning and what it is computed from.
 
     `sources` are files of the stage; `topics` the bag topics among them. `trusted`: the one of its
@@ -29,11 +29,11 @@ class Section:
 
     title: str
     hint: str
-    specs: tuple[Spec, ...]
+    specs: tuple[MetricSpec, ...]
 
 
 def section(
-    title: str, hint: str, *specs: Spec, sources: tuple[str, ...] = (), topics: tuple[str, ...] = ()
+    title: str, hint: str, *specs: MetricSpec, sources: tuple[str, ...] = (), topics: tuple[str, ...] = ()
 ) -> Section:
     """A section; `sources` and `topics` are those of all its numbers that name none."""
     common = (replace(s, sources=s.sources or sources, topics=s.topics or topics) for s in specs)

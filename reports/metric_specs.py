@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from turtlebag.reports.spec import (
+from turtlebag.reports.metric_spec import (
     BAG,
     GRAPH,
     LOG,
@@ -12,50 +12,50 @@ from turtlebag.reports.spec import (
     ODOMETRY,
     TRAJECTORY,
     TRUTH,
+    MetricSpec,
     Section,
-    Spec,
     section,
 )
-from turtlebag.reports.spec_map import MAP
-from turtlebag.reports.spec_run import LARGEST_ERROR, RUN
+from turtlebag.reports.metric_specs_map import MAP
+from turtlebag.reports.metric_specs_run import LARGEST_ERROR, RUN
 
 RECORD = (
     section(
         "Recording",
         "",
-        Spec("scans", "scans", "count", "Lidar sweeps in the bag.", topics=("/scan",)),
-        Spec(
+        MetricSpec("scans", "scans", "count", "Lidar sweeps in the bag.", topics=("/scan",)),
+        MetricSpec(
             "duration_s",
             "duration",
             "s",
             "From the first scan to the last, simulated time.",
             topics=("/scan",),
         ),
-        Spec("distance_m", "distance driven", "m", "Length of the true path.", topics=TRUTH),
+        MetricSpec("distance_m", "distance driven", "m", "Length of the true path.", topics=TRUTH),
         sources=BAG,
     ),
     section(
         "Wheel odometry error",
         "Odometry errors accumulate; mapping has to correct them.",
-        Spec(
+        MetricSpec(
             "odometry_ate_m.rmse",
             "odometry error, RMSE",
             "cm",
             "Wheel odometry against the truth at each scan, without alignment: both start at the same pose.",
         ),
-        Spec(
+        MetricSpec(
             "odometry_ate_m.max",
             "odometry error, largest",
             "cm",
             "Largest distance between wheel odometry and truth.",
         ),
-        Spec(
+        MetricSpec(
             "odometry_rpe.trans_m",
             "odometry drift per metre",
             "cm/m",
             "Relative pose error of the odometry over each metre of true path, RMSE.",
         ),
-        Spec(
+        MetricSpec(
             "odometry_rpe.rot_rad", "odometry heading error per metre", "deg/m", "The same for the heading."
         ),
         sources=BAG,
@@ -67,27 +67,27 @@ LOCALISE = (
     section(
         "Localisation",
         "",
-        Spec(
+        MetricSpec(
             "true_success",
             "localised (ground truth)",
             "yes",
             "At the end the filter had converged, and it was within 25 cm of the truth.",
             TRAJECTORY,
         ),
-        Spec(
+        MetricSpec(
             "success",
             "localised (filter's estimate)",
             "yes",
             "At the end the filter had converged, and the scans agreed with the map.",
         ),
-        Spec(
+        MetricSpec(
             "last_error_m",
             "error at the end",
             "cm",
             "Distance between the estimate and the true position at the last scan.",
             TRAJECTORY,
         ),
-        Spec(
+        MetricSpec(
             "localisation_error_m.rmse",
             "localisation error, RMSE",
             "cm",
@@ -96,7 +96,7 @@ LOCALISE = (
             trusted=True,
         ),
         replace(LARGEST_ERROR, sources=TRAJECTORY),
-        Spec(
+        MetricSpec(
             "localisation_error_rad.rmse",
             "heading error, RMSE",
             "deg",
@@ -107,9 +107,9 @@ LOCALISE = (
     section(
         "Filter state",
         "",
-        Spec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
-        Spec("updates", "filter updates", "count", "Scans used to weight the particles."),
-        Spec(
+        MetricSpec("scans", "scans", "count", "Scans with a pose.", TRAJECTORY),
+        MetricSpec("updates", "filter updates", "count", "Scans used to weight the particles."),
+        MetricSpec(
             "converged.share",
             "time converged",
             "percent",
@@ -122,14 +122,14 @@ PLAN = (
     section(
         "The path",
         "",
-        Spec("length_m", "length", "m", "Length of the planned path.", trusted=True),
-        Spec(
+        MetricSpec("length_m", "length", "m", "Length of the planned path.", trusted=True),
+        MetricSpec(
             "min_clearance_m",
             "minimum clearance",
             "cm",
             "Smallest distance from the footprint to an occupied or unknown cell.",
         ),
-        Spec("poses", "poses", "count", "Poses of the path."),
+        MetricSpec("poses", "poses", "count", "Poses of the path."),
         sources=("path.csv",),
     ),
 )
@@ -141,7 +141,7 @@ SECTIONS: dict[str, tuple[Section, ...]] = {
     "plan": PLAN,
     "navigate": RUN,
 }
-SPECS: dict[str, tuple[Spec, ...]] = {
+SPECS: dict[str, tuple[MetricSpec, ...]] = {
     kind: tuple(spec for section in sections for spec in section.specs) for kind, sections in SECTIONS.items()
 }
 GOAL_SOURCES = (*LOG, *BAG)
