@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from turtlebag.reports.beside import Beside
 from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
 from turtlebag.reports.drawing import draw_map, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
@@ -29,6 +28,7 @@ from turtlebag.reports.numbers import (
 from turtlebag.reports.pointer import PointerMap, pointer_map
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
+from turtlebag.reports.system_comparison import SystemComparison
 
 DRAW = {
     "record": draw_record,
@@ -88,12 +88,12 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Chapter:
-    """One world (or log) on the page; `beside` is what other systems made of it."""
+    """One world (or log) on the page; `systems` is what other systems made of it."""
 
     name: str
     pointer: PointerMap | None
     parts: list[Part] = field(default_factory=list)
-    beside: Beside | None = None
+    systems: SystemComparison | None = None
 
     @property
     def anchor(self) -> str:
@@ -104,7 +104,7 @@ class Chapter:
     def metrics(self) -> dict[str, Any]:
         """Its numbers by stage, those of other systems under `rivals`."""
         numbers = {part.stage.label: dict(part.metrics) for part in self.parts}
-        return numbers if self.beside is None else {**numbers, "rivals": self.beside.metrics}
+        return numbers if self.systems is None else {**numbers, "rivals": self.systems.metrics}
 
 
 def build_chapter(

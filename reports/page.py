@@ -9,7 +9,6 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from turtlebag.reports.beside import Beside
 from turtlebag.reports.compare import Comparison
 from turtlebag.reports.content import BAD, GOOD, GOOD_WALLS, NEUTRAL, Chapter, Part, collision_count
 from turtlebag.reports.figures import style
@@ -21,6 +20,7 @@ from turtlebag.reports.metrics.navigation import truly_reached
 from turtlebag.reports.numbers import counted, lookup, shown
 from turtlebag.reports.provenance import packages, recipe
 from turtlebag.reports.stages import Group
+from turtlebag.reports.system_comparison import SystemComparison
 
 # Figure colours that follow the page's theme instead of staying what they are in the files.
 THEMED = {
@@ -80,7 +80,7 @@ def render_comparison(name_a: str, name_b: str, found: Comparison, pictures: Seq
     )
 
 
-def render_beside(recording: str, found: Beside) -> str:
+def render_systems(recording: str, found: SystemComparison) -> str:
     """The page of several systems on one recording as HTML text."""
     return fill("rivals.html.j2", recording=recording, found=found)
 

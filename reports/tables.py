@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import Chapter, Part
 from turtlebag.reports.metric_specs import GOAL_MEANINGS, GOAL_UNITS
 from turtlebag.reports.numbers import UNITS
 from turtlebag.reports.stage_titles import slug
+from turtlebag.reports.system_comparison import SystemComparison
 
 LATEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", "}": r"\}"}
 LATEX |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "|": "$|$"}
@@ -36,10 +36,10 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
         for chapter in chapters:
             for part in chapter.parts:
                 writer.writerows([chapter.name, part.stage.label, *row] for row in _rows(part))
-            if chapter.beside is not None:
-                writer.writerows([chapter.name, "rivals", *row] for row in _beside_rows(chapter.beside))
+            if chapter.systems is not None:
+                writer.writerows([chapter.name, "rivals", *row] for row in _system_rows(chapter.systems))
     for chapter in chapters:
-        _write_beside(chapter, folder)
+        _write_systems(chapter, folder)
         for part in chapter.parts:
             name = f"{slug(chapter.name)}-{slug(part.stage.label)}"
             rows = [(number.spec.label, number.text) for number in part.numbers]
@@ -60,23 +60,23 @@ def write_tables(chapters: Sequence[Chapter], folder: Path) -> None:
                 (folder / f"{name}-goals.tex").write_text(latex_table(head, goals, "rlllrrr"))
 
 
-def _write_beside(chapter: Chapter, folder: Path) -> None:
+def _write_systems(chapter: Chapter, folder: Path) -> None:
     """A table with a column for each system."""
-    if chapter.beside is None:
+    if chapter.systems is None:
         return
     found = [
         (row.spec.label, *(cell.text for cell in row.cells))
-        for _, _, rows in chapter.beside.sections
+        for _, _, rows in chapter.systems.sections
         for row in rows
     ]
-    head = ("number", *(latex(name) for name in chapter.beside.names))
-    columns = "l" + "r" * len(chapter.beside.names)
+    head = ("number", *(latex(name) for name in chapter.systems.names))
+    columns = "l" + "r" * len(chapter.systems.names)
     (folder / f"{slug(chapter.name)}-rivals.tex").write_text(latex_table(head, found, columns))
 
 
-def _beside_rows(beside: Beside) -> Iterator[list[Any]]:
+def _system_rows(comparison: SystemComparison) -> Iterator[list[Any]]:
     """Path in the metrics, value, its unit, as shown and meaning of each number of each system."""
-    for _, _, rows in beside.sections:
+    for _, _, rows in comparison.sections:
         for row in rows:
             for cell in row.cells:
                 if cell.value is not None:

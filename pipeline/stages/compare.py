@@ -8,11 +8,11 @@ from pathlib import Path
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
-from turtlebag.reports.beside import Beside, beside, write_pairs
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
 from turtlebag.reports.figures.album import Album
-from turtlebag.reports.page import render_beside, render_comparison
+from turtlebag.reports.page import render_comparison, render_systems
 from turtlebag.reports.stages import load_stage
+from turtlebag.reports.system_comparison import SystemComparison, compare_systems, write_pairs
 
 
 def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
@@ -35,7 +35,7 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
     return found
 
 
-def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None = None) -> Beside:
+def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None = None) -> SystemComparison:
     """An output of ours beside what other systems made of the same recording.
 
     With `out` also `index.html`, `figures/*.png`, `rivals/*.tum`, `metrics.json` and the manifest.
@@ -44,10 +44,10 @@ def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None
     stage = ours_of([load_stage(folder)])
     known, systems = measured(stage, files)
     if out is None:
-        return beside(systems, known, Album(None), "rivals")
+        return compare_systems(systems, known, Album(None), "rivals")
     with out.staged() as partial:
-        found = beside(systems, known, Album(partial / "figures"), "rivals")
-        (partial / "index.html").write_text(render_beside(stage.folder.resolve().name, found))
+        found = compare_systems(systems, known, Album(partial / "figures"), "rivals")
+        (partial / "index.html").write_text(render_systems(stage.folder.resolve().name, found))
         write_pairs(systems, partial / "rivals")
         write_json(partial / "metrics.json", found.metrics)
         inputs = {"ours": folder, **inputs_of(files)}

@@ -12,7 +12,6 @@ from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_mani
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
 from turtlebag.pipeline.terminal.messages import drawing
-from turtlebag.reports.beside import beside, write_pairs
 from turtlebag.reports.content import build_chapter
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
@@ -21,6 +20,7 @@ from turtlebag.reports.layout import viewer_layouts
 from turtlebag.reports.metrics.systems import Known
 from turtlebag.reports.page import render, render_index
 from turtlebag.reports.stages import load_stage
+from turtlebag.reports.system_comparison import compare_systems, write_pairs
 from turtlebag.reports.tables import write_tables
 
 
@@ -50,8 +50,8 @@ def make_report(
             album = Album(partial / "figures", animate=animate, paper=paper, told=told)
             chapters = [build_chapter(group, album) for group in groups]
             if systems:
-                shown = beside(systems, known, album, f"{chapters[0].anchor}-rivals")
-                chapters = [replace(chapters[0], beside=shown)]
+                shown = compare_systems(systems, known, album, f"{chapters[0].anchor}-rivals")
+                chapters = [replace(chapters[0], systems=shown)]
                 write_pairs(systems, partial / "rivals")
         (partial / "index.html").write_text(render(chapters, groups))
         write_tables(chapters, partial / "tables")

@@ -25,7 +25,6 @@ from turtlebag.pipeline.stages.recompute import (
 )
 from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, recalled
 from turtlebag.pipeline.stages.run_again import Remade, Run, places_of, remade
-from turtlebag.reports.beside import Beside, beside
 from turtlebag.reports.content import build_chapter, stage_metrics
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.grouping import group_stages
@@ -45,6 +44,7 @@ from turtlebag.reports.stages import (
     read_json,
     read_manifest,
 )
+from turtlebag.reports.system_comparison import SystemComparison, compare_systems
 
 PAGE_NUMBER = re.compile(r'data-key="([^"]*)" data-value="([^"]*)">([^<]*)<')
 
@@ -169,7 +169,7 @@ def _check_stage(
 
 def _check_rivals(
     report: Path, manifest: Manifest, groups: list[Group], reported: dict[str, Any], found: Verification
-) -> Beside | None:
+) -> SystemComparison | None:
     """The rivals read and measured again; what the report should say of them, None when they cannot be."""
     group = groups[0]
     name = f"{group.name}/rivals"
@@ -184,7 +184,7 @@ def _check_rivals(
     except (InputError, KeyError) as error:
         found.problems.append(f"{name}: {error}")
         return None
-    expected = beside(systems, known, Album(None), f"{group.name}-rivals")
+    expected = compare_systems(systems, known, Album(None), f"{group.name}-rivals")
     told = reported.get(group.name, {}).get("rivals", {})
     found.problems += changed
     if missing := {path for path, _ in leaves(expected.metrics)} - {path for path, _ in leaves(told)}:
@@ -251,7 +251,9 @@ def _check_page(page: Path, found: Verification) -> None:
             found.problems.append(f"{page.name}: shows {text} ({value}) for {key}, computed {known[key]}")
 
 
-def _check_texts(page: Path, groups: list[Group], rivals: Beside | None, found: Verification) -> None:
+def _check_texts(
+    page: Path, groups: list[Group], rivals: SystemComparison | None, found: Verification
+) -> None:
     """Everything the page says, written again from what was computed: tiles, verdicts, captions, hashes."""
     text = page.read_text()
     computed = {check.key: check.found for check in found.checks if not check.agrees}
@@ -264,7 +266,7 @@ def _check_texts(page: Path, groups: list[Group], rivals: Beside | None, found: 
         }
         chapters.append(build_chapter(group, album, measured))
     if rivals is not None:
-        chapters = [replace(chapters[0], beside=rivals)]
+        chapters = [replace(chapters[0], systems=rivals)]
     said, expected = words_of(text), words_of(render(chapters, groups))
     changes = difflib.SequenceMatcher(None, said, expected, autojunk=False).get_opcodes()
     for kind, a0, a1, b0, b1 in changes:

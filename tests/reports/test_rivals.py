@@ -21,12 +21,12 @@ from turtlebag.datasets.types import Trajectory
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.compare import compare_rivals
 from turtlebag.pipeline.stages.verify import verify
-from turtlebag.reports.beside import beside
 from turtlebag.reports.figures.album import Album
 from turtlebag.reports.metrics.map import map_metrics
 from turtlebag.reports.metrics.placing import place, walls
 from turtlebag.reports.metrics.relations import relations_metrics
 from turtlebag.reports.metrics.systems import Known, measure
+from turtlebag.reports.system_comparison import compare_systems
 
 ELSEWHERE = SE2.from_xyt(5.0, 3.0, 2.0)
 
@@ -111,10 +111,10 @@ def test_without_a_truth_the_others_are_measured_against_ours():
     assert rival.numbers["relations"]["n"] == 1
     assert rival.numbers["relations"]["trans_m"]["mean"] < 0.01
     two = [ours, rival, replace(rival, system=System("s", thin, None))]
-    found = beside(two, Known(relations=pairs), Album(None), "x")
+    found = compare_systems(two, Known(relations=pairs), Album(None), "x")
     assert found.sentence.startswith("Mean relations error: TurtleBag 0.0000")
     bare = measure(System("TurtleBag", path, None), [one.system for one in two[1:]], Known())
-    nothing = beside(bare, Known(), Album(None), "x")
+    nothing = compare_systems(bare, Known(), Album(None), "x")
     assert not any(cell.best for _, _, rows in nothing.sections for row in rows for cell in row.cells)
     assert "the truth is not known" in nothing.sentence
 

@@ -15,11 +15,11 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2, Array
-from turtlebag.reports.beside import Beside
 from turtlebag.reports.content import stage_metrics, verdict
 from turtlebag.reports.draw_localise import read_path
 from turtlebag.reports.numbers import leaves, shown
 from turtlebag.reports.stages import Stage, load_stage, read_json, read_manifest
+from turtlebag.reports.system_comparison import SystemComparison
 
 GOAL_COLUMNS = ("x", "y", "yaw", "status", "time_s", "error_m", "error_rad")
 
@@ -203,7 +203,7 @@ class Comparison(_Page):
     @cached_property
     def _mood_and_verdict(self) -> tuple[str, str]:
         if "systems" in self.metrics:
-            return "neutral", Beside(self.metrics, []).sentence
+            return "neutral", SystemComparison(self.metrics, []).sentence
         differ = sum(a != b for a, b in self.metrics.values())
         return "neutral", f"{differ} of {len(self.metrics)} numbers differ."
 

@@ -37,7 +37,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class SystemComparison:
     """What a page says of several systems: `metrics` are its numbers, keyed `systems.NAME.PATH`."""
 
     metrics: dict[str, Any]
@@ -120,7 +120,9 @@ class Beside:
         return [f"{name} {shown(value, unit)}" for name, value in values.items() if value is not None]
 
 
-def beside(measured: Sequence[Measured], known: Known, album: Album, prefix: str) -> Beside:
+def compare_systems(
+    measured: Sequence[Measured], known: Known, album: Album, prefix: str
+) -> SystemComparison:
     """The numbers, notes and pictures of measured systems, ours first."""
     metrics = {
         "reference": OURS if known.truth is None else "truth",
@@ -130,7 +132,7 @@ def beside(measured: Sequence[Measured], known: Known, album: Album, prefix: str
     notes = [(one.system.name, note) for one in measured for note in one.notes]
     before = len(album.pictures)
     _draw(measured, known, replace(album, prefix=f"{prefix}-"))
-    return Beside(metrics, notes, album.pictures[before:])
+    return SystemComparison(metrics, notes, album.pictures[before:])
 
 
 def _draw(measured: Sequence[Measured], known: Known, album: Album) -> None:
