@@ -10,6 +10,7 @@ from typing import Any
 from turtlebag.reports.draw_localise import draw_localise, draw_plan, given_map
 from turtlebag.reports.drawing import draw_map, draw_record, draw_run
 from turtlebag.reports.figures.album import Album, Picture
+from turtlebag.reports.interactive_map import InteractiveMap, interactive_map
 from turtlebag.reports.metric_spec import Section
 from turtlebag.reports.metric_specs import GOAL_SOURCES, GOAL_UNITS, PICTURE_SOURCES
 from turtlebag.reports.metrics.navigation import goal_counts, outcome, truly_reached
@@ -25,7 +26,6 @@ from turtlebag.reports.numbers import (
     sections_of,
     shown,
 )
-from turtlebag.reports.pointer import PointerMap, pointer_map
 from turtlebag.reports.stage_titles import slug
 from turtlebag.reports.stages import Group, Stage
 from turtlebag.reports.system_comparison import SystemComparison
@@ -91,7 +91,7 @@ class Chapter:
     """One world (or log) on the page; `systems` is what other systems made of it."""
 
     name: str
-    pointer: PointerMap | None
+    interactive_map: InteractiveMap | None
     parts: list[Part] = field(default_factory=list)
     systems: SystemComparison | None = None
 
@@ -111,7 +111,7 @@ def build_chapter(
     group: Group, album: Album, measured: Mapping[str, Mapping[str, Any]] | None = None
 ) -> Chapter:
     """Draw and describe every stage of a group; `measured` by label takes the place of its metrics."""
-    chapter = Chapter(group.name, pointer_of(group))
+    chapter = Chapter(group.name, interactive_map_of(group))
     for stage in group.stages:
         metrics = stage_metrics(stage) if measured is None else dict(measured[stage.label])
         chapter.parts.append(
@@ -137,7 +137,7 @@ def _about(stage: Stage, group: Group) -> str:
     return f"{robot} in {group.name}" if robot else group.name
 
 
-def pointer_of(group: Group) -> PointerMap | None:
+def interactive_map_of(group: Group) -> InteractiveMap | None:
     """The map of a group for the mouse: what a run with goals was given, else the built one, else the true
     one; with what was driven on it.
     """
@@ -150,13 +150,13 @@ def pointer_of(group: Group) -> PointerMap | None:
     if grid is None:
         return None
     if with_goals is None:
-        return pointer_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
+        return interactive_map(grid, {"SLAM path": ("slam", built.trajectory if built else None)}, [])
     believed = "estimate" if with_goals.metrics.get("localisation_error_m") else "odometry"
     paths = {
         f"true path ({with_goals.title})": ("truth", with_goals.truth),
         believed: ("estimate", with_goals.trajectory),
     }
-    return pointer_map(grid, paths, with_goals.metrics["goals"])
+    return interactive_map(grid, paths, with_goals.metrics["goals"])
 
 
 def draw(stage: Stage, group: Group, album: Album) -> list[Picture]:

@@ -15,7 +15,7 @@ from turtlebag.datasets.outputs import Output, sha256_file, write_json
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_report
 from turtlebag.pipeline.stages.verify import verify
-from turtlebag.reports.content import pointer_of
+from turtlebag.reports.content import interactive_map_of
 from turtlebag.reports.draw_localise import given_map, planner_paths, read_path
 from turtlebag.reports.stages import Group, load_stage
 
@@ -128,8 +128,8 @@ def test_the_map_under_the_mouse_is_the_one_that_was_driven_on(tmp_path):
     rehash(first, "map.pgm")
     run = fake_run(tmp_path / "run", given)
     group = Group("room", tuple(load_stage(folder) for folder in (record, first, given, run)))
-    assert pointer_of(group).rows == 108
-    assert pointer_of(Group("room", group.stages[:2])).rows == 90
+    assert interactive_map_of(group).rows == 108
+    assert interactive_map_of(Group("room", group.stages[:2])).rows == 90
 
 
 @pytest.mark.slow

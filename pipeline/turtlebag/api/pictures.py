@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-from turtlebag.reports.pointer import pointer_map
+from turtlebag.reports.interactive_map import interactive_map
 
 WIDTH_PX, TALLEST_PX = 420, 520
 ROWS_SHOWN = 12
@@ -58,7 +58,7 @@ def scene(
         grid = _floor_under(list(drawn.values()))
     if grid is None:
         return ""
-    found = pointer_map(grid, {kind: (kind, path) for kind, path in drawn.items()}, goals)
+    found = interactive_map(grid, {kind: (kind, path) for kind, path in drawn.items()}, goals)
     _, _, width_m, height_m = (float(part) for part in found.view.split())
     width = min(float(WIDTH_PX), TALLEST_PX * width_m / height_m)
     x, y, yaw = found.origin

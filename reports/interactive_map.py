@@ -1,4 +1,4 @@
-"""A map for the mouse: an SVG in world metres that the page's script reads coordinates from."""
+"""A map that answers to the mouse: an SVG in world metres that the page's script reads coordinates from."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SPACING_M = 0.02
 
 
 @dataclass(frozen=True)
-class PointerMap:
+class InteractiveMap:
     """What the template needs: image, its place, the view, the lines drawn over it, and goals with how they
     truly ended.
     """
@@ -37,11 +37,11 @@ class PointerMap:
     goals: list[tuple[float, float, int, str]]
 
 
-def pointer_map(
+def interactive_map(
     grid: OccupancyGrid,
     paths: Mapping[str, tuple[str, Trajectory | None]],
     goals: Sequence[Mapping[str, Any]],
-) -> PointerMap:
+) -> InteractiveMap:
     """The map with paths (label -> (css class, poses)) and goals, ready for the template."""
     x0, x1, y0, y1 = _known_box(grid)
     x, y, yaw = (float(value) for value in grid.T_map_grid.xyt)
@@ -55,7 +55,7 @@ def pointer_map(
         for number, goal in enumerate(goals, start=1)
         if isinstance(goal.get("x"), (int, float)) and isinstance(goal.get("y"), (int, float))
     ]
-    return PointerMap(
+    return InteractiveMap(
         image=_png(grid),
         columns=grid.shape[1],
         rows=grid.shape[0],
