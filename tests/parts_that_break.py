@@ -48,7 +48,7 @@ class Chance(Wheels):
 
 class Stays(Wheels):
     def step(self, points, odometry_step, wait_s):
-        return Placed(self._course.pose, np.zeros((3, 3)), 1.0)
+        return Placed(self._tracker.pose, np.zeros((3, 3)), 1.0)
 
 
 class Boasts(Wheels):
@@ -101,7 +101,7 @@ class Sources(Sees, source=np.zeros(3)):
 
 
 class NoStep:
-    def __init__(self, course):
+    def __init__(self, tracker):
         pass
 
 
@@ -311,8 +311,8 @@ class Small(Named):
 class Reuses(Wheels):
     """Writes each pose into the same array."""
 
-    def __init__(self, course):
-        super().__init__(course)
+    def __init__(self, tracker):
+        super().__init__(tracker)
         self._pose = np.zeros(3)
 
     def step(self, points, odometry_step, wait_s):

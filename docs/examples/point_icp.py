@@ -15,14 +15,14 @@ GATES_M = np.geomspace(0.6, 0.1, 12)
 class PointIcp:
     """Begins where the odometry expects the scan, and where a steady motion does: the better fit counts."""
 
-    def __init__(self, course):
-        self._course = course
+    def __init__(self, tracker):
+        self._tracker = tracker
         self._keys, self._map = 0, None
 
     def step(self, points, odometry_step, wait_s):
         """As in `turtlebag.pipeline.slam.front_end.FrontEnd`."""
-        steps = [self._course.velocity] if odometry_step is None else [odometry_step, self._course.velocity]
-        tries = [self._placed(points, compose(self._course.pose, step)) for step in steps]
+        steps = [self._tracker.velocity] if odometry_step is None else [odometry_step, self._tracker.velocity]
+        tries = [self._placed(points, compose(self._tracker.pose, step)) for step in steps]
         return max(tries, key=lambda placed: placed.overlap)
 
     def _placed(self, points, start):
@@ -40,10 +40,10 @@ class PointIcp:
 
     def _last_key_scans(self):
         """Their points as a tree, and the normals there (n, 2), zero where there is no surface."""
-        course, clouds, parts = self._course, self._course.clouds, []
-        if self._keys != len(course.keys):
-            self._keys = len(course.keys)
-            for key, pose in zip(course.keys[-KEYS:], course.key_poses[-KEYS:], strict=True):
+        tracker, clouds, parts = self._tracker, self._tracker.clouds, []
+        if self._keys != len(tracker.keys):
+            self._keys = len(tracker.keys)
+            for key, pose in zip(tracker.keys[-KEYS:], tracker.key_poses[-KEYS:], strict=True):
                 rows = slice(clouds.starts[key], clouds.starts[key + 1])
                 normals = _moved([0, 0, pose[2]], clouds.normals[rows]) * clouds.line_ok[rows, None]
                 parts.append(np.hstack([_moved(pose, clouds.points[rows]), normals]))

@@ -24,13 +24,13 @@ from turtlebag.pipeline.navigation.localiser import Localiser
 from turtlebag.pipeline.navigation.navigator import NavigationDriver
 from turtlebag.pipeline.navigation.sensing import Sensing
 from turtlebag.pipeline.navigation.setup import Made, Mission, make_driver, prepare
-from turtlebag.pipeline.slam.course import Maker
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.loop_closure import Closed, close_graph
 from turtlebag.pipeline.slam.pose_graph import optimise
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps
+from turtlebag.pipeline.slam.tracker import Maker
 from turtlebag.reports.stages import Stage
 from turtlebag.sim.simulator import Simulator
 from turtlebag.sim.world import World
@@ -72,10 +72,10 @@ def _true_front_end(truth: SE2) -> Maker:
 
         def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
             """The true motion since the first scan, on from its pose in the track."""
-            course = self.course
+            tracker = self.tracker
             usual = super().step(points, odometry_step, wait_s)
-            moved = truth[0].inverse() @ truth[course.scan]
-            return replace(usual, T_track_base=(SE2(course.poses[0]) @ moved).xyt, revised=())
+            moved = truth[0].inverse() @ truth[tracker.scan]
+            return replace(usual, T_track_base=(SE2(tracker.poses[0]) @ moved).xyt, revised=())
 
     return TrueFrontEnd
 

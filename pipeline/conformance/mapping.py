@@ -24,11 +24,11 @@ from turtlebag.pipeline.conformance.room import (
 from turtlebag.pipeline.slam.back_end import BackEnd, solved
 from turtlebag.pipeline.slam.clouds import Clouds, make_clouds
 from turtlebag.pipeline.slam.correspondences import ROUGH
-from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, require_alignment
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.tracker import Tracker
 
 OFF_M, OFF_RAD = 0.1, 0.05
 """How far off a lap of a room of 8 m x 6 m may end up, scans placed one after another."""
@@ -74,24 +74,24 @@ def _tracked(front_end: Callable[[Any], FrontEnd], recording: Recording) -> Trac
     given = (*clouds, odometry, recording.stamps_ns)
     before = bytes_of(*given)
 
-    def make(course: Course) -> FrontEnd:
-        one: FrontEnd = made(front_end, FrontEnd, course)
+    def make(tracker: Tracker) -> FrontEnd:
+        one: FrontEnd = made(front_end, FrontEnd, tracker)
         return one
 
-    course = Course(clouds, recording, TrackingConfig(calibration=False), LIDAR.range_max, make)
+    tracker = Tracker(clouds, recording, TrackingConfig(calibration=False), LIDAR.range_max, make)
     with told():
         for _ in range(1, len(recording)):
-            course.step()
+            tracker.step()
             for what, value, most in (
-                ("overlap", course.placed.overlap, 1.0),
-                ("known", course.placed.known, 1.0),
-                ("rmse", course.placed.rmse, np.inf),
+                ("overlap", tracker.placed.overlap, 1.0),
+                ("known", tracker.placed.known, 1.0),
+                ("rmse", tracker.placed.rmse, np.inf),
             ):
                 if not 0.0 <= value <= most:
                     raise broken(front_end, f"step: {what} is {value:g}, it must be 0 to {most:g}")
     if bytes_of(*given) != before:
         raise broken(front_end, "it must not change the points, odometry or stamps that it is given")
-    return course.track()
+    return tracker.track()
 
 
 def _check_hostile(front_end: Callable[[Any], FrontEnd], recording: Recording, said: str) -> None:

@@ -1,6 +1,6 @@
 """What a front end is: it says where each scan of a log was taken, one after another.
 
-`course.Course` drives it and does what all front ends share: it undoes the odometry's systematic errors,
+`tracker.Tracker` drives it and does what all front ends share: it undoes the odometry's systematic errors,
 carries the robot until the first scan that others can be matched with, chooses the key scans, and keeps
 the `Track` that loops and refinement start from. So a front end is one method, and fits on a page.
 """
@@ -50,8 +50,8 @@ class Placed:
 class FrontEnd(Protocol):
     """Places the scans of a log one after another. It may change nothing that it is given."""
 
-    def __init__(self, course: Any) -> None:
-        """Begin with a `turtlebag.pipeline.slam.course.Course` on which the first scan stands, a key scan
+    def __init__(self, tracker: Any) -> None:
+        """Begin with a `turtlebag.pipeline.slam.tracker.Tracker` on which the first scan stands, a key scan
         that has points: the log as far as it is tracked, to be read at any step."""
         ...
 
@@ -61,7 +61,7 @@ class FrontEnd(Protocol):
         `points` (n, 2) are its returns [m] in the frame of the base at its stamp, n may be 0. `odometry_step`
         (3,) is the motion since the scan before as the calibrated odometry has it, seen from there, None
         without odometry; `wait_s` is the time since then [s], below 0 where stamps go back. Which scan it is,
-        the pose and motion before, key scans and surfaces are on the course, for those who need them.
+        the pose and motion before, key scans and surfaces are on the tracker, for front ends that need them.
         Where nothing can be said the pose expected is, with information of zero.
         """
         ...

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from turtlebag.datasets.parts import chosen, part_of
-from turtlebag.pipeline.slam.course import Maker
 from turtlebag.pipeline.slam.front_end import FrontEnd
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.line_tracking import Lines
+from turtlebag.pipeline.slam.tracker import Maker
 from turtlebag.pipeline.slam.wheels import Wheels
 
 FRONT_ENDS: dict[str, Maker] = {"lines": Lines, "kiss_icp": KissIcp, "wheels": Wheels}

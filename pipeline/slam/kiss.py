@@ -17,9 +17,9 @@ from turtlebag.datasets.se2 import SE2, Array, compose
 from turtlebag.pipeline.slam.align import MOST_POINTS, NEIGHBOURS, align
 from turtlebag.pipeline.slam.clouds import point_information
 from turtlebag.pipeline.slam.correspondences import ROUGH
-from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.track import HYPOTHESES
+from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
 # Voxel of the map [m]; smaller ones lose track. KISS-ICP's own defaults, for voxels of 1 m, scale with it.
 VOXEL_M = 0.2
@@ -33,22 +33,22 @@ SOURCE = HYPOTHESES.index("kiss-icp")
 class KissIcp:
     """KISS-ICP's registration, adaptive threshold and voxel map."""
 
-    def __init__(self, course: Course) -> None:
-        self._course = course
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
         self._kiss: LidarOdometry | None = None
         self._scan = -1
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """As in `FrontEnd`; where the answer does not fit the key scans the expected pose stands."""
         del wait_s
-        course = self._course
-        if self._kiss is None or self._scan != course.scan - 1:
+        tracker = self._tracker
+        if self._kiss is None or self._scan != tracker.scan - 1:
             self._kiss = self._of_keys()
-        self._scan = course.scan
-        starts = [] if odometry_step is None else [compose(course.pose, odometry_step)]
-        starts.append(compose(course.pose, course.velocity))
+        self._scan = tracker.scan
+        starts = [] if odometry_step is None else [compose(tracker.pose, odometry_step)]
+        starts.append(compose(tracker.pose, tracker.velocity))
         found = [self._kiss.register(points, start) for start in starts]
-        fits = [course.fit(points, pose) for pose in found]
+        fits = [tracker.fit(points, pose) for pose in found]
         best = int(fits[-1] > fits[0] + SURELY_BETTER)
         if fits[best] < MIN_FIT:
             self._kiss.update(points, starts[0], starts[0])
@@ -58,19 +58,19 @@ class KissIcp:
 
     def _seen(self, points: Array, pose: Array) -> Array:
         """What a scan at a pose saw of it: on walls by their lines, for points know no blind direction."""
-        course = self._course
-        if course.clouds.placed_by(course.scan) == "points":
+        tracker = self._tracker
+        if tracker.clouds.placed_by(tracker.scan) == "points":
             return point_information(points) / (VOXELS * VOXEL_M) ** 2
-        keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
+        keys, poses = np.array(tracker.keys[-NEIGHBOURS:]), np.array(tracker.key_poses[-NEIGHBOURS:])
         as_is = ROUGH._replace(iterations=0, most_points=MOST_POINTS)
-        return align(course.clouds, course.scan, pose, keys, poses, as_is).information
+        return align(tracker.clouds, tracker.scan, pose, keys, poses, as_is).information
 
     def _of_keys(self) -> LidarOdometry:
         """KISS-ICP with the map of the last key scans."""
-        course = self._course
-        kiss = LidarOdometry(course.max_range)
-        for key, pose in zip(course.keys[-FIELD_KEYS:], course.key_poses[-FIELD_KEYS:], strict=True):
-            kiss.update(course.clouds.of(key), pose, pose)
+        tracker = self._tracker
+        kiss = LidarOdometry(tracker.max_range)
+        for key, pose in zip(tracker.keys[-FIELD_KEYS:], tracker.key_poses[-FIELD_KEYS:], strict=True):
+            kiss.update(tracker.clouds.of(key), pose, pose)
         return kiss
 
 

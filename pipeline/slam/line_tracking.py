@@ -28,11 +28,11 @@ from turtlebag.pipeline.slam.align import (
 from turtlebag.pipeline.slam.clouds import GAP_S, MIN_LINES
 from turtlebag.pipeline.slam.correlative import best_pose
 from turtlebag.pipeline.slam.correspondences import ROUGH
-from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.front_end import Placed
 from turtlebag.pipeline.slam.kiss import KissIcp
 from turtlebag.pipeline.slam.odometry_trust import OdometryTrust
 from turtlebag.pipeline.slam.track import confirms
+from turtlebag.pipeline.slam.tracker import Tracker
 
 # Gauss-Newton steps from one start.
 ITERATIONS = 10
@@ -63,17 +63,17 @@ class Doubt:
 class Lines:
     """Point-to-line alignment; knows the wheels' record and what went before a gap."""
 
-    def __init__(self, course: Course) -> None:
-        self.course = course
+    def __init__(self, tracker: Tracker) -> None:
+        self.tracker = tracker
         self.doubt: Doubt | None = None
-        self.wheels = OdometryTrust(course.config.odometry)
-        self._by_points = KissIcp(course)
+        self.wheels = OdometryTrust(tracker.config.odometry)
+        self._by_points = KissIcp(tracker)
         self._usual_cost = 0.3
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """As in `FrontEnd`."""
-        course, scan = self.course, self.course.scan
-        if course.clouds.placed_by(scan) == "points":
+        tracker, scan = self.tracker, self.tracker.scan
+        if tracker.clouds.placed_by(scan) == "points":
             by_points = self._by_points.step(points, odometry_step, wait_s)
             fit, source = by_points.overlap, by_points.source
             at = SE2(by_points.T_track_base)
@@ -86,18 +86,18 @@ class Lines:
             self.wheels.forget()
         elif odometry_step is not None:
             self.wheels.judge(odometry_step, pose, found.information)
-        revised = tuple((k, compose(pose, course.odometry_since(scan, k))) for k in settled)
+        revised = tuple((k, compose(pose, tracker.odometry_since(scan, k))) for k in settled)
         return Placed(pose, found.information, found.overlap, found.rmse, source, sure, revised, found.known)
 
     def _on_surfaces(self, scan: int, odometry_step: Array | None) -> tuple[Alignment, int]:
         """From the odometry, if there is any and it is believed, and from a steady motion."""
-        course = self.course
-        steady = compose(course.pose, course.velocity)
-        expected = course.velocity if odometry_step is None else odometry_step
-        information = course.config.odometry.information(expected)
+        tracker = self.tracker
+        steady = compose(tracker.pose, tracker.velocity)
+        expected = tracker.velocity if odometry_step is None else odometry_step
+        information = tracker.config.odometry.information(expected)
         if odometry_step is None:
             return self._by_lines(scan, [(0, steady)], STEADY_SHARE * information)
-        starts = [(0, compose(course.pose, odometry_step)), (1, steady)]
+        starts = [(0, compose(tracker.pose, odometry_step)), (1, steady)]
         if not self.wheels.believed:
             return self._by_lines(scan, starts[::-1], STEADY_SHARE * information)
         return self._by_lines(scan, starts, information)
@@ -111,11 +111,11 @@ class Lines:
         hypotheses took turns for them, and an odometry that is right, or believed, tells where they lie seen
         from here.
         """
-        course, settled = self.course, range(0)
-        if course.odometry is None:
+        tracker, settled = self.tracker, range(0)
+        if tracker.odometry is None:
             return found, True, settled
-        since = self.doubt or Doubt(course.pose, self.wheels.believed)
-        driven = course.odometry_since(scan - since.ago)
+        since = self.doubt or Doubt(tracker.pose, self.wheels.believed)
+        driven = tracker.odometry_since(scan - since.ago)
         agreed = confirms(driven, between(since.T_map_base, found.T_map_base.xyt))
         fits = found.cost <= self._usual_cost + FITS
         if self.doubt is None and abs(wait_s) > GAP_S:
@@ -135,10 +135,10 @@ class Lines:
     ) -> tuple[Alignment, int]:
         """The scan on the surfaces of the last key scans; where it fits none, the first start."""
         guess = starts[0][1]
-        course, config = self.course, self.course.config
+        tracker, config = self.tracker, self.tracker.config
         best = self._best(scan, starts, guess, information)
         if self.doubt is not None:
-            step = course.odometry_since(scan - self.doubt.ago)
+            step = tracker.odometry_since(scan - self.doubt.ago)
             carried = compose(self.doubt.T_map_base, step)
             other = self._best(scan, [(0, carried)], carried, config.odometry.information(step))
             if other is not None and (best is None or other[2] < best[2]):
@@ -157,19 +157,21 @@ class Lines:
         self, scan: int, starts: Iterable[tuple[int, Array]], prior: Array, information: Array
     ) -> tuple[Alignment, int, float] | None:
         """The alignment of least cost over the starts; cost is per usable point, 0 good .. 1 bad."""
-        course, best = self.course, None
-        usable = course.clouds.lines(scan)
+        tracker, best = self.tracker, None
+        usable = tracker.clouds.lines(scan)
         if usable < MIN_LINES:
             return None
         tried: list[Array] = []
-        keys, poses = np.array(course.keys[-NEIGHBOURS:]), np.array(course.key_poses[-NEIGHBOURS:])
+        keys, poses = np.array(tracker.keys[-NEIGHBOURS:]), np.array(tracker.key_poses[-NEIGHBOURS:])
         limits = ROUGH._replace(iterations=ITERATIONS, most_points=MOST_POINTS)
         for source, start in starts:
             # starts this near each other end at the same pose
             if any(np.abs(between(other, start)).max() < 0.03 for other in tried):
                 continue
             tried.append(start)
-            result = align(course.clouds, scan, start, keys, poses, limits, Prior(prior, information, CAUCHY))
+            result = align(
+                tracker.clouds, scan, start, keys, poses, limits, Prior(prior, information, CAUCHY)
+            )
             e = between(prior, result.T_map_base.xyt)
             nis = np.log1p(e @ information @ e / CAUCHY**2)
             # What the key scans could not see is half a miss: a place where all is seen again is likelier
@@ -183,9 +185,9 @@ class Lines:
 
     def _recover(self, scan: int, centers: list[Array]) -> Array:
         """Exhaustive search in a wide window about each centre: the track may be lost."""
-        points = self.course.clouds.of(scan)[::4]
+        points = self.tracker.clouds.of(scan)[::4]
         found = [
-            best_pose(self.course.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
+            best_pose(self.tracker.field, points, center, LOST, LOST, LOST_STEP_RAD) for center in centers
         ]
         return max(found, key=lambda pair: pair[1])[0]
 

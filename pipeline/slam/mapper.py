@@ -20,7 +20,6 @@ from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2, Array, between, compose
 from turtlebag.datasets.types import Imu, LidarSpec, Recording, Scan, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, sweep_motion
-from turtlebag.pipeline.slam.course import FIELD_KEYS, Course
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import front_end_maker
 from turtlebag.pipeline.slam.growing_clouds import GrowingClouds, Rows
@@ -31,6 +30,7 @@ from turtlebag.pipeline.slam.range_noise import SCANS, range_noise
 from turtlebag.pipeline.slam.refine import refine
 from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.step_constraints import step_constraints
+from turtlebag.pipeline.slam.tracker import FIELD_KEYS, Tracker
 
 # After every so many scans those that are no key scans are dropped, but for the last ones, which the front
 # end may come back to after a gap.
@@ -58,7 +58,7 @@ class Mapper:
         self._number, self._odometry, self._stamps, self._motion = Rows(), Rows(), Rows(), Rows()
         # of every scan of the log: the number of the last key, and the scan's pose seen from it
         self._key, self._T_key_scan = Rows(), Rows()
-        self._course: Course | None = None
+        self._tracker: Tracker | None = None
         self._loops: GrowingLoops | None = None
         self._T_map_track = np.zeros(3)
         self._misfits = 0
@@ -74,28 +74,28 @@ class Mapper:
         """
         self._log.append(scan, odometry, imu)
         self._append(self._log.last())
-        course = self._course
-        if course is None or self._loops is None:
+        tracker = self._tracker
+        if tracker is None or self._loops is None:
             self._begin()
         else:
-            self._extend(course)
-            course.step()
-            self._judge(course)
-            self._revise(course)
-            self._close_loops(course, self._loops)
-        assert self._course is not None
+            self._extend(tracker)
+            tracker.step()
+            self._judge(tracker)
+            self._revise(tracker)
+            self._close_loops(tracker, self._loops)
+        assert self._tracker is not None
         assert self._loops is not None
-        self._key.append(np.array([len(self._course.keys) - 1]))
-        self._T_key_scan.append(between(self._course.key_poses[-1], self._course.pose)[None])
-        if len(self._number) - len(self._course.keys) >= TIDY_SCANS + LAST_SCANS:
-            self._tidy(self._course, self._loops)
+        self._key.append(np.array([len(self._tracker.keys) - 1]))
+        self._T_key_scan.append(between(self._tracker.key_poses[-1], self._tracker.pose)[None])
+        if len(self._number) - len(self._tracker.keys) >= TIDY_SCANS + LAST_SCANS:
+            self._tidy(self._tracker, self._loops)
         return self.T_map_base
 
     @property
     def T_map_base(self) -> SE2:
         """Where the newest scan was taken, by all that is known now."""
-        assert self._course is not None
-        return SE2(compose(self._T_map_track, self._course.pose))
+        assert self._tracker is not None
+        return SE2(compose(self._T_map_track, self._tracker.pose))
 
     @property
     def T_map_odom(self) -> SE2:
@@ -110,7 +110,7 @@ class Mapper:
     @property
     def fit(self) -> float:
         """The share of the newest scan that lies on what was seen before, of what could be, 0..1."""
-        return 1.0 if self._course is None else self._course.placed.agreement
+        return 1.0 if self._tracker is None else self._tracker.placed.agreement
 
     @property
     def sigma_m(self) -> float | None:
@@ -126,9 +126,9 @@ class Mapper:
     @property
     def keys(self) -> NDArray[np.int64]:
         """The key scans by their numbers among all scans that were added, from 0 on."""
-        if self._course is None:
+        if self._tracker is None:
             return np.zeros(0, dtype=np.int64)
-        return self._log.numbers[self._number.view()[self._course.keys]]
+        return self._log.numbers[self._number.view()[self._tracker.keys]]
 
     @property
     def trajectory(self) -> Trajectory:
@@ -149,8 +149,8 @@ class Mapper:
     def map(self) -> OccupancyGrid:
         """What the key scans and the newest scan saw."""
         numbers = self._number.view()
-        assert self._course is not None
-        T_map = {key: SE2(pose) for key, pose in zip(self._course.keys, self.T_map_keys.xyt, strict=True)}
+        assert self._tracker is not None
+        T_map = {key: SE2(pose) for key, pose in zip(self._tracker.keys, self.T_map_keys.xyt, strict=True)}
         T_map[len(numbers) - 1] = self.T_map_base
         shown = [k for k in T_map if self._log.trusted[numbers[k]]]
         seen, motion = self._log.some(numbers[shown]), SE2(self._motion.view()[shown])
@@ -162,12 +162,12 @@ class Mapper:
         if self._log.whole:
             result = run_slam(self.recording(), self.config)
             return result.trajectory, result.grid
-        assert self._course is not None
+        assert self._tracker is not None
         assert self._loops is not None
-        keys, loops = np.array(self._course.keys), self._loops
+        keys, loops = np.array(self._tracker.keys), self._loops
         refined, _ = refine(self._clouds.view(), keys, self.T_map_keys, loops.steps, self.config.refine)
         loops.poses = refined.xyt
-        self._follow(self._course, loops)
+        self._follow(self._tracker, loops)
         return self.trajectory, self.map()
 
     def recording(self) -> Recording:
@@ -189,58 +189,58 @@ class Mapper:
 
     def _begin(self) -> None:
         clouds, make = self._clouds.view(), front_end_maker(self.config.front_end)
-        self._course = Course(clouds, self._log.last(), self.config.tracking, self._usable, make)
-        self._loops = GrowingLoops(clouds, self._course.pose, self.config.loops)
+        self._tracker = Tracker(clouds, self._log.last(), self.config.tracking, self._usable, make)
+        self._loops = GrowingLoops(clouds, self._tracker.pose, self.config.loops)
 
-    def _extend(self, course: Course) -> None:
+    def _extend(self, tracker: Tracker) -> None:
         odometry = self._odometry.view() if self._log.has_odometry else None
-        course.extend(self._clouds.view(), odometry, self._stamps.view())
+        tracker.extend(self._clouds.view(), odometry, self._stamps.view())
 
-    def _judge(self, course: Course) -> None:
+    def _judge(self, tracker: Tracker) -> None:
         """Count scans that do not fit. One without points says nothing where odometry carries the robot."""
-        blind = course.clouds.placed_by(course.scan) == "nothing"
-        if blind and course.odometry is None:
+        blind = tracker.clouds.placed_by(tracker.scan) == "nothing"
+        if blind and tracker.odometry is None:
             self._misfits += 1
         elif not blind:
             self._misfits = 0 if self.fit >= LOST_AGREEMENT else self._misfits + 1
 
-    def _revise(self, course: Course) -> None:
+    def _revise(self, tracker: Tracker) -> None:
         """Scans before that the newest one tells more of lie elsewhere, seen from their keys."""
         key, T_key_scan = self._key.view(), self._T_key_scan.view()
-        for scan, _ in course.placed.revised:
+        for scan, _ in tracker.placed.revised:
             number = self._number.view()[scan]
-            T_key_scan[number] = between(course.key_poses[key[number]], course.poses[scan])
+            T_key_scan[number] = between(tracker.key_poses[key[number]], tracker.poses[scan])
 
-    def _close_loops(self, course: Course, loops: GrowingLoops) -> None:
+    def _close_loops(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """A new key scan for the graph, if there is one, and one more alignment."""
-        if len(course.keys) > len(loops.poses):
-            steps = step_constraints(course.track(len(loops.poses) - 1), self.config.tracking)
-            T_last_key = between(course.key_poses[-2], course.key_poses[-1])
-            loops.add_key(course.clouds, np.array(course.keys), T_last_key, steps)
+        if len(tracker.keys) > len(loops.poses):
+            steps = step_constraints(tracker.track(len(loops.poses) - 1), self.config.tracking)
+            T_last_key = between(tracker.key_poses[-2], tracker.key_poses[-1])
+            loops.add_key(tracker.clouds, np.array(tracker.keys), T_last_key, steps)
         before = self.T_map_base
         if loops.work():
-            self._follow(course, loops)
+            self._follow(tracker, loops)
             self.jumps.append(float(np.hypot(*(before.inverse() @ self.T_map_base).xy)))
 
-    def _tidy(self, course: Course, loops: GrowingLoops) -> None:
+    def _tidy(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """Drop what is not needed any more: scans that are no key scans, and keys of well-seen places."""
         needed = loops.needed()
         needed[-FIELD_KEYS:] = True
         kept = needed | _first_of_places(loops.poses)
         stays = np.zeros(len(self._number), dtype=bool)
         stays[-LAST_SCANS:] = True
-        stays[np.array(course.keys)] = kept
+        stays[np.array(tracker.keys)] = kept
         for rows in (self._number, self._odometry, self._stamps, self._motion):
             rows.keep(stays)
         self._clouds.keep(stays)
-        course.forget(~stays)
-        self._extend(course)
+        tracker.forget(~stays)
+        self._extend(tracker)
         if not kept.all():
             self._hang_on(kept, loops.poses)
-            loops.keep(kept, course.clouds, np.array(course.keys))
-            self._follow(course, loops)
+            loops.keep(kept, tracker.clouds, np.array(tracker.keys))
+            self._follow(tracker, loops)
         else:
-            loops.clouds, loops.keys = course.clouds, np.array(course.keys)
+            loops.clouds, loops.keys = tracker.clouds, np.array(tracker.keys)
         if len(self._log) > MOST_SCANS:
             self._drop_scans()
 
@@ -252,9 +252,9 @@ class Mapper:
             rows.keep(stays)
         self._number.view()[:] = np.arange(len(self._number))
 
-    def _follow(self, course: Course, loops: GrowingLoops) -> None:
+    def _follow(self, tracker: Tracker, loops: GrowingLoops) -> None:
         """The track goes where the graph has its last key scan."""
-        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(course.key_poses[-1]).inverse()).xyt
+        self._T_map_track = (SE2(loops.poses[-1]) @ SE2(tracker.key_poses[-1]).inverse()).xyt
 
     def _hang_on(self, kept: NDArray[np.bool_], T_map_keys: Array) -> None:
         """Scans seen from keys that go are seen from the last one before that stays."""

@@ -20,7 +20,6 @@ from turtlebag.pipeline.slam.back_end import BackEndName, make_back_end
 from turtlebag.pipeline.slam.cloud_parts import among, clouds_maker, joined_clouds
 from turtlebag.pipeline.slam.clouds import USABLE_M, Clouds, KeyScans, sweep_motion, sweep_motion_by_track
 from turtlebag.pipeline.slam.consistency import Recognised
-from turtlebag.pipeline.slam.course import Maker, track_log
 from turtlebag.pipeline.slam.edits import Edits, KeyEdits
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.front_ends import FrontEndName, front_end_maker
@@ -52,6 +51,7 @@ from turtlebag.pipeline.slam.sessions import (
 from turtlebag.pipeline.slam.step_constraints import step_constraints
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_breaks, track_breaks_of
+from turtlebag.pipeline.slam.tracker import Maker, track_log
 from turtlebag.pipeline.slam.turn_comparison import compared_turns, in_step
 
 # Settings that the front end does not read; of all others a change starts it anew.

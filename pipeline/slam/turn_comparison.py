@@ -20,11 +20,11 @@ from turtlebag.datasets.se2 import Array, wrap
 from turtlebag.datasets.types import Recording, Recording3D, Trajectory
 from turtlebag.pipeline.slam.align import CAUCHY
 from turtlebag.pipeline.slam.clouds import GAP_S, USABLE_M, make_clouds, sweep_motion
-from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.gyro import turns_with
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.range_noise import PER_MEDIAN, RangeNoise, range_noise
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
+from turtlebag.pipeline.slam.tracker import track_log
 
 # Delays looked at [s].
 DELAYS_S = np.arange(-120, 121, 2) / 100.0

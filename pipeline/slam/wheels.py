@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from turtlebag.datasets.se2 import Array, compose
-from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.front_end import Placed
+from turtlebag.pipeline.slam.tracker import Tracker
 
 
 class Wheels:
     """Every scan where the calibrated odometry says. Needs odometry."""
 
-    def __init__(self, course: Course) -> None:
-        self._course = course
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
 
     def step(self, points: Array, odometry_step: Array | None, wait_s: float) -> Placed:
         """As in `FrontEnd`; the scan saw nothing."""
         del wait_s
         assert odometry_step is not None
-        pose = compose(self._course.pose, odometry_step)
-        return Placed(pose, np.zeros((3, 3)), self._course.fit(points, pose))
+        pose = compose(self._tracker.pose, odometry_step)
+        return Placed(pose, np.zeros((3, 3)), self._tracker.fit(points, pose))

@@ -25,9 +25,9 @@ import numpy as np
 from turtlebag.pipeline.slam.front_end import Placed
 
 class Good:
-    def __init__(self, course): self.course = course
+    def __init__(self, tracker): self.tracker = tracker
     def step(self, points, odometry_step, wait_s):
-        return Placed(self.course.pose, np.zeros((3, 3)), 1.0)
+        return Placed(self.tracker.pose, np.zeros((3, 3)), 1.0)
 
 class Outer:
     class Inner(Good):
@@ -50,17 +50,17 @@ class Breaks(Good):
         return {}["pose"]
 
 class NoStep:
-    def __init__(self, course): pass
+    def __init__(self, tracker): pass
 
 class Short:
-    def __init__(self, course): pass
+    def __init__(self, tracker): pass
     def step(self, points): pass
 
 class Unmade:
     def step(self, points, odometry_step, wait_s): pass
 
 class Static:
-    def __init__(self, course): pass
+    def __init__(self, tracker): pass
     @staticmethod
     def step(points, odometry_step, wait_s): pass
 
@@ -122,7 +122,7 @@ def test_a_class_of_the_main_module_has_a_name_and_one_inside_a_function_has_non
         ("{here}:number", "has no class number"),
         ("{here}:NoStep", "has no method step; the contract is FrontEnd.step(points, odometry_step, wait_s)"),
         ("{here}:Short", "step (self, points); the contract is FrontEnd.step(points, odometry_step, wait_s)"),
-        ("{here}:Unmade", "is made with (); the contract is FrontEnd(course)"),
+        ("{here}:Unmade", "is made with (); the contract is FrontEnd(tracker)"),
         ("broken_one:Good", "cannot be imported: SyntaxError"),
         ("wants_more:Good", "cannot be imported: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("leaves:Good", "cannot be imported: SystemExit: 3"),

@@ -16,7 +16,6 @@ from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.slam.clouds import make_clouds, point_information
 from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.course import Course, track_log
 from turtlebag.pipeline.slam.front_end import FrontEnd, Placed
 from turtlebag.pipeline.slam.front_ends import FRONT_ENDS
 from turtlebag.pipeline.slam.line_match import LineMatch
@@ -24,6 +23,7 @@ from turtlebag.pipeline.slam.loop_match import LoopMatch, Stretch, confirmed
 from turtlebag.pipeline.slam.loop_search import MATCHERS
 from turtlebag.pipeline.slam.slam import SlamConfig, Steps, run_slam
 from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.tracker import Tracker, track_log
 from turtlebag.pipeline.slam.wheels import Wheels
 
 TRUTH = around_the_room(75, laps=1.3)
@@ -133,13 +133,13 @@ def test_wheels_uncalibrated_are_what_odometry_alone_draws(log):
 class PointToPoint:
     """A front end of a user's own: each scan on the points of the last ones, by ICP in NumPy."""
 
-    def __init__(self, course: Course) -> None:
-        self.course, self.asked = course, []
-        self.scans = [SE2(course.pose) @ course.clouds.of(course.scan)]
+    def __init__(self, tracker: Tracker) -> None:
+        self.tracker, self.asked = tracker, []
+        self.scans = [SE2(tracker.pose) @ tracker.clouds.of(tracker.scan)]
 
     def step(self, points, odometry_step, wait_s):
-        self.asked.append((self.course.scan, wait_s))
-        pose = compose(self.course.pose, self.course.velocity if odometry_step is None else odometry_step)
+        self.asked.append((self.tracker.scan, wait_s))
+        pose = compose(self.tracker.pose, self.tracker.velocity if odometry_step is None else odometry_step)
         tree = scipy.spatial.cKDTree(np.vstack(self.scans[-10:]))
         for _ in range(20):
             at = SE2(pose) @ points
@@ -159,8 +159,8 @@ class PointToPoint:
 def test_a_front_end_of_one_s_own_fits_in(log):
     made = []
 
-    def make(course: Course) -> FrontEnd:
-        made.append(PointToPoint(course))
+    def make(tracker: Tracker) -> FrontEnd:
+        made.append(PointToPoint(tracker))
         return made[-1]
 
     result = run_slam(log, SlamConfig(), steps=Steps(front_end=make))
@@ -173,13 +173,13 @@ def test_a_front_end_of_one_s_own_fits_in(log):
 class Speeds(Wheels):
     """As the odometry says; notes the motion that is expected to go on."""
 
-    def __init__(self, course: Course) -> None:
-        super().__init__(course)
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker)
         self.expected = {}
 
     def step(self, points, odometry_step, wait_s):
         """As in `FrontEnd`."""
-        self.expected[self._course.scan] = self._course.velocity
+        self.expected[self._tracker.scan] = self._tracker.velocity
         return super().step(points, odometry_step, wait_s)
 
 
@@ -189,7 +189,7 @@ def test_the_motion_over_a_gap_is_not_expected_to_go_on(log):
     stamps[40:] += 3_000_000_000
     track_log(
         replace(log, stamps_ns=stamps), make_clouds(log, 30.0), TrackingConfig(), 30.0, range(1, 60),
-        lambda course: made.append(Speeds(course)) or made[0],
+        lambda tracker: made.append(Speeds(tracker)) or made[0],
     )  # fmt: skip
     steps = log.T_odom_base.steps()
     (speeds,) = made
@@ -203,8 +203,8 @@ class SetRight(Wheels):
 
     def step(self, points, odometry_step, wait_s):
         """As in `FrontEnd`."""
-        scan, drift = self._course.scan, SE2.from_xyt(0.0, 0.03, 0.0)
-        moved = SE2(self._course.pose) @ SE2(odometry_step)
+        scan, drift = self._tracker.scan, SE2.from_xyt(0.0, 0.03, 0.0)
+        moved = SE2(self._tracker.pose) @ SE2(odometry_step)
         for _ in range(40 if scan == 60 else scan in range(20, 60)):
             moved = moved @ (drift.inverse() if scan == 60 else drift)
         return Placed(moved.xyt, np.zeros((3, 3)), 1.0)
@@ -225,9 +225,9 @@ def test_odometry_carries_until_a_scan_has_something_to_match(log):
     blind[:7] = np.nan
     made = []
 
-    def make(course: Course) -> FrontEnd:
-        made.append((course.scan, list(course.keys)))
-        return Wheels(course)
+    def make(tracker: Tracker) -> FrontEnd:
+        made.append((tracker.scan, list(tracker.keys)))
+        return Wheels(tracker)
 
     track = tracked(replace(log, ranges=blind), make, calibration=False)
     assert made == [(7, [0, 7])]
@@ -241,7 +241,7 @@ def test_what_is_known_better_later_moves_the_scans_but_no_key_scan(log):
         def step(self, points, odometry_step, wait_s):
             placed = super().step(points, odometry_step, wait_s)
             there = np.array([9.0, 9.0, 0.0])
-            late = tuple((k, there) for k in range(20)) if self._course.scan == 20 else ()
+            late = tuple((k, there) for k in range(20)) if self._tracker.scan == 20 else ()
             seen = np.diag([3.0, 2.0, 1.0]) if late else np.eye(3)
             return replace(placed, revised=late, overlap=0.3 if late else 0.9, information=seen)
 
@@ -256,7 +256,7 @@ def test_what_is_known_better_later_moves_the_scans_but_no_key_scan(log):
 def test_a_scan_that_is_not_sure_becomes_no_key_scan(log):
     class Unsure(Wheels):
         def step(self, points, odometry_step, wait_s):
-            return replace(super().step(points, odometry_step, wait_s), sure=self._course.scan >= 50)
+            return replace(super().step(points, odometry_step, wait_s), sure=self._tracker.scan >= 50)
 
     keys = tracked(log, Unsure).keys
     assert keys[:2].tolist() == [0, 50]

@@ -154,7 +154,7 @@ def test_scans_that_a_later_one_tells_more_of_move_on_the_trajectory_as_on_the_t
 
     class Hindsight(Wheels):
         def step(self, points, odometry_step, wait_s):
-            late = tuple((k, there) for k in range(20)) if self._course.scan == 20 else ()
+            late = tuple((k, there) for k in range(20)) if self._tracker.scan == 20 else ()
             return replace(super().step(points, odometry_step, wait_s), revised=late)
 
     monkeypatch.setattr(mapper_module, "front_end_maker", lambda name: Hindsight)

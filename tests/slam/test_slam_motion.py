@@ -18,11 +18,11 @@ from turtlebag.pipeline.slam.align import Prior, align
 from turtlebag.pipeline.slam.calibration import calibrate
 from turtlebag.pipeline.slam.clouds import make_clouds, sweep_motion
 from turtlebag.pipeline.slam.correspondences import Limits
-from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.occupancy import OccupancyConfig, make_grid
 from turtlebag.pipeline.slam.scan_poses import ReregistrationConfig, pose_all_scans
 from turtlebag.pipeline.slam.track import OdometryNoise, TrackingConfig
+from turtlebag.pipeline.slam.tracker import track_log
 from turtlebag.pipeline.stages.localise import sweep_ends
 
 SWEEP_S = 0.2

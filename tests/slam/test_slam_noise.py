@@ -10,10 +10,10 @@ from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_t
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion
-from turtlebag.pipeline.slam.course import Course
 from turtlebag.pipeline.slam.line_tracking import Lines
 from turtlebag.pipeline.slam.range_noise import RangeNoise, range_noise
 from turtlebag.pipeline.slam.track import TrackingConfig
+from turtlebag.pipeline.slam.tracker import Tracker
 
 POSES = around_the_room(120)
 
@@ -102,14 +102,14 @@ def test_after_a_gap_odometry_that_comes_late_is_believed_when_it_fits():
     log = replace(log, stamps_ns=stamps, T_odom_base=SE2(odometry))
     made = []
 
-    def make(course):
-        made.append(Lines(course))
+    def make(tracker):
+        made.append(Lines(tracker))
         return made[0]
 
-    course = Course(make_clouds(log, 30.0), log, TrackingConfig(), 30.0, make)
+    tracker = Tracker(make_clouds(log, 30.0), log, TrackingConfig(), 30.0, make)
     for _ in range(1, 80):
-        course.step()
-    error = (SE2(poses[kept][79]).inverse() @ SE2(course.pose)).xyt
+        tracker.step()
+    error = (SE2(poses[kept][79]).inverse() @ SE2(tracker.pose)).xyt
     assert np.hypot(*error[:2]) < 0.1
     assert abs(error[2]) < 0.05
     assert made[0].doubt is None

@@ -17,7 +17,6 @@ from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import line_tracking, place_recognition
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds
 from turtlebag.pipeline.slam.consistency import Recognised, agreeing_sets, competing, consistency
-from turtlebag.pipeline.slam.course import track_log
 from turtlebag.pipeline.slam.drift import drift_of
 from turtlebag.pipeline.slam.factors import Constraint
 from turtlebag.pipeline.slam.line_tracking import Lines
@@ -27,6 +26,7 @@ from turtlebag.pipeline.slam.slam import SlamConfig, run_slam
 from turtlebag.pipeline.slam.submaps import HEADINGS, _headings, laid_on, make_submap, similarity, windows
 from turtlebag.pipeline.slam.track import Track, TrackingConfig
 from turtlebag.pipeline.slam.track_breaks import TrackBreaks, joined_parts, track_breaks_of
+from turtlebag.pipeline.slam.tracker import track_log
 
 
 def office() -> Known:

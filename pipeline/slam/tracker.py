@@ -28,7 +28,7 @@ FIELD_KEYS, FIELD_M = 30, 0.1
 FIRST_CALIBRATION = 25
 
 
-class Course:
+class Tracker:
     """The log as far as it is tracked.
 
     `scan` is the one placed last, or being placed; `pose` and `velocity` (3,) are the pose of the last scan
@@ -173,8 +173,8 @@ class Course:
             self._next_calibration *= 2
 
 
-Maker = Callable[[Course], FrontEnd]
-"""Makes a front end for a course whose last scan is the first that others can be matched with."""
+Maker = Callable[[Tracker], FrontEnd]
+"""Makes a front end for a tracker whose last scan is the first that others can be matched with."""
 
 
 def track_log(
@@ -186,8 +186,8 @@ def track_log(
     make: Maker,
 ) -> Track:
     """Run a front end over a log; `scans` yields 1, 2, ... (wrapped in a progress bar by callers)."""
-    course = Course(clouds, recording, config, max_range, make)
+    tracker = Tracker(clouds, recording, config, max_range, make)
     for _ in scans:
-        course.step()
-    course.calibrate()
-    return course.track()
+        tracker.step()
+    tracker.calibrate()
+    return tracker.track()
