@@ -70,7 +70,7 @@ def parse_carmen(content: bytes, path: Path, *, T_base_lidar: SE2 | None, notes:
         notes.append(f"{rear} rear laser scans (RLASER) not used")
     n = lidar.n_beams
     if stands_still(stamps):
-        notes.append(f"every stamp is {stamps[0] * 1e-9:.6f}; the order of the file is all that is known")
+        notes.append(f"every stamp is {stamps[0] * 1e-9:.6f}; only the order of the file is known")
     values = _in_metres(values, stamps, notes)
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
@@ -223,10 +223,10 @@ def _in_metres(values: Array, stamps: Stamps, notes: list[str]) -> Array:
     """The readings and poses of `_numbers` in metres, where a program wrote millimetres."""
     scale = np.ones(values.shape[1])
     if ranges_in_millimetres(values[:: 1 + len(values) // 200, :-6], FAR):
-        notes.append("the readings are longer than any lidar's; taken for millimetres")
+        notes.append("the readings are longer than any lidar's; read as millimetres")
         scale[:-6] = 1e-3
     if driven_in_millimetres(stamps, values[:, -3:-1]):
-        notes.append("the robot would be faster than any; its poses taken for millimetres")
+        notes.append("the robot would be faster than any; its poses read as millimetres")
         scale[[-6, -5, -3, -2]] = 1e-3
     return values if (scale == 1.0).all() else values * scale
 

@@ -200,8 +200,8 @@ def bound_of(packed: int) -> int:
 
 def _beyond(path: Path, bound: int) -> InputError:
     return InputError(
-        f"{path}: unpacks to more than {bound >> 20} MiB; if that is meant, unpack it yourself "
-        "and give what comes out"
+        f"{path}: unpacks to more than {bound >> 20} MiB; if that is intended, unpack it yourself "
+        "and give the result"
     )
 
 

@@ -92,7 +92,7 @@ def _read_yaml(path: Path) -> MapYaml:
         raise InputError(f"{path}: no such map file (expected a map yaml)")
     meta = load_model(MapYaml, path)
     if not all(math.isfinite(value) and abs(value) < 1e7 for value in meta.origin):
-        raise InputError(f"{path}: origin must be three finite numbers of a place on Earth")
+        raise InputError(f"{path}: origin must be three finite numbers, none farther than any place on Earth")
     return meta
 
 
@@ -107,8 +107,10 @@ def _read_cells(path: Path, meta: MapYaml) -> NDArray[np.int8]:
                 raise Image.DecompressionBombError
             values, top, opaque = _brightness(image)
     except Image.DecompressionBombError:
-        limit = f"{MAX_CELLS // 1_000_000} million pixels, with which localising takes {MAX_GB} GB"
-        raise InputError(f"{path}: a larger image than can be used ({limit}); crop or reduce it") from None
+        limit = (
+            f"the limit is {MAX_CELLS // 1_000_000} million pixels, with which localisation takes {MAX_GB} GB"
+        )
+        raise InputError(f"{path}: its image is too large ({limit}); crop or reduce it") from None
     except Exception as error:
         # Pillow raises many types (SyntaxError among them) for damaged images.
         what = f"not a readable image ({type(error).__name__})"
@@ -127,7 +129,7 @@ def _brightness(image: Image.Image) -> tuple[NDArray[np.unsignedinteger], int, N
     if image.mode.startswith("I"):
         return np.asarray(image).astype(np.uint16), 65535, None
     if image.mode == "F":
-        raise ValueError("pixels without a white")
+        raise ValueError("floating-point pixels have no white level")
     opaque = np.asarray(image.convert("RGBA").getchannel("A")) == 255 if image.has_transparency_data else None
     # The mean of the colours, as map_server takes it.
     red, green, blue = (np.asarray(band, dtype=np.uint16) for band in image.convert("RGB").split())

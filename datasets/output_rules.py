@@ -20,7 +20,7 @@ Kind = Literal["folder", "file"]
 def place_of(out: Path) -> Path:
     """Where an output goes, absolute and without links but for its own name; InputError without a name."""
     if out.name in ("", ".."):
-        raise InputError(f"--out {out}: give the folder to write a name")
+        raise InputError(f"--out {out}: name the folder to write")
     return Path(os.path.realpath(out.parent)) / out.name
 
 
@@ -38,7 +38,7 @@ def check_free(out: Path, *, force: bool, inputs: Iterable[Path] = (), kind: Kin
         raise InputError(f"{out}: already exists; choose another --out or pass --force")
     mode = place.lstat().st_mode
     if stat.S_ISLNK(mode):
-        raise InputError(f"{out}: is a link; --force does not replace links, give the place it names")
+        raise InputError(f"{out}: is a link, which --force does not replace; give its target instead")
     if stat.S_ISDIR(mode):
         _require_our_folder(out, place)
     elif not (stat.S_ISREG(mode) and _is_our_file(place)):

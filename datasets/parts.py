@@ -69,7 +69,7 @@ def find(name: str, contract: type) -> type:
     or takes other parameters.
     """
     if not is_own(name):
-        raise InputError(f"{name}: name a class of yours as module:Class")
+        raise InputError(f"{name}: give a class of your own as module:Class")
     module_name, _, qualname = name.partition(":")
     module = _imported(module_name, name)
     found = _attribute(module, qualname)
@@ -100,7 +100,9 @@ def name_of(part: type) -> str:
     """`module:Class` of a class; InputError when that does not lead back to it."""
     name = _label(part)
     if _attribute(sys.modules.get(part.__module__), part.__qualname__) is not part:
-        raise InputError(f"{name}: this name does not lead to the class: define it at the top of a module")
+        raise InputError(
+            f"{name}: the class cannot be imported by this name: define it at the top level of a module"
+        )
     return name
 
 

@@ -54,14 +54,14 @@ class RivalFiles:
         if not NAME.fullmatch(self.name):
             raise InputError(f"{self.name}: a rival's name has letters, digits, - and _ only")
         if self.name in (OURS, TRUTH):
-            raise InputError(f"{self.name}: is taken; give the rival another name")
+            raise InputError(f"{self.name}: this name is taken; give the rival another")
         if self.trajectory is None and (self.map is None or self.times or self.shift_s or self.moved):
             raise InputError(f"{self.name} has no trajectory")
         for what, path in (("trajectory", self.trajectory), ("map", self.map), ("times", self.times)):
             if path is not None and path.is_dir():
                 raise InputError(f"{path}: is a folder; give the file of the {what} in it")
             if path is not None and path.suffix.lower() in IMAGES:
-                raise InputError(f"{path}: is the image of a map; give the yaml beside it")
+                raise InputError(f"{path}: is the image of a map; give its yaml file")
 
         if not abs(self.shift_s) < LONGEST_S:
             raise InputError(f"{self.name}: cannot be shifted by {self.shift_s:g} s")
@@ -96,7 +96,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     read = read_trajectory_3d(files.trajectory, files.times, scans_ns)
     if len(read) < FEWEST:
         raise InputError(
-            f"{files.trajectory}: has {len(read)} of the {FEWEST} poses that it takes to compare"
+            f"{files.trajectory}: too few poses to compare ({len(read)}; at least {FEWEST} are needed)"
         )
     notes = []
     shift_ns = round(files.shift_s * 1e9)
@@ -108,7 +108,7 @@ def load_rival(files: RivalFiles, scans_ns: Stamps) -> System:
     if _looks_through_a_camera(track):
         track = replace(track, T=OPTICAL @ track.T @ inverse(OPTICAL))
         notes.append(
-            "Its path climbs as if z pointed forward: taken for a camera's axes and turned to a robot's."
+            "Its z axis points forward, as a camera's does: its poses were rotated to a robot's axes."
         )
     if files.moved:
         track = replace(track, T=track.T @ inverse(lifted(files.T_base_sensor)))

@@ -38,7 +38,7 @@ def stamp_from_text(text: str) -> int:
         whole, _, fraction = text.lstrip("+-").partition(".")
         stamp = sign * (int(whole or "0") * 10**9 + int(fraction[:9].ljust(9, "0")))
     if abs(stamp) >= _END_OF_TIME_NS:
-        raise ValueError(f"{text} s is beyond all clocks")
+        raise ValueError(f"{text} s is not a plausible time")
     return stamp
 
 

@@ -62,7 +62,7 @@ def read_trajectory_3d(path: Path, times: Path | None, scans_ns: Stamps) -> Traj
         stamps = _kitti_stamps(path, len(lines), times, scans_ns)
         return Trajectory3D(stamps, _kitti(path, lines))
     if times is not None:
-        raise InputError(f"{path}: has stamps of its own; leave --rival-times out")
+        raise InputError(f"{path}: has its own stamps; leave out --rival-times")
     if csv:
         rows = _rows(path, lines, 8, "'t [ns], x, y, z, qw, qx, qy, qz, ...'", at_least=True)
         stamps = np.array([_nanoseconds(path, number, words[0]) for number, words in lines], dtype=np.int64)
@@ -110,7 +110,9 @@ def _check_places(path: Path, lines: Lines, xyz: Array) -> None:
     """Beyond these, squares of distances are no numbers any more."""
     far = np.flatnonzero(np.abs(xyz).max(axis=1) > FARTHEST_M)
     if len(far):
-        raise InputError(f"{path}, line {lines[int(far[0])][0]}: its position is no place on Earth")
+        raise InputError(
+            f"{path}, line {lines[int(far[0])][0]}: its position is farther than any place on Earth"
+        )
 
 
 def _poses(path: Path, lines: Lines, xyz: Array, q: Array) -> Array:

@@ -54,7 +54,7 @@ def require_plan(planner: GlobalPlanner, plan: object) -> None:
     answer.require_kind("poses", plan.poses, SE2)
     answer.require_kind("planner", plan.planner, str)
     if len(plan.poses) < 2:
-        raise answer.wrong("a path has two poses at least")
+        raise answer.wrong("a path needs at least two poses")
     answer.require_finite("poses", plan.poses.xyt, len(plan.poses), 3)
     for what in ("length", "margin"):
         answer.require_finite(what, getattr(plan, what))

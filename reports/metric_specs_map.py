@@ -160,7 +160,7 @@ MAP = (
             "range_error_m.at_1_m",
             "range error at 1 m",
             "mm",
-            "What the lidar's ranges were too long by (negative: too short), as its scans show; corrected.",
+            "How much too long ranges were (negative: too short), estimated from the scans; corrected.",
         ),
         MetricSpec("range_error_m.at_3_m", "range error at 3 m", "mm", "The same, farther away."),
         MetricSpec("keyframes", "key scans", "count", "Scans that are nodes of the pose graph.", GRAPH[:1]),

@@ -20,7 +20,7 @@ SYSTEMS: tuple[Section, ...] = (
     section(
         "The path",
         "Distance to {reference} at the same instants. The fit moves and turns each path as a whole: two "
-        "systems seldom share a frame.{apart}",
+        "systems rarely share a frame.{apart}",
         MetricSpec(
             "ate_aligned_m.rmse",
             "ATE after a fit in the plane, RMSE",
@@ -33,7 +33,7 @@ SYSTEMS: tuple[Section, ...] = (
             "ours_there.ate_aligned_m.rmse",
             "TurtleBag over the same part, RMSE",
             "cm",
-            "The first number of TurtleBag where this system, which misses some of the drive, has poses.",
+            "TurtleBag's first number over the part of the drive for which this system has poses.",
         ),
         MetricSpec(
             "ate_aligned_3d_m.rmse",
@@ -43,14 +43,14 @@ SYSTEMS: tuple[Section, ...] = (
         ),
         MetricSpec(
             "ate_m.rmse",
-            "ATE as it is, RMSE",
+            "ATE without alignment, RMSE",
             "cm",
             "Without alignment: meaningful only if both start in the same frame.",
         ),
     ),
     section(
         "Drift",
-        "Relative pose error. Numbers per frame compare only systems of one rate.",
+        "Relative pose error. Compare numbers per frame only between systems of the same rate.",
         replace(
             shared("rpe.trans_m", "Over each metre of the reference's path, wherever it starts; RMSE."),
             trusted=True,
@@ -89,7 +89,7 @@ SYSTEMS: tuple[Section, ...] = (
         shared("map.iou_one_cell", "Both shares in one number."),
     ),
     section(
-        "What there was to measure",
+        "Data compared",
         "",
         MetricSpec("poses", "poses", "count", "Poses in the file, repeated stamps left out."),
         MetricSpec("paired", "poses compared", "count", "Poses at the same instant as one of the reference."),

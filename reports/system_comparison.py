@@ -105,7 +105,7 @@ class SystemComparison:
         if near and not self._is_error("map."):
             on_ours = f"Wall cells within one cell of those of {OURS}: {', '.join(near)}"
             return f"{on_ours}; the true walls are not known."
-        return "Nothing of another system could be measured."
+        return "No number of another system could be computed."
 
     def _is_error(self, path: str) -> bool:
         """Whether a number is measured against something better than ours."""

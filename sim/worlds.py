@@ -102,7 +102,7 @@ def require_world(maker: WorldMaker, world: object) -> None:
     answer.require_finite("spawn", world.spawn.xyt, 3)
     answer.require_finite("bounds", np.array(world.bounds, dtype=np.float64), 4)
     if not world.shapes:
-        raise answer.wrong("a world has a shape at least")
+        raise answer.wrong("a world needs at least one shape")
     for what, value, kind in [
         ("name", world.name, str),
         ("robot", world.robot, str),

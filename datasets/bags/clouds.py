@@ -147,7 +147,7 @@ def load_clouds(path: Path, topic: str | None = None) -> Recording3D:
     if len(index.frames) > 1:
         several = ", ".join(f"'{name}' ({count})" for name, count in index.frames.most_common())
         raise InputError(
-            f"{path}: {chosen}: clouds of more frames than one: {several}; record one lidar a topic"
+            f"{path}: {chosen}: clouds of several frames: {several}; record each lidar on its own topic"
         )
     (frame,) = index.frames
     notes, log_times = list(bag.notes), np.array(index.log_times, dtype=np.int64)

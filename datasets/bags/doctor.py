@@ -26,7 +26,7 @@ def examine(path: Path) -> list[Finding]:
 def _file(found: Survey) -> Iterator[Finding]:
     for note in found.notes:
         if note.startswith("metadata.yaml"):
-            breaks = "`ros2 bag` and most readers refuse the folder; `turtlebag bag recover` writes it anew"
+            breaks = "`ros2 bag` and most readers refuse the folder; `turtlebag bag recover` rewrites it"
             yield Finding("error", "missing metadata", note, breaks)
         elif "read up to there" not in note:
             breaks = "readers that need the index refuse the file, and data after this place is not read; "
@@ -40,7 +40,7 @@ def _missing_topics(found: Survey) -> Iterator[Finding]:
     moving = any(parent == "odom" for parent, _ in found.link_stamps)
     if not found.of_type(ODOMETRY) and not moving:
         what = "neither an Odometry topic nor odom -> base in /tf"
-        breaks = "mapping has the scans alone to go by; AMCL cannot run"
+        breaks = "mapping has only the scans; AMCL cannot run"
         yield Finding("warning", "no odometry", what, breaks)
     empty = [name for name, topic in found.topics.items() if topic.undecodable]
     for name in empty:
@@ -58,11 +58,11 @@ def _backwards(found: Survey) -> Iterator[Finding]:
             count, worst = int((steps < 0).sum()), float(steps.min()) * -1e-9
             what = f"{name}: stamps go back {count} times, by up to {worst:.3f} s"
             breaks = (
-                "TF buffers clear themselves and message filters drop what is older than what they have seen"
+                "TF buffers are cleared, and message filters drop everything older than what they have seen"
             )
             yield Finding("error", "time goes backwards", what, breaks)
         elif (steps == 0).any():
-            what = f"{name}: {int((steps == 0).sum())} messages share the stamp of the one before"
+            what = f"{name}: {int((steps == 0).sum())} messages have the stamp of the previous one"
             yield Finding("warning", "repeated stamps", what, "interpolation between them is undefined")
     for link, times in found.link_stamps.items():
         count = int((np.diff(np.array(times, dtype=np.int64)) < 0).sum())
@@ -80,7 +80,7 @@ def _clocks(found: Survey) -> Iterator[Finding]:
         return
     middle = float(np.median(list(lags.values())))
     odd = {name: lag for name, lag in lags.items() if abs(lag - middle) > CLOCK_NS}
-    breaks = "scans find no odometry or transform of their time (use_sim_time set on some nodes only?)"
+    breaks = "no odometry or transform matches the scans in time (use_sim_time set on some nodes only?)"
     for name, lag in odd.items():
         what = f"{name}: its stamps are {abs(lag - middle) * 1e-9:.1f} s off those of the other topics"
         yield Finding("error", "mixed clocks", what, breaks)
@@ -123,7 +123,7 @@ def _connections(found: Survey) -> Iterator[Finding]:
                 what = f"{topic.topic.name}: its frame '{frame}' is not connected to '{base}'"
                 breaks = (
                     "the laser's place on the robot is unknown: every scan is dropped by tf2 message "
-                    "filters, viewers stay blank; here --laser X,Y,YAW tells it"
+                    "filters, viewers stay blank; --laser X,Y,YAW sets it here"
                 )
                 yield Finding("error", "frames do not connect", what, breaks)
     for topic in found.of_type(ODOMETRY):
@@ -131,7 +131,7 @@ def _connections(found: Survey) -> Iterator[Finding]:
             ours = topic.topic.name.startswith("/ground_truth")
             if not ours and frames.frames() and child not in frames.frames():
                 what = f"{topic.topic.name}: its child frame '{child}' is not in /tf"
-                breaks = "odometry and sensors do not meet"
+                breaks = "odometry and sensors are not connected"
                 yield Finding("error", "frames do not connect", what, breaks)
     for child, parents in found.parents.items():
         if len(parents) > 1:
@@ -148,7 +148,7 @@ def _scans(found: Survey) -> Iterator[Finding]:
         step = increment or (angle_max - angle_min) / max(n - 1, 1)
         if not directed(angle_min, step, n):
             what = f"{name}: {n} readings from {angle_min:g} rad on, {step:g} rad apart"
-            yield Finding("error", "beam angles", what, "the readings have no directions")
+            yield Finding("error", "beam angles", what, "the directions of the readings are unknown")
         elif increment and abs((angle_max - angle_min) / increment - (n - 1)) > 0.5:
             steps = round((angle_max - angle_min) / increment) + 1
             what = f"{name}: {n} readings, but angle_min, angle_max and the increment imply {steps}"
@@ -164,7 +164,7 @@ def _scans(found: Survey) -> Iterator[Finding]:
             yield Finding("error", "range limits", what, "no reading is valid")
         if scans.all_nan:
             what = f"{name}: {scans.all_nan} of {total} scans are NaN only"
-            yield Finding("warning", "empty scans", what, "they carry nothing; the motion is a guess")
+            yield Finding("warning", "empty scans", what, "they contain nothing; the motion is a guess")
         if scans.no_return:
             what = f"{name}: {scans.no_return} of {total} scans have no return at all"
             yield Finding("warning", "empty scans", what, "they cannot be matched")
@@ -180,7 +180,9 @@ def _sweep_time(name: str, topic: TopicSurvey, sweep_s: float) -> Iterator[Findi
     period = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
     if period > 0.0 and sweep_s > 1.2 * period:
         what = f"{name}: time_increment makes a sweep of {sweep_s:.3f} s, a scan comes every {period:.3f} s"
-        yield Finding("warning", "sweep time", what, "undoing the motion within a scan bends it instead")
+        yield Finding(
+            "warning", "sweep time", what, "deskewing bends the scans instead of straightening them"
+        )
 
 
 def _rotations(found: Survey) -> Iterator[Finding]:
@@ -194,7 +196,7 @@ def _quality_of_service(found: Survey) -> Iterator[Finding]:
         topic = found.topics.get(name)
         if topic and "durability" in topic.topic.qos and "transient_local" not in topic.topic.qos:
             what = f"{name} was recorded as volatile"
-            breaks = "on `ros2 bag play` nodes that start later never see it"
+            breaks = "with `ros2 bag play`, nodes that start later never receive it"
             yield Finding("warning", "quality of service", what, breaks)
 
 
@@ -202,7 +204,7 @@ def _truth(found: Survey) -> Iterator[Finding]:
     leaks = [link for link in found.parents.items() if "world" in link[1]]
     if leaks and found.link_stamps:
         what = f"/tf links 'world' to {', '.join(child for child, _ in leaks)}"
-        yield Finding("warning", "truth in /tf", what, "a mapper that follows /tf may read the answer")
+        yield Finding("warning", "truth in /tf", what, "a mapper that uses /tf may read the ground truth")
 
 
 _CHECKS: tuple[Callable[[Survey], Iterator[Finding]], ...] = (

@@ -26,7 +26,7 @@ class BagFolder:
                 raise FileExistsError
             self._mcap = McapWriter(folder / DATA_FILE)
         except FileExistsError:
-            raise InputError(f"{folder}: there is a bag already; choose another folder") from None
+            raise InputError(f"{folder}: already holds a bag; choose another folder") from None
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
         self._folder = folder

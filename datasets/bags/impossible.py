@@ -26,7 +26,7 @@ def still_clocks(found: Survey) -> Iterator[Finding]:
     }
     moving = {link: times for link, times in found.link_stamps.items() if link in found.frames.moving}
     clocks |= {f"/tf: {parent} -> {child}": times for (parent, child), times in moving.items()}
-    breaks = "tf2 and message filters join nothing by it; here the times of recording are taken"
+    breaks = "tf2 and message filters cannot match by it; here the recording times are used"
     for name, stamps in clocks.items():
         if stands_still(stamps):
             what = f"{name}: all {len(stamps)} stamps are {stamps[0] * 1e-9:g} s"
@@ -41,7 +41,7 @@ def mixed_frames(found: Survey) -> Iterator[Finding]:
                 named = ", ".join(f"'{name}' ({count})" for name, count in frames.most_common())
                 what = f"{topic.topic.name}: messages of {len(frames)} frames: {named}"
                 breaks = (
-                    "two sensors or robots in one look like one that jumps; here the most frequent is used"
+                    "two sensors or robots on one topic look like one that jumps; the most frequent is used"
                 )
                 yield Finding("error", "mixed frames", what, breaks)
 
@@ -49,11 +49,11 @@ def mixed_frames(found: Survey) -> Iterator[Finding]:
 def places(found: Survey) -> Iterator[Finding]:
     """Transforms and poses beyond the Earth."""
     for parent, child in sorted(found.frames.far):
-        what = f"/tf or /tf_static: {parent} -> {child} is no place on Earth"
+        what = f"/tf or /tf_static: {parent} -> {child} is farther than any place on Earth"
         yield Finding("error", "absurd places", what, "viewers break; here it is left out")
     for topic in found.of_type(ODOMETRY):
         if count := sum(map(far_away, topic.places)):
-            what = f"{topic.topic.name}: {count} poses are no places on Earth"
+            what = f"{topic.topic.name}: {count} poses are farther than any place on Earth"
             yield Finding("error", "absurd places", what, "here they are left out")
 
 
@@ -63,12 +63,12 @@ def units(found: Survey) -> Iterator[Finding]:
         (_, _, _, _, _, _, range_max), _ = scans.geometries.most_common(1)[0][0]
         if ranges_in_millimetres(np.concatenate(scans.some), range_max):
             what = f"{name}: the readings are longer than any lidar's"
-            breaks = "every reader takes them for metres; here they are taken for millimetres"
+            breaks = "every reader reads them as metres; here they are read as millimetres"
             yield Finding("error", "millimetres", what, breaks)
     for name, stamps, places in _driven(found):
         if driven_in_millimetres(stamps, places):
             what = f"{name}: the robot would be faster than any"
-            breaks = "every reader takes the poses for metres; here they are taken for millimetres"
+            breaks = "every reader reads the poses as metres; here they are read as millimetres"
             yield Finding("error", "millimetres", what, breaks)
     base = found.base()
     for topic in found.of_type(SCAN):
@@ -76,7 +76,7 @@ def units(found: Survey) -> Iterator[Finding]:
             T = found.frames.lookup(base, frame)
             if T is not None and (arm := float(np.linalg.norm(T[:3, 3]))) > ARM_M:
                 what = f"{topic.topic.name}: its frame '{frame}' lies {arm:.4g} m from '{base}'"
-                breaks = "no robot is that large; mapping refuses it, --laser X,Y,YAW tells the place"
+                breaks = "no robot is that large; mapping refuses it, --laser X,Y,YAW sets the position"
                 yield Finding("error", "millimetres", what, breaks)
 
 

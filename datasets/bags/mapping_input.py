@@ -38,11 +38,11 @@ def read_for_mapping(bag: Bag, *, T_base_lidar: SE2 | None = None, topic: str | 
     try:
         ranges, lidar = assemble(scans, notes)
     except ValueError as error:
-        raise InputError(f"{bag.path}: {topic}: {error}; nothing to map with") from None
+        raise InputError(f"{bag.path}: {topic}: {error}; there is nothing to map") from None
     stamps = running(np.array([scan.stamp_ns for scan in scans], dtype=np.int64), log_times, topic, notes)
     if stands_still(stamps):
-        what = f"{topic}: all scans carry one stamp and were recorded at one time"
-        raise InputError(f"{bag.path}: {what}; without time there is nothing to map with")
+        what = f"{topic}: all scans have the same stamp and the same recording time"
+        raise InputError(f"{bag.path}: {what}; without times no map can be made")
     backwards = int(np.count_nonzero(np.diff(stamps) < 0))
     if backwards:
         notes.append(f"{topic}: stamps go back {backwards} times; file order kept")
@@ -78,7 +78,7 @@ def _of_one_laser(
     if not others:
         return scans, times
     left = ", ".join(f"{number} of '{name}'" for name, number in others)
-    notes.append(f"{topic}: scans of more lasers than one; {count} of '{frame}' used, {left} left out")
+    notes.append(f"{topic}: scans of several lasers; {count} of '{frame}' used, {left} left out")
     ours = [k for k, scan in enumerate(scans) if scan.frame == frame]
     return [scans[k] for k in ours], times[ours]
 

@@ -167,7 +167,7 @@ class McapScan:
                 at = self._next_chunk(at + 1)
         state.problems.append(
             f"the file ends without its index, after {end} bytes: the recording was cut off; "
-            "`turtlebag bag recover` makes a whole bag of it"
+            "`turtlebag bag recover` makes a complete bag of it"
         )
 
     def leading_metadata(self, name: str) -> dict[str, str]:

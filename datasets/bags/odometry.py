@@ -37,7 +37,7 @@ def find_odometry(streams: Streams, scan_frame: str, notes: list[str]) -> Odomet
             times = np.array(streams.odometry[chosen].times, dtype=np.int64)[columns.kept]
             if columns.others:
                 left = ", ".join(f"{count} of {link}" for link, count in columns.others.items())
-                notes.append(f"{chosen}: poses of more frames than one; {left} left out")
+                notes.append(f"{chosen}: poses of several frames; {left} left out")
             base = columns.child or base_of(streams.frames)
             return _source(base, columns.stamps_ns, times, columns.xyt, chosen, notes)
     if len(names) > 1:
@@ -72,13 +72,14 @@ def _source(
     with np.errstate(invalid="ignore"):
         places = (np.abs(xyt) < FAR_M).all(axis=1)
     if not places.all():
-        notes.append(f"{name}: {np.count_nonzero(~places)} poses are not finite, or no place, and left out")
+        what = "are not finite or farther than any place on Earth, and left out"
+        notes.append(f"{name}: {np.count_nonzero(~places)} poses {what}")
         stamps, times, xyt = stamps[places], times[places], xyt[places]
     if not len(stamps):
         return OdometrySource(base)
     stamps = running(stamps, times, name, notes)
     if driven_in_millimetres(stamps, xyt[:, :2]):
-        notes.append(f"{name}: the robot would be faster than any; taken for millimetres")
+        notes.append(f"{name}: the robot would be faster than any; read as millimetres")
         xyt = xyt * (1e-3, 1e-3, 1.0)
     by_stamp, by_log_time = _increasing(stamps, xyt, name, notes), _increasing(times, xyt, name, [])
     return OdometrySource(
@@ -90,7 +91,7 @@ def running(stamps: Stamps, log_times: Stamps, name: str, notes: list[str]) -> S
     """The stamps, or for a clock that never ran the times of recording, with a note."""
     if not stands_still(stamps) or stands_still(log_times):
         return stamps
-    notes.append(f"{name}: every stamp is {stamps[0] * 1e-9:.6f}; the times of recording taken instead")
+    notes.append(f"{name}: every stamp is {stamps[0] * 1e-9:.6f}; the recording times are used instead")
     return log_times
 
 
@@ -115,7 +116,7 @@ def without_repeats(odometry: Trajectory, name: str, notes: list[str]) -> Trajec
         return odometry
     following = np.append(first, len(new) + usual)[np.cumsum(new)]
     keep = new | (following - np.arange(len(new)) >= usual)
-    notes.append(f"{name}: each pose is sent some {usual} times; taken once")
+    notes.append(f"{name}: each pose is sent about {usual} times; used once")
     return Trajectory(odometry.stamps_ns[keep], odometry.poses[keep])
 
 
@@ -133,7 +134,7 @@ def sensor_matrix(path: Path, frames: FrameTree, base: str, sensor: str, notes: 
                 what = (
                     f"by its transforms the laser '{sensor}' sits {arm:.4g} m from '{start}' (millimetres?)"
                 )
-                raise InputError(f"{path}: {what}; --laser X,Y,YAW says where it does")
+                raise InputError(f"{path}: {what}; --laser X,Y,YAW sets its pose")
             return T
     known = ", ".join(sorted(frames.frames())) or "none"
     notes.append(
@@ -151,13 +152,13 @@ def odometry_at(odometry: OdometrySource, stamps: Stamps, log_times: Stamps, not
     first, last = int(poses.stamps_ns[0]), int(poses.stamps_ns[-1])
     if stamps.min() > last + CLOCK_NS or stamps.max() < first - CLOCK_NS:
         if odometry.by_log_time is None:
-            notes.append("scans and odometry carry different clocks; odometry not used")
+            notes.append("scans and odometry have different clocks; odometry not used")
             return None
-        notes.append("scans and odometry carry different clocks; joined by the time they were recorded")
+        notes.append("scans and odometry have different clocks; matched by their recording times")
         return odometry.by_log_time.at(log_times)
     outside = int(np.count_nonzero((stamps < first - 10**8) | (stamps > last + 10**8)))
     if outside:
-        notes.append(f"{outside} scans lie outside the odometry's time; its end poses are held")
+        notes.append(f"{outside} scans lie outside the odometry's time; its nearest pose is used")
     gap = int(np.diff(poses.stamps_ns).max(initial=0))
     if gap > 10**9:
         notes.append(f"odometry has a gap of {gap * 1e-9:.1f} s, interpolated")

@@ -28,7 +28,7 @@ _WORTH_SAYING = 0.01
 """Share of readings at range_max that is more than noise at far walls (0.2 % in the simulated house)."""
 
 
-TURNED_OVER = "the laser hangs upside down; its scans were turned over"
+TURNED_OVER = "the laser hangs upside down; its scans were flipped"
 """The note of a recording whose laser does."""
 
 
@@ -113,7 +113,7 @@ def _lidar(key: Geometry, scans: Sequence[RawScan], notes: list[str]) -> LidarSp
         range_max = 100.0
     times = [_median(scan.geometry[index] for scan in scans) for index in (3, 4)]
     if abs(times[0]) * key.n > _LONGEST_SWEEP_S:
-        notes.append(f"time_increment makes a sweep of {abs(times[0]) * key.n:.3g} s; taken for one instant")
+        notes.append(f"time_increment makes a sweep of {abs(times[0]) * key.n:.3g} s; taken as 0")
         times[0] = 0.0
     return LidarSpec(key.n, key.angle_min, step, range_min, range_max, *times)
 
@@ -123,7 +123,7 @@ def _in_metres(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> LidarSpec:
     if not ranges_in_millimetres(ranges[:: 1 + len(ranges) // 200], lidar.range_max):
         return lidar
     ranges /= np.float32(1000.0)
-    notes.append("the readings are longer than any lidar's; taken for millimetres")
+    notes.append("the readings are longer than any lidar's; read as millimetres")
     if not limits_in_millimetres(lidar.range_max):
         return lidar
     return replace(lidar, range_min=lidar.range_min / 1000.0, range_max=lidar.range_max / 1000.0)
@@ -187,18 +187,18 @@ def _normalised(ranges: Ranges, lidar: LidarSpec, notes: list[str]) -> Ranges:
     ranges[zero], ranges[far], ranges[near] = np.nan, np.inf, -np.inf
     if zero.any():
         notes.append(
-            f"{100.0 * zero.mean():.1f} % of the readings are 0: taken for invalid, not for free space"
+            f"{100.0 * zero.mean():.1f} % of the readings are 0: treated as invalid, not as free space"
         )
     if far.mean() >= _WORTH_SAYING:
         notes.append(
-            f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: taken for no return"
+            f"{100.0 * far.mean():.1f} % of the readings are at or past range_max: treated as no return"
         )
     limit = no_return_value(ranges)
     piled = np.isfinite(ranges) & (ranges >= limit)
     if piled.any():
         ranges[piled] = np.inf
         notes.append(
-            f"{100.0 * piled.mean():.1f} % of the readings pile up at {limit:g} m: taken for no return"
+            f"{100.0 * piled.mean():.1f} % of the readings pile up at {limit:g} m: treated as no return"
         )
     return ranges
 

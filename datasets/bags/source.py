@@ -166,7 +166,9 @@ def _from_metadata(path: Path, folder: Path) -> Bag:
         raise ValueError(f"it names {', '.join(missing) or 'no file'}")
     mode = str(information.get("compression_mode") or "none").lower()
     if mode != "none" and information.get("compression_format") != "zstd":
-        raise InputError(f"{folder}: its compression {information.get('compression_format')!r} is not read")
+        raise InputError(
+            f"{folder}: its compression {information.get('compression_format')!r} is not supported"
+        )
     if mode == "file":
         unpacked = tempfile.TemporaryDirectory(prefix="turtlebag-")
         files = [_unpacked_file(file, Path(unpacked.name)) for file in files]

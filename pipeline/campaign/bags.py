@@ -29,7 +29,7 @@ def find_bags(patterns: Sequence[str]) -> dict[str, str]:
         with or_else(f"bags: {pattern}: cannot be listed"):
             bags = _of_pattern(pattern)
         if not bags:
-            raise InputError(f"bags: {pattern}: no bag or log fits it; check the pattern")
+            raise InputError(f"bags: {pattern}: no bag or log matches it; check the pattern")
         found |= dict(sorted(bags.items()))
     return found
 

@@ -179,7 +179,7 @@ def _run(
         log.info(f"resuming: {len(rows)} of {len(todo)} cases are done")
     if left:
         progress.start()
-        log.info(f"the page of how far it is: {where.runs.url}/{PAGE}")
+        log.info(f"progress page: {where.runs.url}/{PAGE}")
         found = start(_interleaved(left, campaign))
         for row, wall_s in track(_told(found, len(left)), campaign.name, total=len(left)):
             rows[row["case"]] = row

@@ -44,7 +44,7 @@ def with_truth(record: Stage, parts: Collection[str]) -> Recording:
     recording = load_recording(record.folder)
     truth = read_poses(record.folder / "bag", "/ground_truth/odom")
     if record.truth is None or len(record.truth) != len(recording):
-        raise InputError(f"{record.folder}: its truth has not one pose for each scan")
+        raise InputError(f"{record.folder}: its truth does not have one pose for each scan")
     if "odometry" in parts or "poses" in parts:
         recording = replace(recording, T_odom_base=record.truth.poses)
     if "deskew" in parts or "poses" in parts:

@@ -48,7 +48,7 @@ def _compare_outputs(args: argparse.Namespace) -> None:
     from turtlebag.pipeline.stages.compare import compare_outputs
 
     if len(args.b) > 1:
-        raise InputError("compare takes two outputs, or one and files of other systems")
+        raise InputError("compare takes two outputs, or one output and files of other systems")
     if args.rival_base or args.rival_times or args.rival_shift:
         raise InputError(f"{args.b[0]}: is an output of ours; --rival options are for others' files")
     b = Path(args.b[0])

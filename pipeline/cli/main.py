@@ -40,7 +40,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "data": ("data", "list and fetch public logs"),
     "world": ("world", "list the built-in worlds, or draw one"),
     "doctor": ("doctor", "check the installation"),
-    "completion": ("completion", "complete what you type in the shell"),
+    "completion": ("completion", "print a script that completes commands in your shell"),
 }
 
 EXIT_OK, EXIT_INPUT = 0, 2
@@ -160,8 +160,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             with _stopping_cleanly():
                 if "" in argv:
-                    before = " ".join(argv[: argv.index("")][-1:])
-                    raise InputError(f"{before} : what follows is empty; is a variable of the shell not set?")
+                    after = f" after {argv[argv.index('') - 1]}" if argv[0] else ""
+                    raise InputError(f"the argument{after} is empty; is a shell variable not set?")
                 args = build_parser(verb).parse_args(joined(argv))
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)

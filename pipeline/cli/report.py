@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--index", action="store_true", help=text)
     text = "leave out the animations, for a smaller page"
     parser.add_argument("--no-animation", action="store_true", help=text)
-    text = "file of another system to show beside ours (see compare); may be repeated"
+    text = "file of another system to show next to ours (see compare); may be repeated"
     parser.add_argument("--rival", action="append", default=[], metavar="[NAME=]FILE", help=text)
     add_rival_options(parser)
     add_output(parser)

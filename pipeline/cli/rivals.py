@@ -21,8 +21,8 @@ def add_rival_options(parser: argparse.ArgumentParser) -> None:
     """--rival-base, --rival-times and --rival-shift."""
     for name, value, text in (
         ("base", "X,Y,YAW", "pose on the robot of the sensor that the rival's trajectory follows"),
-        ("times", "FILE", "times of its KITTI poses in seconds, one a line (default: those of the scans)"),
-        ("shift", "SECONDS", "add this to its stamps"),
+        ("times", "FILE", "times of its KITTI poses in seconds, one per line (default: those of the scans)"),
+        ("shift", "SECONDS", "seconds to add to its stamps"),
     ):
         parser.add_argument(
             f"--rival-{name}", action="append", default=[], metavar=f"[NAME=]{value}", help=text
@@ -85,7 +85,7 @@ def _by_name(words: Sequence[str], names: dict[str, dict[str, Path]], option: st
         elif not names:
             raise InputError(f"{option} {word}: there is no rival")
         elif not equals:
-            raise InputError(f"{option} {word}: of which rival? write {option} NAME={word}")
+            raise InputError(f"{option} {word}: there are several rivals; write {option} NAME={word}")
         if name not in names:
             raise InputError(f"{option} {word}: no rival is called {name}; there are {', '.join(names)}")
         found[name] = value

@@ -55,12 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay",
         type=Path,
         metavar="FILE",
-        help="drive the session of a session.yaml again, without a page; needs --out",
+        help="replay a session.yaml without a page; needs --out",
     )
     add_config(parser)
     add_output(
         parser,
-        "folder for all that is saved (default: data/studio/WORLD-ROBOT-SEED)",
+        "folder for everything that is saved (default: data/studio/WORLD-ROBOT-SEED)",
         required=False,
     )
 
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
     setup: StudioSetup | BagSetup
     if args.bag is not None:
-        _refuse(args, SIMULATED, "not with --bag, where nothing is simulated; remove it")
+        _refuse(args, SIMULATED, "cannot be used with --bag, where nothing is simulated; remove it")
         setup = BagSetup(args.bag)
         words: tuple[str, ...] = (args.bag.name,)
     else:
@@ -124,7 +124,7 @@ def _live(
             asyncio.run(serve(session, access, sockets, interrupted=interrupted, ready=ready))
         except Exception as error:
             failure = error
-            log.error(f"the session could not go on; what it holds is kept in {out}")
+            log.error(f"the session failed; its data are kept in {out}")
     if failure is not None:
         raise failure
     return 128 + interrupted[0] if interrupted else 0

@@ -18,12 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--store",
         metavar="URL",
-        help="where workers keep what they make, by fsspec: s3://BUCKET/..., a folder (default: --out)",
+        help="storage for the workers' results: a folder or an fsspec URL, s3://BUCKET/... (default: --out)",
     )
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="address of a running Dask scheduler (tcp://...), or `threads` of this process",
+        help="address of a running Dask scheduler (tcp://...), or `threads` to run in this process",
     )
     parser.add_argument("--workers", type=int, metavar="N", help="local processes (default: one per core)")
     parser.add_argument(

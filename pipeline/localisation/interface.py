@@ -128,4 +128,4 @@ def require_estimate(localiser: Localiser) -> None:
         raise answer.wrong(f"agreement must be a share 0..1, not {localiser.agreement:g}")
     answer.require_kind("particles", localiser.particles, SE2)
     if localiser.particles.xyt.ndim != 2 or not len(localiser.particles):
-        raise answer.wrong("particles must be poses (n,), one at least")
+        raise answer.wrong("particles must be poses (n,), at least one")

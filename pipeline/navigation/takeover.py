@@ -90,7 +90,7 @@ def load_script(path: Path) -> tuple[Interval, ...]:
     try:
         data: Any = parsed(path.read_text(), where=where)
     except (OSError, UnicodeDecodeError):
-        raise InputError(f"{where}: no such file, or not one of text") from None
+        raise InputError(f"{where}: no such file, or not a text file") from None
     if not isinstance(data, list):
         raise InputError(f"{where}: expected a list of intervals with begin, end, v and w")
     return checked(TakeoverConfig, {"script": data}, where=where).script

@@ -75,7 +75,7 @@ class KeyEdits:
             i, j = (max(int(np.searchsorted(keys, k, side="right")) - 1, 0) for k in (loop.scan, loop.place))
             if abs(i - j) <= 2 * BESIDE:
                 raise InputError(
-                    f"--edits: scans {loop.scan} and {loop.place} were taken one soon after the other; name "
+                    f"--edits: scans {loop.scan} and {loop.place} were taken shortly after each other; name "
                     "scans of different visits"
                 )
             if not isinstance(loop, AddedLoop):

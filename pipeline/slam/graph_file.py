@@ -156,7 +156,7 @@ def require_same_front_end(folder: Path, before: SlamConfig, now: SlamConfig) ->
                 f"--continue {folder}: its graph was made with {key}={was}, not {is_now}; "
                 f"give --set {key}={was}, or map its recording again"
             )
-        notes.append(f"--continue {folder}: {key} was {was} there, all is joined with {is_now}")
+        notes.append(f"--continue {folder}: {key} was {was} there; all sessions are joined with {is_now}")
     return notes
 
 
@@ -176,7 +176,7 @@ def _session(stored: dict[str, Any]) -> tuple[Session, SlamConfig]:
     calibration_of = {name: float(value) for name, value in about["calibration"].items()}
     ranges = {name: float(value) for name, value in about["range_calibration"].items()}
     if not np.isfinite([*lidar.values(), *calibration_of.values(), *ranges.values()]).all():
-        raise ValueError("its lidar or its calibration is none")
+        raise ValueError("its lidar or its calibration is invalid")
     config = checked(SlamConfig, about["settings"], where="its settings")
     beams, pairs = int(lidar.pop("n_beams")), int(calibration_of.pop("pairs"))
     _check(stored, beams)
@@ -229,12 +229,12 @@ def _check(stored: dict[str, Any], beams: int) -> None:
             raise ValueError(f"{name} holds something else")
         largest = FARTHEST if "T_" in name else FARTHEST**2
         if kind == "n" and array.size and not np.abs(array).max() <= largest:
-            raise ValueError(f"{name} holds numbers out of all bounds")
+            raise ValueError(f"{name} holds impossible numbers")
         limit = sizes.get(INDICES.get(name, ""))
         if limit is not None and array.size and not 0 <= array.min() <= array.max() < limit:
-            raise ValueError(f"{name} points at nothing")
+            raise ValueError(f"{name} refers to what is not there")
     if keys == 0 or (np.diff(stored["track_keys"]) <= 0).any():
-        raise ValueError("its keys are in no order")
+        raise ValueError("its keys are not in order")
 
 
 def _text(value: object) -> Any:

@@ -49,9 +49,9 @@ class LoopConfig(BaseModel):
         "yours",
     )
     every: int = Field(default=3, gt=0, description="key scans between queries")
-    group: int = Field(default=6, gt=0, description="key scans on each side that make a place")
-    min_path_m: float = Field(default=6.0, gt=0.0, description="travelled since, to call it a return")
-    reach_m: float = Field(default=4.0, gt=0.0, description="searched no further than this")
+    group: int = Field(default=6, gt=0, description="key scans on each side that form a place")
+    min_path_m: float = Field(default=6.0, gt=0.0, description="distance driven since the first visit")
+    reach_m: float = Field(default=4.0, gt=0.0, description="largest distance searched")
     held_m: float = Field(
         default=0.2, ge=0.0, description="a place held to within this is left to the refinement, if any"
     )

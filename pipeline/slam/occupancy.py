@@ -38,7 +38,10 @@ class OccupancyConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     resolution_m: float = Field(default=0.05, gt=0.0, le=1.0)
     occupied_share: float = Field(
-        default=0.25, gt=0.0, lt=1.0, description="of the beams that met a cell, returned by it: occupied"
+        default=0.25,
+        gt=0.0,
+        lt=1.0,
+        description="a cell is occupied from this share of returns among the beams that met it",
     )
     min_hits: int = Field(default=2, ge=1, description="returns that make a cell occupied")
     behind_share: float = Field(
@@ -51,7 +54,7 @@ class OccupancyConfig(BaseModel):
         default=0.25,
         ge=0.0,
         le=1.0,
-        description="before a wall a cell stays occupied with at least this share of the wall's hits",
+        description="in front of a wall a cell stays occupied with at least this share of the wall's hits",
     )
     margin_m: float = Field(default=0.5, ge=0.0, description="border around what was seen")
     no_return_m: float = Field(

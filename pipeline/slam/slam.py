@@ -62,7 +62,7 @@ CloudsOf = Callable[[NDArray[np.int64] | None], Clouds]
 
 Sensors = Annotated[
     Literal["both", "lidar", "odometry"],
-    Field(description="which sensors to use; odometry alone draws the map along the wheels"),
+    Field(description="which sensors to use; with odometry alone, the map follows the wheels"),
 ]
 
 
@@ -76,14 +76,14 @@ class SlamConfig(BaseModel):
         description="what places each scan: our line tracker, KISS-ICP, the odometry, or a class of yours",
     )
     usable_range_m: float = Field(
-        default=USABLE_M, gt=0.0, description="returns beyond are not matched nor mapped"
+        default=USABLE_M, gt=0.0, description="returns beyond are neither matched nor mapped"
     )
     deskew: bool = Field(
-        default=True, description="undo the robot's motion during a sweep; off when the driver has done it"
+        default=True, description="undo the robot's motion during a sweep; switch off if the driver does it"
     )
-    gyro: bool = Field(default=True, description="use the gyro where the wheels slip in turns")
+    gyro: bool = Field(default=True, description="use the gyro where the wheels slip while turning")
     calibrate_ranges: bool = Field(
-        default=True, description="put right what the ranges of a short-range lidar are off by"
+        default=True, description="correct the range errors of a short-range lidar"
     )
     tracking: TrackingConfig = TrackingConfig()
     back_end: BackEndName = "gtsam"

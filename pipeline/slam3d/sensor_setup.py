@@ -54,10 +54,12 @@ def find_setup(recording: Recording3D, voxel_m: float | None) -> SensorSetup:
             tilt = np.degrees(np.arccos(np.clip(floor.normal[2], -1.0, 1.0)))
             note = (
                 f"the bag does not say where the lidar sits: by the floor it sees, {floor.height:.2f} m up "
-                f"and tilted by {tilt:.1f} degrees; the base is taken to be below it"
+                f"and tilted by {tilt:.1f} degrees; assuming that the base is below it"
             )
             return SensorSetup(levelled(floor), 0.0, voxel, (note,))
-        note = "the bag does not say where the lidar sits, and no floor is seen: it is taken to be the base"
+        note = (
+            "the bag does not say where the lidar sits, and no floor is visible: assuming that it is the base"
+        )
         return SensorSetup(T, 0.0, voxel, (note,))
     # where the base frame is not on the floor (base_link, say), that lies below it
     for floor in (one for one in floors if one is not None and one.normal[2] > np.cos(MAX_SLOPE_RAD)):

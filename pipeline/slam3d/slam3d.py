@@ -47,7 +47,9 @@ class Slam3dConfig(BaseModel):
     )
     deskew: bool = Field(default=True, description="undo the motion within a sweep, where points have times")
     voxel_m: float | None = Field(
-        default=None, gt=0.0, description="of the surfels, and all lengths follow it; by default from the log"
+        default=None,
+        gt=0.0,
+        description="size of the surfels, which all other lengths follow (default: chosen from the log)",
     )
     loops: Loop3dConfig = Loop3dConfig()
     refine: RefineConfig = RefineConfig(rounds=3)

@@ -26,8 +26,8 @@ class SliceConfig(BaseModel):
     """The slice; heights over the floor."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    low_m: float = Field(default=0.1, description="the floor and its noise end below this")
-    high_m: float = Field(default=0.3, description="what is higher is not in the way")
+    low_m: float = Field(default=0.1, description="the floor and its noise lie below this")
+    high_m: float = Field(default=0.3, description="what is higher is no obstacle")
     grid: OccupancyConfig = OccupancyConfig()
 
     @model_validator(mode="after")

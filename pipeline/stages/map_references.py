@@ -73,5 +73,7 @@ def truth_folder(path: Path) -> Path:
         if not is_output(folder):
             return folder
     if found:
-        raise InputError(f"{path}: holds an estimate, not the truth (expected the truth/ of a record)")
+        raise InputError(
+            f"{path}: holds an estimate, not the truth (expected the truth/ folder of a recording)"
+        )
     raise InputError(f"{path}: no truth found (expected trajectory.tum in it or in its truth/)")

@@ -152,7 +152,7 @@ def wiggle(run: Run, action: inputs.TurnToAndFro) -> str:
 def cancel(run: Run, action: inputs.Cancel) -> str:
     """End the task."""
     if run.pilot.task is None:
-        raise InputError("cancel: nothing is being done")
+        raise InputError("cancel: there is no task to cancel")
     run.end_task("cancelled")
     return ""
 

@@ -127,7 +127,7 @@ class Playback:
     def _until_interrupted(self, items: Iterable[int], description: str, total: int) -> Iterable[int]:
         for item in items:
             if self._interrupted:
-                raise InputError(f"{description}: broken off")
+                raise InputError(f"{description}: cancelled")
             yield item
 
     def metrics(self) -> dict[str, Any]:

@@ -117,7 +117,7 @@ class Run:
         if task is not None and task.driver.finished:
             self._task_over(task)
         elif task is not None and observation.stamp_ns >= task.end_ns:
-            self.end_task("broken off: it has lasted for too long")
+            self.end_task("cancelled: it took too long")
         self.observation = room.simulator.step(self.command)
 
     def begin(self, task: Task) -> None:

@@ -71,9 +71,9 @@ class WiggleDriver(Driver):
         amcl = self._localiser.amcl
         assert isinstance(amcl, Amcl)
         if not amcl.watch.updates:
-            return "no scan was used yet"
+            return "no scan has been used yet"
         std = np.sqrt(np.diag(amcl.covariance))
-        verdict = "have drawn together" if amcl.converged else "are still spread"
+        verdict = "have converged" if amcl.converged else "have not converged yet"
         return f"particles {verdict}: {100.0 * std[:2].max():.0f} cm, {math.degrees(std[2]):.0f} degrees"
 
     def step(self, observation: Observation) -> Twist:

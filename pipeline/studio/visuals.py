@@ -213,7 +213,7 @@ class Visuals:
         if self._pilot.task is not None and state not in (State.DRIVE, State.WIGGLE):
             return state.value.replace("_", " ")
         if not localiser.amcl.converged:
-            return "particles are spread"
+            return "particles have not converged"
         return None if localiser.amcl.agrees else "scans disagree with the map"
 
     @property

@@ -129,7 +129,7 @@ def _check_paired(name: str, track: Trajectory3D, reference: Trajectory3D, paire
     begin = seconds(int(reference.stamps_ns[0] - track.stamps_ns[0]))
     raise InputError(
         f"{name}: its poses ({theirs}) and the recording ({ours}) share {len(paired)} instants; if its clock "
-        f"began elsewhere, shift it: --rival-shift {name}={begin:.6f} makes both begin together"
+        f"has another origin, shift it: --rival-shift {name}={begin:.6f} makes both start together"
     )
 
 
@@ -150,7 +150,7 @@ def _notes(track: Trajectory3D, paired: evo.Paired, span: tuple[int, int]) -> li
     if missing:
         notes.append(f"It has no poses for {', '.join(missing)}, and is judged only where it has some.")
     if paired.interpolated:
-        notes.append("Its stamps are not those of the scans: the reference was interpolated at them.")
+        notes.append("Its stamps are not those of the scans, so the reference was interpolated.")
     return notes
 
 
@@ -214,12 +214,12 @@ def _map_notes(placed: Placed, grid: OccupancyGrid) -> list[str]:
     notes = []
     if np.hypot(x, y) > grid.resolution or abs(yaw) > 0.01:
         told = f"by {x:.2f}, {y:.2f} m and turned by {np.rad2deg(yaw):.1f}°".replace("-", "\u2212")
-        notes.append(f"Its map was moved {told}, to lie on the other walls.")
+        notes.append(f"Its map was moved {told}to align it with the other walls.")
     if not len(walls(grid)):
         notes.append("Its map has no walls.")
     elif placed.share < LAID:
         notes.append(
-            f"Only {100.0 * placed.share:.0f} % of its walls could be laid within two cells of the others: "
-            "it is a map of another place, or badly bent."
+            f"Only {100.0 * placed.share:.0f} % of its walls could be aligned to within two cells of "
+            "the others: it shows another place, or is badly bent."
         )
     return notes

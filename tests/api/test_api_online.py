@@ -133,7 +133,7 @@ BAD = {
     ),
     "another lidar": (
         lambda s: (changed(s, lidar=dataclasses.replace(s.lidar, range_max=9.0)), (0, 0, 0)),
-        "is another one",
+        "differs from that of the scans before",
     ),
     "half a pose": (lambda s: (s, (0, 0)), "odometry: expected three finite numbers x, y, yaw"),
     "a pose nowhere": (lambda s: (s, (0, np.inf, 0)), "odometry: expected three finite numbers x, y, yaw"),

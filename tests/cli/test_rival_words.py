@@ -22,13 +22,13 @@ def tree(tmp_path_factory):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["a=1.tum"], "1.tum: has 1 of the 3 poses that it takes to compare"),
-        (["a=2.tum"], "2.tum: has 2 of the 3 poses that it takes to compare"),
+        (["a=1.tum"], "1.tum: too few poses to compare (1; at least 3 are needed)"),
+        (["a=2.tum"], "2.tum: too few poses to compare (2; at least 3 are needed)"),
         (["a=map"], "map: is a folder; give the file of the trajectory in it"),
         (["a=5.tum", "--rival-times", "map"], "map: is a folder; give the file of the times in it"),
-        (["truth=5.tum"], "truth: is taken"),
-        (["truth.tum"], "truth: is taken"),
-        (["TurtleBag.tum"], "TurtleBag: is taken"),
+        (["truth=5.tum"], "truth: this name is taken"),
+        (["truth.tum"], "truth: this name is taken"),
+        (["TurtleBag.tum"], "TurtleBag: this name is taken"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_by_its_name(tree, capsys, monkeypatch, words, said):

@@ -72,7 +72,7 @@ def test_stamps_that_go_back_or_repeat_are_counted():
     )
     assert found == [
         ("error", "time goes backwards", "/a: stamps go back 2 times, by up to 2.500 s"),
-        ("warning", "repeated stamps", "/b: 2 messages share the stamp of the one before"),
+        ("warning", "repeated stamps", "/b: 2 messages have the stamp of the previous one"),
         ("error", "time goes backwards", "/tf: a -> b goes back in time 2 times"),
     ]
 
@@ -232,8 +232,8 @@ def test_places_beyond_the_earth_and_lasers_beyond_their_robot():
         links=[("base", "far", (2e8, 0.0, 0.0), True)],
     )
     assert [w for _, _, w in told(impossible.places(found))] == [
-        "/tf or /tf_static: base -> far is no place on Earth",
-        "/odom: 2 poses are no places on Earth",
+        "/tf or /tf_static: base -> far is farther than any place on Earth",
+        "/odom: 2 poses are farther than any place on Earth",
     ]
     for arm, named in ((30.0, 0), (30.5, 1)):
         scan = topic("/scan", SCAN, frames=["laser"])

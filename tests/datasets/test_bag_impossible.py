@@ -50,7 +50,7 @@ DEFECTS = {
     "scans without time": (
         {"each": [odom, lambda k: scan(k, 0)]},
         ("no time", "/scan: all 60 stamps are 0 s"),
-        "/scan: every stamp is 0.000000; the times of recording",
+        "/scan: every stamp is 0.000000; the recording times",
     ),
     "nothing has time": (
         {"each": [lambda k: odom(k, 0), lambda k: scan(k, 0)]},
@@ -70,42 +70,42 @@ DEFECTS = {
     "readings in millimetres": (
         {"each": [odom, lambda k: scan(k, scale=1000.0)]},
         ("millimetres", "/scan: the readings"),
-        "the readings are longer than any lidar's; taken for millimetres",
+        "the readings are longer than any lidar's; read as millimetres",
     ),
     "readings and limits in millimetres": (
         {"each": [odom, lambda k: scan(k, scale=1000.0, range_min=120.0, range_max=3500.0)]},
         ("millimetres", "/scan: the readings"),
-        "the readings are longer than any lidar's; taken for millimetres",
+        "the readings are longer than any lidar's; read as millimetres",
     ),
     "odometry in millimetres": (
         {"each": [lambda k: odom(k, scale=1000.0), scan]},
         ("millimetres", "/odom: the robot would be faster than any"),
-        "/odom: the robot would be faster than any; taken for millimetres",
+        "/odom: the robot would be faster than any; read as millimetres",
     ),
     "transforms in millimetres": (
         {"each": [lambda k: moved(k, scale=1000.0), scan]},
         ("millimetres", "/tf: odom -> base_footprint: the robot would be faster than any"),
-        "/tf: the robot would be faster than any; taken for millimetres",
+        "/tf: the robot would be faster than any; read as millimetres",
     ),
     "two robots on one topic": (
         {"each": [odom, lambda k: odom(k, scale=-3.0, child="other/base_link") if k % 2 else None, scan]},
         ("mixed frames", "'base_footprint' (60), 'other/base_link' (30)"),
-        "/odom: poses of more frames than one; 30 of odom -> other/base_link left out",
+        "/odom: poses of several frames; 30 of odom -> other/base_link left out",
     ),
     "two lasers on one topic": (
         {"each": [odom, scan, lambda k: scan(k, scale=0.5, frame="rear") if k % 2 else None]},
         ("mixed frames", "'base_scan' (60), 'rear' (30)"),
-        "/scan: scans of more lasers than one; 60 of 'base_scan' used, 30 of 'rear' left out",
+        "/scan: scans of several lasers; 60 of 'base_scan' used, 30 of 'rear' left out",
     ),
     "a camera beyond the Earth": (
         {"static": [mounted(1e300, "camera"), mounted()]},
-        ("absurd places", "base_footprint -> camera is no place"),
-        "the transform base_footprint -> camera is no place on Earth and left out",
+        ("absurd places", "base_footprint -> camera is farther"),
+        "the transform base_footprint -> camera is farther than any place on Earth and left out",
     ),
     "poses beyond the Earth": (
         {"each": [odom, lambda k: odom(k, k * STEP + 1, scale=1e300) if k == 9 else None, scan]},
-        ("absurd places", "/odom: 1 poses are no places"),
-        "/odom: 1 poses are not finite, or no place, and left out",
+        ("absurd places", "/odom: 1 poses are farther"),
+        "/odom: 1 poses are not finite or farther than any place on Earth, and left out",
     ),
 }
 
@@ -161,7 +161,7 @@ def test_a_laser_beyond_the_earth_is_left_out_and_said_so(tmp_path):
 
 def test_scans_of_one_instant_are_refused(tmp_path):
     messages = [(topic, kind, 0, message) for topic, kind, _, message in (scan(k, 0) for k in range(5))]
-    with pytest.raises(InputError, match="without time there is nothing to map with"):
+    with pytest.raises(InputError, match="without times no map can be made"):
         load_recording(write_foreign(tmp_path / "bag", messages))
 
 
@@ -187,7 +187,7 @@ OVERTURNED = "/tf_static", TF, 0, tf(transform(0, "base_footprint", "base_scan",
 @pytest.mark.parametrize("time", [1.0, 1e30, -1e30])
 def test_a_sweep_of_minutes_is_taken_for_an_instant(good, tmp_path, time, static):
     log = load_recording(bag(tmp_path / "bag", odom, lambda k: scan(k, time_increment=time), static=[static]))
-    assert any("taken for one instant" in note for note in log.notes)
+    assert any("s; taken as 0" in note for note in log.notes)
     assert log.lidar.time_increment == 0.0
     assert log.stamps_ns.tolist() == good.stamps_ns.tolist()
 
@@ -198,5 +198,5 @@ def test_a_sweep_of_minutes_is_taken_for_an_instant(good, tmp_path, time, static
 def test_beams_without_directions_are_named_and_refused(tmp_path, changes):
     path = bag(tmp_path / "bag", odom, lambda k: scan(k, **changes))
     assert "beam angles" in {finding.check for finding in examine(path)}
-    with pytest.raises(InputError, match="no scan has a usable geometry; nothing to map with"):
+    with pytest.raises(InputError, match="no scan has a usable geometry; there is nothing to map"):
         load_recording(path)

@@ -52,7 +52,7 @@ def test_odometry_is_cleaned_of_places_that_are_none_and_of_millimetres():
     xyt = straight(stamps)
     xyt[3, 1], xyt[5, 2] = 2e8, math.nan
     found = _source("base", stamps, stamps + 7, xyt, "/odom", notes)
-    assert notes == ["/odom: 2 poses are not finite, or no place, and left out"]
+    assert notes == ["/odom: 2 poses are not finite or farther than any place on Earth, and left out"]
     assert found.poses.stamps_ns.tolist() == [k * S for k in range(12) if k not in (3, 5)]
     assert found.by_log_time.stamps_ns.tolist() == [k * S + 7 for k in range(12) if k not in (3, 5)]
     notes = []
@@ -60,7 +60,7 @@ def test_odometry_is_cleaned_of_places_that_are_none_and_of_millimetres():
     turning[:, 2] = 0.5
     found = _source("base", stamps, stamps, turning, "/odom", notes)
     np.testing.assert_allclose(found.poses.poses.xyt, turning * [1e-3, 1e-3, 1.0])
-    assert "taken for millimetres" in notes[0]
+    assert "read as millimetres" in notes[0]
     nothing = _source("base", stamps[:1], stamps[:1], np.full((1, 3), np.nan), "/odom", [])
     assert (nothing.base, nothing.poses, nothing.by_log_time) == ("base", None, None)
 
@@ -73,7 +73,7 @@ def test_poses_sent_again_until_there_are_new_ones_are_taken_once(times):
     true = Trajectory(stamps, SE2(straight(-moving * S // 30)))
     held = Trajectory(stamps, true.poses[np.arange(600) // times * times])
     found = without_repeats(held, "/odom", notes)
-    assert notes == [f"/odom: each pose is sent some {times} times; taken once"]
+    assert notes == [f"/odom: each pose is sent about {times} times; used once"]
     np.testing.assert_allclose(found.at(stamps).xy[:-times], true.poses.xy[:-times], atol=1.1 * times / 30)
     on = (moving < 200 - 2 * times) & (np.abs(np.arange(600) - 300) > times)
     np.testing.assert_allclose(found.at(stamps).xy[on], true.poses.xy[on], atol=1e-6)
@@ -120,12 +120,12 @@ def test_odometry_is_looked_up_at_the_scans_stamps_or_their_times_of_recording()
             np.testing.assert_allclose(found.x, [101.0, 102.0])
     notes = []
     assert odometry_at(OdometrySource("base", poses), at + 60 * S, at, notes) is None
-    assert notes == ["scans and odometry carry different clocks; odometry not used"]
+    assert notes == ["scans and odometry have different clocks; odometry not used"]
     assert odometry_at(OdometrySource("base"), at, at, []) is None
     for off, outside in ((S // 10, 0), (S // 10 + 1, 1)):
         notes = []
         odometry_at(both, np.array([100 * S - off, 102 * S, 105 * S + S // 10]), at, notes)
-        assert notes == [f"{outside} scans lie outside the odometry's time; its end poses are held"] * bool(
+        assert notes == [f"{outside} scans lie outside the odometry's time; its nearest pose is used"] * bool(
             outside
         )
     notes = []

@@ -89,7 +89,7 @@ def test_of_several_lasers_the_most_frequent_is_used():
     )
     assert [s.stamp_ns for s in scans] == [1, 2, 3]
     assert times.tolist() == [6, 8, 9]
-    assert notes == ["/scan: scans of more lasers than one; 3 of 'b' used, 2 of 'a' left out"]
+    assert notes == ["/scan: scans of several lasers; 3 of 'b' used, 2 of 'a' left out"]
     notes.clear()
     assert len(_of_one_laser("/scan", [raw("a")] * 2, [1, 2], notes)[0]) == 2
     assert notes == []

@@ -96,8 +96,8 @@ def drive(readings=1.0, poses=1.0, stamp=lambda k: f"{k}.000000"):
 @pytest.mark.parametrize(
     ("changes", "note"),
     [
-        ({"readings": 1000.0}, "the readings are longer than any lidar's; taken for millimetres"),
-        ({"poses": 1000.0}, "the robot would be faster than any; its poses taken for millimetres"),
+        ({"readings": 1000.0}, "the readings are longer than any lidar's; read as millimetres"),
+        ({"poses": 1000.0}, "the robot would be faster than any; its poses read as millimetres"),
     ],
 )
 def test_millimetres_are_told_and_made_metres(tmp_path, changes, note):
@@ -111,7 +111,7 @@ def test_millimetres_are_told_and_made_metres(tmp_path, changes, note):
 
 def test_a_clock_that_stands_is_told(tmp_path):
     found = load_recording(write(tmp_path, drive(stamp=lambda k: "0.0")))
-    assert found.notes == ("every stamp is 0.000000; the order of the file is all that is known",)
+    assert found.notes == ("every stamp is 0.000000; only the order of the file is known",)
 
 
 def test_a_pose_beyond_the_earth_is_damage(tmp_path):

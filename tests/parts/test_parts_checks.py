@@ -103,7 +103,7 @@ def world(part):
         (front_end, parts.Sources, "step: source must be 0 to 3"),
         (testing.check_loop_match, parts.Mumbles, "confirms: must be true for the true pose"),
         (testing.check_localiser, parts.Boastful, "agreement must be a share 0..1, not 7"),
-        (testing.check_localiser, parts.Empty, "particles must be poses (n,), one at least"),
+        (testing.check_localiser, parts.Empty, "particles must be poses (n,), at least one"),
         (testing.check_localiser, parts.Torn, "lost must be a bool, not None"),
         (testing.check_localiser, parts.Uncounted, "pushes must be a int, not None"),
         (testing.check_planner, parts.Shorter, "length is below 0"),

@@ -107,7 +107,7 @@ def test_a_class_of_the_main_module_has_a_name_and_one_inside_a_function_has_non
     class Local:
         pass
 
-    with pytest.raises(InputError, match="does not lead to the class: define it at the top"):
+    with pytest.raises(InputError, match="cannot be imported by this name: define it at the top"):
         parts.name_of(Local)
     typed = type("Typed", (), {"__module__": "__main__", "optimise": Gtsam.optimise})
     monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)

@@ -161,7 +161,7 @@ def test_a_map_without_walls_is_said_to_have_none(tree, tmp_path):
     save_map(OccupancyGrid(np.zeros((90, 140), np.int8), 0.05), tmp_path)
     found = compare_rivals(tree / "map", [RivalFiles("r", map=tmp_path / "map.yaml")])
     assert ("r", "Its map has no walls.") in found.notes
-    assert found.sentence == "Nothing of another system could be measured."
+    assert found.sentence == "No number of another system could be computed."
 
 
 def test_maps_that_lie_well_are_not_turned_to_lie_a_little_better():
@@ -208,15 +208,15 @@ def test_a_localisation_has_rivals_too(tree):
     [
         (["{base}/nothing.tum"], "no such output, trajectory or map"),
         (["x={base}/nothing.tum"], "no such trajectory file"),
-        (["{base}/carto.pgm"], "give the yaml beside it"),
+        (["{base}/carto.pgm"], "give its yaml file"),
         (["a/b={base}/carto.tum"], "a rival's name has letters"),
-        (["TurtleBag={base}/carto.tum"], "give the rival another name"),
+        (["TurtleBag={base}/carto.tum"], "give the rival another"),
         (["x={base}/carto.tum", "x={base}/carto.tum"], "x has a trajectory already"),
-        (["{base}/carto.tum", "--rival-shift", "9000"], "share 0 instants; if its clock began elsewhere"),
+        (["{base}/carto.tum", "--rival-shift", "9000"], "share 0 instants; if its clock has another origin"),
         (["{base}/carto.tum", "--rival-shift", "soon"], "expected a number of seconds"),
         (["{base}/carto.tum", "--rival-base", "1,2"], "expected three numbers"),
         (["a={base}/carto.tum", "--rival-shift", "b=1"], "no rival is called b; there are a"),
-        (["a={base}/carto.tum", "b={base}/carto.yaml", "--rival-shift", "1"], "of which rival?"),
+        (["a={base}/carto.tum", "b={base}/carto.yaml", "--rival-shift", "1"], "there are several rivals"),
         (["a={base}/carto.yaml", "--rival-base", "1,2,3"], "a has no trajectory"),
         (["{base}/map", "{base}/map"], "takes two outputs"),
         (["{base}/map", "--rival-shift", "1"], "options are for others' files"),

@@ -178,7 +178,7 @@ def test_patterns_name_bags(place, tmp_path):
     assert names("runs", "drive") == ["/runs/a.mcap", "/runs/b.mcap", "/runs/c.mcap", "/drive"]
     assert names("*") == ["/drive", "/runs/a.mcap", "/runs/b.mcap", "/runs/c.mcap"]
     assert find_bags([f"{place}/gone.mcap"]) == {f"{place}/gone.mcap": ""}
-    with pytest.raises(InputError, match=r"bags: .*/\*\.bag: no bag or log fits it"):
+    with pytest.raises(InputError, match=r"bags: .*/\*\.bag: no bag or log matches it"):
         names("*.bag")
     first = find_bags([f"{place}/drive", f"{place}/runs/a.mcap"])
     at.put("drive/bag/bag_0.mcap", b"another")

@@ -67,7 +67,7 @@ def refused(person, do, **fields):
         ("map_stop", {}, "no map is being made"),
         ("waypoints_load", {"name": "nowhere"}, "no such file"),
         ("record_stop", {}, "nothing is being recorded"),
-        ("cancel", {}, "nothing is being done"),
+        ("cancel", {}, "there is no task to cancel"),
         ("box", {"xy": [0.1, 0.0], "size": 0.2}, "would touch the robot"),
         ("box", {"xy": [0.0, 0.0], "size": 2.0}, "would touch the robot"),
         ("kidnap", {"pose": [500, 0, 0]}, "outside of world"),

@@ -43,7 +43,7 @@ def checked_scan(scan: Scan, last: Scan | None) -> Scan:
     if last is not None and stamp <= last.stamp_ns:
         raise InputError(f"scan.stamp_ns: {stamp} is not after the last scan's, {last.stamp_ns}")
     if last is not None and scan.lidar != last.lidar:
-        raise InputError("scan.lidar: is another one than that of the scans before")
+        raise InputError("scan.lidar: differs from that of the scans before")
     return Scan(stamp, ranges, scan.lidar)
 
 
