@@ -42,7 +42,7 @@ from benchmarks.slam_growth import COSTS, growth_cases
 from benchmarks.slam_online import COLUMNS as ONLINE
 from benchmarks.slam_online import online_cases
 from benchmarks.slam_parts import CHOICES, PARTS, ablation_cases, ablation_table, number_cases, number_table
-from benchmarks.slam_public import COLUMNS, Files, disturbed_cases, log_cases
+from benchmarks.slam_public import COLUMNS, disturbed_cases, log_cases
 from benchmarks.workers import in_processes
 
 MAPPER = ("datasets", "pipeline/slam", "benchmarks/slam_scores.py")
@@ -75,8 +75,7 @@ class Suite:
 
 def suites(out: Path, data: Path | None) -> dict[str, Suite]:
     """Every suite by name; without the public logs those that need them have no cases."""
-    files = Files(out, code_of(MAPPER))
-    logs, disturbed = (log_cases(data, files), disturbed_cases(data, files)) if data else ([], [])
+    logs, disturbed = (log_cases(data, out), disturbed_cases(data)) if data else ([], [])
     drives = by("world", "robot", "teleop")
     grown = (*SYNTHETIC, "pipeline/stages/map.py", "benchmarks/slam_growth.py")
     return {

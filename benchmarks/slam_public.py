@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks.disturb import MODES, disturbed
 from benchmarks.known import chosen, known
@@ -15,10 +12,8 @@ from benchmarks.rows import Case, Row
 from benchmarks.slam_cases import PLACES, driven, mapped, picture
 from benchmarks.slam_logs import LOGS
 from benchmarks.slam_scores import errors
-from turtlebag.datasets.cache_files import read_cached, write_cached
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.relations import Relations, load_relations
-from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.datasets.types import Recording, Trajectory
 from turtlebag.reports.metrics.relations import relations_metrics
@@ -38,18 +33,6 @@ PUBLISHED = {
     "aces": ("0.173", "0.060", "0.044 / 0.4", "0.0375 / 0.373"),
     "mit-killian": ("1.651", "0.122", "0.050 / 0.5", "0.0395 / 0.352"),
 }
-
-
-@dataclass(frozen=True)
-class Files:
-    """Folders of a campaign; `code` is in the names of what is kept there for other cases."""
-
-    out: Path
-    code: str
-
-    def kept(self, name: str) -> Path:
-        """File of a map's trajectory."""
-        return self.out / "kept" / f"{name}-{self.code}"
 
 
 def by_relations(estimate: Trajectory, relations: Relations) -> Row:
@@ -108,34 +91,25 @@ def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajecto
     return read(log), partial(scored, log)
 
 
-def log_row(log: Path, files: Files) -> Row:
+def log_row(log: Path, pictures: Path) -> Row:
     """A public log."""
     result, row = mapped(read(log), SETTINGS.get(stem(log)))
-    keep(files.kept(stem(log)), result.trajectory)
-    picture(result.grid, files.out / "maps", stem(log))
+    picture(result.grid, pictures / "maps", stem(log))
     return row | scored(log, result.trajectory)
 
 
-def keep(file: Path, found: Trajectory) -> Trajectory:
-    """Keep the poses of a map for other cases."""
-    write_cached(file, np.ascontiguousarray(found.poses.xyt).tobytes())
-    return found
+@lru_cache(maxsize=len(RADISH))
+def undisturbed(log: Path) -> Trajectory:
+    """The trajectory that the log as it is gives, which all of its modes are compared with."""
+    return mapped(read(log))[0].trajectory
 
 
-def undisturbed(log: Path, files: Files) -> Trajectory:
-    """The map's trajectory of a log as it is: kept, or made."""
-    recording, file = read(log), files.kept(stem(log))
-    if (found := read_cached(file)) is None:
-        return keep(file, mapped(recording)[0].trajectory)
-    return Trajectory(recording.stamps_ns, SE2(np.frombuffer(found).reshape(-1, 3)))
-
-
-def disturbed_row(log: Path, mode: str, files: Files) -> Row:
+def disturbed_row(log: Path, mode: str) -> Row:
     """A log in one of MODES, beside the undisturbed one by the same relations.
 
     Where too few relations are left, the errors are those against the undisturbed map.
     """
-    before = undisturbed(log, files)
+    before = undisturbed(log)
     relations = load_relations(log.with_name(f"{stem(log)}.relations"))
     harder = disturbed(known(read(log), before.poses, relations), mode)
     result, row = mapped(harder.recording)
@@ -146,17 +120,17 @@ def disturbed_row(log: Path, mode: str, files: Files) -> Row:
     return row | {"before_m": same["m"], "before_deg": same["deg"], "ratio": row["m"] / same["m"]}
 
 
-def log_cases(data: Path, files: Files) -> list[Case]:
+def log_cases(data: Path, pictures: Path) -> list[Case]:
     """The public logs there are."""
     found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
     cases = []
     for log in filter(Path.is_file, found):
         published = dict(zip(COLUMNS, PUBLISHED.get(stem(log), ()), strict=False))
-        cases.append(Case(stem(log), partial(log_row, log, files), published))
+        cases.append(Case(stem(log), partial(log_row, log, pictures), published))
     return cases
 
 
-def disturbed_cases(data: Path, files: Files) -> list[Case]:
+def disturbed_cases(data: Path) -> list[Case]:
     """Each public log with relations in each mode; the first fifteen are each mode once."""
     logs = [log for name in RADISH if (log := public_log(data, name)).is_file()]
     cases = []
@@ -164,5 +138,5 @@ def disturbed_cases(data: Path, files: Files) -> list[Case]:
         for k, mode in enumerate(MODES):
             log = logs[(k + shift) % len(logs)]
             about = {"log": stem(log), "mode": mode}
-            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode, files), about))
+            cases.append(Case(f"{stem(log)}-{mode}", partial(disturbed_row, log, mode), about))
     return cases
