@@ -1,7 +1,7 @@
 """How well the robot knows where it is: accuracy, models compared, speed, from nothing, kidnapped.
 
     python -m benchmarks.localise [accuracy] [models] [speed] [log] [global] [silent] [unseen] [kidnap]
-                                  [pose] [dropout] [--sensors SET ...] [--quick] [--episodes N] [--out DIR]
+                                  [--sensors SET ...] [--quick] [--episodes N] [--out DIR]
 
 Drives are simulated with drifting odometry, in the arena (burger) and the house (waffle_pi), with the
 simulator's `realistic` sensors (the default), its `clean` ones, or one after the other; tables lie in a
@@ -9,11 +9,10 @@ folder of each. Errors are
 against the truth, without alignment: position in cm, heading in degrees. The SLAM-made map is made by
 `turtlebag map` from a recorded tour. `log` is the Intel log of TURTLEBAG_DATA/radish on our map of it,
 against the SLAM trajectory. `global`, `silent` (the same with beams of no return dropped), `unseen`
-(`global` in generated offices and mazes), `kidnap`, `pose` (told 0.5 m and 30 degrees off) and `dropout`
-(no returns for 2 s) are episodes of 60 s, in the house where not said: found means within 10 cm and 5
-degrees at the end; `settled_s` is when the estimate became so for good. Shares come with 95 % Wilson
-intervals. Every episode is a row of `episodes.jsonl` and is repeated by its seed; the same command goes on
-where it was stopped. Times are CPU times.
+(`global` in generated offices and mazes) and `kidnap` are episodes of 60 s, in the house where not said:
+found means within 10 cm and 5 degrees at the end; `settled_s` is when the estimate became so for good. Shares
+come with 95 % Wilson intervals. Every episode is a row of `episodes.jsonl` and is repeated by its seed; the
+same command goes on where it was stopped. Times are CPU times.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from benchmarks.rows import Row, Rows, options, parts_of, public, share, write
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.recordings import load_recording
-from turtlebag.datasets.se2 import SE2, Array
+from turtlebag.datasets.se2 import Array
 from turtlebag.datasets.seeds import stream
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.localisation.amcl import Amcl
@@ -40,7 +39,7 @@ from turtlebag.pipeline.localisation.parameters import AmclConfig
 from turtlebag.pipeline.stages.localise import LocaliseConfig, run_amcl
 from turtlebag.sim.simulator import Sensors
 
-EPISODES = ("global", "silent", "unseen", "kidnap", "pose", "dropout")
+EPISODES = ("global", "silent", "unseen", "kidnap")
 NARROW = np.diag([0.05, 0.05, 0.05]) ** 2
 FOUND_M, FOUND_RAD = 0.10, math.radians(5.0)
 ROS_DEFAULTS = AmclConfig(
@@ -147,11 +146,6 @@ def speed(session: Session) -> Iterator[Row]:
         yield {"place": name, "median_ms": median, "p95_ms": p95, "least_ms": least}
 
 
-def unheard(log: list[Sweep], lost: Callable[[Array], Array]) -> list[Sweep]:
-    """The drive with other ranges."""
-    return [replace(s, scan=replace(s.scan, ranges=lost(s.scan.ranges).astype(np.float32))) for s in log]
-
-
 def episode(kind: str, place: Place, seed: int) -> Array:
     """Errors over 60 s of one episode."""
     if kind == "unseen":
@@ -164,17 +158,10 @@ def episode(kind: str, place: Place, seed: int) -> Array:
         amcl = started(place, place.grid, first, config, seed)
         return follow(amcl, kidnapped(first, log))[len(first) :]
     amcl = started(place, place.grid, log, config, seed)
-    if kind in ("global", "silent", "unseen"):
-        amcl.initialise_globally()
+    amcl.initialise_globally()
     if kind == "silent":
-        log = unheard(log, lambda ranges: np.where(np.isposinf(ranges), np.nan, ranges))
-    if kind == "pose":
-        way = stream(seed, "wrong pose").uniform(-math.pi, math.pi)
-        x, y, yaw = log[0].T_world_base.xyt.tolist()
-        side = math.copysign(math.pi / 6, seed % 2 - 0.5)
-        amcl.initialise(SE2.from_xyt(x + 0.5 * math.cos(way), y + 0.5 * math.sin(way), yaw + side))
-    if kind == "dropout":
-        log[50:60] = unheard(log[50:60], lambda ranges: np.full_like(ranges, np.inf))
+        heard = [np.where(np.isposinf(s.scan.ranges), np.nan, s.scan.ranges) for s in log]
+        log = [replace(s, scan=replace(s.scan, ranges=r)) for s, r in zip(log, heard, strict=True)]
     return follow(amcl, log)
 
 
