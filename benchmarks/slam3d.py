@@ -2,9 +2,9 @@
 
 python -m benchmarks.slam3d [--quick] [--out DIR]
 
-Simulated worlds with a Waffle Pi that carries a 16-beam lidar (exact truth; errors without alignment),
-drives through a made room and a ring of corridors with everything switched off once, and the same logs
-damaged. Times are CPU seconds of one process, reading included.
+Simulated worlds with a Waffle Pi that carries a 16-beam lidar (exact truth; errors without alignment), and
+drives through a made room and a ring of corridors with everything switched off once. Times are CPU seconds of
+one process, reading included.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.rows import Row, as_they_come, options, write
-from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room, without_wheels
+from benchmarks.slam3d_drives import ROUND, Drive3d, changed, corridors, make_drive, room
 from benchmarks.slam_cases import picture
 from benchmarks.slam_parts import VARIANTS
 from turtlebag.datasets import se3
@@ -27,7 +26,7 @@ from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.trajectories import load_tum
-from turtlebag.datasets.types import Cloud, Recording3D, Trajectory
+from turtlebag.datasets.types import Recording3D, Trajectory
 from turtlebag.pipeline.slam3d.cloud_map import save_ply
 from turtlebag.pipeline.slam3d.slam3d import Slam3dConfig, Slam3dResult, run_slam_3d
 from turtlebag.pipeline.stages.record import Scene, record
@@ -99,41 +98,6 @@ def worth(drives: dict[str, Drive3d]) -> Iterator[Row]:
         yield row
 
 
-def hostile(drive: Drive3d) -> Iterator[Row]:
-    """The same drive damaged, with wheels and without."""
-    for label, damaged in _damages(drive).items():
-        row: Row = {"damage": label}
-        for name, one in (("with wheels", damaged), ("lidar only", without_wheels(damaged))):
-            result, _ = timed(one.recording, {})
-            found = Trajectory(one.truth.stamps_ns, result.trajectory.poses)
-            error = ate(found, one.truth, align=False)["rmse"]
-            row[name] = f"{error:.4f}{'' if result.check.good else ', doubtful'}"
-        yield row
-
-
-def _damages(drive: Drive3d) -> dict[str, Drive3d]:
-    rng = np.random.default_rng(3)
-    backwards = drive.recording.stamps_ns.copy()
-    backwards[80:] -= 4 * 10**9
-    empty = Cloud(np.zeros((0, 3)), np.zeros(0))
-
-    def foul(k: int, cloud: Cloud) -> Cloud:
-        far = 1e20 * rng.normal(size=cloud.points.shape)
-        return Cloud(np.vstack([cloud.points, far]), np.tile(cloud.times, 2))
-
-    return {
-        "none": drive,
-        "three seconds missing": changed(drive, lambda k, cloud: None if 50 <= k < 65 else cloud),
-        "every fourth cloud empty": changed(drive, lambda k, cloud: empty if k % 4 == 3 else cloud),
-        "half the points astronomic": changed(drive, foul),
-        "no times of points": changed(drive, lambda k, cloud: Cloud(cloud.points, None)),
-        "time goes back by four seconds": replace(
-            drive, recording=replace(drive.recording, stamps_ns=backwards, odometry=None)
-        ),
-        "one point in twenty": changed(drive, lambda k, cloud: Cloud(cloud.points[::20], cloud.times[::20])),
-    }
-
-
 def main() -> None:
     """Print and write the tables."""
     args = options(__doc__, "data/benchmarks/slam3d", "the made room only").parse_args()
@@ -145,7 +109,6 @@ def main() -> None:
         drives["corridors"] = make_drive(*corridors(), v=0.6, w=1.2)
         write(args.out, "worlds", as_they_come(worlds(args.out, WORLDS)))
     write(args.out, "worth", as_they_come(worth(drives)))
-    write(args.out, "hostile", as_they_come(hostile(around)))
 
 
 if __name__ == "__main__":
