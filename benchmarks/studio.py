@@ -24,10 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tornado.websocket import WebSocketClientConnection
 
 from benchmarks.rows import Row, held_mb, options, public, write
-from benchmarks.studio_client import Client
 from benchmarks.workers import SPAWN
+from docs.examples.studio_client import Client
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.recordings import load_recording
@@ -56,6 +57,20 @@ class Stamped(Session):
     def view(self):
         at = time.monotonic()
         return dataclasses.replace(super().view(), state=repr(at))
+
+
+class Viewer(Client):
+    """A client that knows how late each message was [s], NaN where it tells no view."""
+
+    def __init__(self, connection: WebSocketClientConnection) -> None:
+        super().__init__(connection)
+        self.lates: list[float] = []
+
+    async def next(self, timeout_s: float = 20.0) -> bool:
+        there = await super().next(timeout_s)
+        if there:
+            self.lates.append(self.arrivals[-1] - float(self.picture.head.get("state", "nan")))
+        return there
 
 
 def serve_here(world: str, map_path: Path | None, out: Path, told: Connection) -> None:
@@ -90,7 +105,7 @@ def studio(world: str, map_path: Path | None) -> Iterator[tuple[Url, int]]:
             process.join()
 
 
-def lateness(client: Client, first: int) -> Row:
+def lateness(client: Viewer, first: int) -> Row:
     """How the frames from the `first` on arrived."""
     late, gaps = 1e3 * np.array(client.lates[first:]), 1e3 * np.diff(client.arrivals[first:])
     seconds = client.arrivals[-1] - client.arrivals[first]
@@ -104,7 +119,7 @@ def lateness(client: Client, first: int) -> Row:
     }
 
 
-async def watched(client: Client, what: str, factor: float, seconds: float = WATCHED_S) -> Row:
+async def watched(client: Viewer, what: str, factor: float, seconds: float = WATCHED_S) -> Row:
     """A row: frames of some time at a speed."""
     client.ask("speed", factor=factor)
     await client.until(lambda p: p.head["asked"] == factor)
@@ -118,7 +133,7 @@ async def watched(client: Client, what: str, factor: float, seconds: float = WAT
     } | lateness(client, first)
 
 
-async def begun(client: Client, laps: int) -> None:
+async def begun(client: Viewer, laps: int) -> None:
     """On its map and on patrol."""
     await client.until(lambda p: p.head, 120.0)
     client.ask("pose_estimate", pose=START)
@@ -128,7 +143,7 @@ async def begun(client: Client, laps: int) -> None:
     await client.until(lambda p: p.head["task"] == "patrol", 120.0)
 
 
-def go_round(client: Client, laps: int) -> None:
+def go_round(client: Viewer, laps: int) -> None:
     """Ask for a patrol of the waypoints that are loaded."""
     stops = [{"pose": [x, y, yaw]} for x, y, yaw, _ in client.picture.waypoints]
     client.ask("patrol", waypoints=stops, laps=laps)
@@ -136,7 +151,7 @@ def go_round(client: Client, laps: int) -> None:
 
 async def patrol(url: Url) -> tuple[list[Row], Row]:
     """Rows of a patrol that is watched, and its speed with and without a viewer."""
-    client = await Client.open(url)
+    client = await Viewer.open(url)
     await begun(client, 1000)
     client.ask("speed", factor=0)
     await client.read_for(5.0)  # what is compiled at first use
@@ -150,7 +165,7 @@ async def patrol(url: Url) -> tuple[list[Row], Row]:
         else:
             client.close()
             await asyncio.sleep(TURN_S)
-            client = await Client.open(url)
+            client = await Viewer.open(url)
             await client.until(lambda p: p.head)
         speeds[looking].append((client.picture.head["t"] - t) / (time.monotonic() - at))
     with_one, without = np.median(speeds[True]), np.median(speeds[False])
@@ -165,7 +180,7 @@ async def patrol(url: Url) -> tuple[list[Row], Row]:
 
 async def exploring(url: Url) -> Row:
     """A row of a map that grows while the robot explores the house."""
-    client = await Client.open(url)
+    client = await Viewer.open(url)
     await client.until(lambda p: p.head, 120.0)
     client.ask("explore")
     await client.until(lambda p: "map" in p.grids, 120.0)
@@ -174,7 +189,7 @@ async def exploring(url: Url) -> Row:
 
 async def memory(url: Url, pid: int, minutes: float) -> list[Row]:
     """Memory of the server, ten times within some minutes of patrol as fast as it goes, with a viewer."""
-    client, rows = await Client.open(url), []
+    client, rows = await Viewer.open(url), []
     await begun(client, 1)
     client.ask("speed", factor=0)
     client.ask("record", name="all")

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from benchmarks.studio_client import Client
+from docs.examples.studio_client import Client
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2

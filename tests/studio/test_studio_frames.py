@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from studio_fakes import SCENE, view
 
-from benchmarks.studio_client import BLANK, Picture, decoded
+from docs.examples.studio_client import BLANK, Picture, decoded
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.frames import COLUMNS, Frames, bye, hello

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
-import re
 import struct
 import time
 import zlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -80,15 +78,10 @@ class Picture:
             self.arrays[name] = np.concatenate([self.arrays[name][:kept], values]) if kept else values
 
 
-def _stamp(state: str) -> float:
-    """The time at which a view was asked for, where benchmarks.studio has written it over the state."""
-    return float(state) if re.fullmatch(r"[\d.]+", state) else math.nan
-
-
 class Client:
     """One socket. `await client.until(...)` reads messages.
 
-    When each had been taken in, its bytes, and how late it was: `arrivals`, `sizes`, `lates`.
+    When each had been taken in [s, monotonic], and its bytes: `arrivals`, `sizes`.
     """
 
     def __init__(self, connection: WebSocketClientConnection) -> None:
@@ -96,14 +89,13 @@ class Client:
         self.picture = Picture()
         self.arrivals: list[float] = []
         self.sizes: list[int] = []
-        self.lates: list[float] = []
 
-    @staticmethod
-    async def open(url: str, **headers: str) -> Client:
+    @classmethod
+    async def open(cls, url: str, **headers: str) -> Self:
         """Connect to the socket behind the page of that address; HTTPClientError when it is refused."""
         page = urlsplit(url)
         request = HTTPRequest(f"ws://{page.netloc}/socket?{page.query}", headers=headers)
-        return Client(await websocket_connect(request, max_message_size=1 << 28))
+        return cls(await websocket_connect(request, max_message_size=1 << 28))
 
     async def next(self, timeout_s: float = 20.0) -> bool:
         """Take one message; False when the connection is closed."""
@@ -114,7 +106,6 @@ class Client:
         self.sizes.append(len(message))
         self.picture.take(message)
         self.arrivals.append(time.monotonic())
-        self.lates.append(self.arrivals[-1] - _stamp(self.picture.head.get("state", "")))
         return True
 
     async def until(self, true: Callable[[Picture], object], timeout_s: float = 20.0) -> Picture:
