@@ -1,32 +1,27 @@
-"""Stages killed at random moments and started again; stages that cannot write what they should.
+"""Stages killed at random moments and started again; recordings killed and recovered.
 
 python -m benchmarks.kills [--count 190] [--quick] [--only STAGE ...] [--seed 0] [--out DIR]
 
 A small chain with every command that writes (kills.yaml) is made once undisturbed. Then each is killed with
 SIGKILL at moments drawn evenly over its length, and the same command is given again: it has to
-finish, and every file but manifest.json has to have the bytes of the undisturbed run. After that the
-disk is full, a file may not grow, the folder is read-only or belongs to somebody else: that has to end
-with exit 2, one line, and nothing left behind. Every stage runs in a process of its own, forked after
-the imports, so that the moments fall into the stage's work and not into its start. What a killed
-`record` leaves is recovered: nothing of it may look whole, and at most 2 s of data may be lost.
+finish, and every file but manifest.json has to have the bytes of the undisturbed run. Every stage runs in a
+process of its own, forked after the imports, so that the moments fall into the stage's work and not into its
+start. What a killed `record` leaves is recovered: nothing of it may look whole, and at most 2 s of data may
+be lost.
 """
 
 from __future__ import annotations
 
-import ctypes
 import importlib
 import mmap
 import os
 import pkgutil
-import resource
 import signal
-import struct
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +41,7 @@ from turtlebag.pipeline.cli.main import main as turtlebag
 from turtlebag.pipeline.stages.record import Scene, record
 
 Outcome = tuple[str, str, str]
-"""Stage, moment of the kill [s] or hindrance, and what came of it."""
+"""Stage, moment of the kill [s], and what came of it."""
 DONE = (0, 1)
 """Exit codes of complete outputs; a drive of some seconds does not reach everything."""
 READ = ("record", "map", "navigate", "record3d")
@@ -162,58 +157,6 @@ def kills(chain: Path, took: dict[str, float], count: int, seed: int) -> Iterato
                 wanted -= 1
 
 
-def small_files_only() -> None:
-    """Files of this process may not grow beyond 1000 bytes; writing more is an error, not a signal."""
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-
-
-def without_privileges() -> None:
-    """Give up root's right to write where permissions forbid it (Linux capset of nothing)."""
-    header = struct.pack("=Ii", 0x20080522, 0)
-    if os.getuid() == 0 and ctypes.CDLL(None, use_errno=True).capset(header, bytes(24)) != 0:
-        raise OSError(ctypes.get_errno(), "capset")
-
-
-HINDRANCES: dict[str, tuple[str, Callable[[], object]]] = {
-    "disk full": ("size=4k", int),
-    "file size limit": ("", small_files_only),
-    "read-only": ("ro", int),
-    "no permission": ("", without_privileges),
-}
-"""How the folder is mounted, if it is, and what the process does to itself before."""
-
-
-def hindrances(chain: Path, stages: Iterable[str]) -> Iterator[Outcome]:
-    """The stages with every hindrance."""
-    for stage in stages:
-        for what in HINDRANCES:
-            with tempfile.TemporaryDirectory() as name:
-                yield stage, what, one_hindrance(chain, stage, what, Path(name))
-
-
-def one_hindrance(chain: Path, stage: str, what: str, parent: Path) -> str:
-    """Outcome of a stage that cannot write below `parent`, or why it could not be tried."""
-    options, before = HINDRANCES[what]
-    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(parent)]
-    if options and subprocess.run(mount, capture_output=True).returncode:
-        return "not tried: no tmpfs can be mounted here"
-    if what == "no permission":
-        parent.chmod(0o555)
-    errors = chain / "stderr"
-    try:
-        code = finish(start(command(chain, stage, parent / stage), errors, before))
-        # A campaign goes on where it stopped, when there is room again.
-        left = {path.name for path in parent.iterdir()} - {"sweep.partial"}
-    finally:
-        if options:
-            subprocess.run(["umount", str(parent)], check=True)
-    said = errors.read_text().strip()
-    if code != 2 or "\n" in said or not said.startswith("turtlebag: "):
-        return f"BAD: exit {code}: {said[-200:]}"
-    return f"BAD: left behind {', '.join(sorted(left))}" if left else f"exit 2: {said}"
-
-
 def recoveries(folder: Path, count: int, seed: int) -> Iterator[Outcome]:
     """Recordings killed at a moment of their data and recovered."""
     folder.mkdir()
@@ -284,10 +227,9 @@ def main() -> int:
         took = undisturbed(chain, args.only)
         print(", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in took.items()), flush=True)
         found = [*kills(chain, took, len(took) if args.quick else args.count, args.seed)]
-        found += hindrances(chain, took)
         if "record" in took:
             found += recoveries(chain / "recordings", 10 if args.quick else args.count, args.seed)
-    names = ("stage", "after_s_or_hindrance", "outcome")
+    names = ("stage", "after_s", "outcome")
     write(args.out, "kills", [dict(zip(names, one, strict=True)) for one in found], show=False)
     counts = Counter((stage, outcome.partition(";")[0]) for stage, _, outcome in found)
     write(args.out, "kills-summary", [{"n": n, "stage": s, "outcome": o} for (s, o), n in counts.items()])

@@ -1,8 +1,11 @@
-"""A disk that is full before the last byte of any file: exit 2, one line, nothing left behind."""
+"""A disk that is full, a folder where nobody may write: exit 2, one line, nothing left behind."""
 
+import ctypes
 import os
+import struct
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -56,6 +59,56 @@ def test_a_disk_full_before_the_last_byte_is_one_line_and_leaves_nothing(chain, 
     assert str(full / name) in said
     left = ["sweep.partial"] if verb == "sweep" else []  # a campaign goes on where it stopped
     assert [path.name for path in full.iterdir()] == left
+
+
+@contextmanager
+def mounted(place, options):
+    """A small file system at a folder."""
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no tmpfs can be mounted here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@contextmanager
+def shut(place):
+    """A folder that this thread may not write to, root's privilege or not (Linux's capget and capset)."""
+    libc, header = ctypes.CDLL(None, use_errno=True), struct.pack("=Ii", 0x20080522, 0)
+    usual = ctypes.create_string_buffer(24)  # twice what is effective, permitted, inheritable
+    libc.capget(header, usual)
+    place.chmod(0o555)
+    assert libc.capset(header, bytes(4) + usual.raw[4:12] + bytes(4) + usual.raw[16:]) == 0
+    try:
+        yield
+    finally:
+        assert libc.capset(header, usual.raw) == 0
+
+
+HINDRANCES = {
+    "full": lambda place: mounted(place, "size=4k"),
+    "read-only": lambda place: mounted(place, "ro"),
+    "somebody else's": shut,
+}
+
+
+@pytest.mark.parametrize("name", ["record", "map", "avoid", "report", "convert", "world.png", "sweep"])
+@pytest.mark.parametrize("hindrance", HINDRANCES)
+def test_where_nothing_can_be_written_is_one_line_and_leaves_nothing(
+    chain, no_workers, tmp_path, name, hindrance
+):
+    verb, *words = commands(chain)[name]
+    place = tmp_path / "place"
+    place.mkdir()
+    with HINDRANCES[hindrance](place):
+        code, said = outcome((verb, "-q", *words, "--out", place / name), 60)
+        left = [path.name for path in place.iterdir()]
+    assert (code, said.count("\n")) == (2, 1), said
+    assert said.startswith("turtlebag: ")
+    # A campaign goes on where it stopped, when there is room again.
+    assert left in ([], ["sweep.partial"] if verb == "sweep" else [])
 
 
 def test_figures_need_no_home_and_say_nothing_of_it(tmp_path):
