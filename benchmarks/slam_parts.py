@@ -13,9 +13,9 @@ from typing import Any
 import yaml
 
 from benchmarks.rows import Case, Row
-from benchmarks.slam_cases import PLACES, mapped
+from benchmarks.slam_cases import PLACES
 from benchmarks.slam_logs import LOGS
-from benchmarks.slam_public import by_name
+from benchmarks.slam_public import log_row
 from benchmarks.workers import SPAWN
 from turtlebag.pipeline.slam.slam import SlamConfig
 
@@ -46,13 +46,6 @@ FACTORS = (1.0, 0.5, 2.0)
 LOGS_OF_NUMBERS = ("mit-csail", "turtlebot3_house", "rooms-1", "fr079", "aces", "intel")
 
 
-def mapped_row(data: Path | None, log: str, settings: dict[str, Any]) -> Row:
-    """A log by its name, mapped with some settings."""
-    recording, scored = by_name(data, log)
-    result, row = mapped(recording, settings)
-    return row | scored(result.trajectory)
-
-
 def there(data: Path | None, logs: Sequence[str]) -> list[str]:
     """The logs that are there, or can be made."""
     return [log for log in logs if log in LOGS or log in PLACES or data is not None]
@@ -65,7 +58,7 @@ def ablation_cases(
     cases = []
     for variant in variants:
         for log in there(data, logs):
-            measure = partial(mapped_row, data, log, ABLATIONS[variant])
+            measure = partial(log_row, data, log, ABLATIONS[variant])
             cases.append(Case(f"{log}, {variant}", measure, {"log": log, "variant": variant}))
     return cases
 
@@ -97,7 +90,7 @@ def multiplied_row(data: Path | None, log: str, name: str, factor: float) -> Row
             settings = {part: settings}
     else:
         multiply_constant(section, factor, setattr)
-    return mapped_row(data, log, settings)
+    return log_row(data, log, settings)
 
 
 def multiply_constant(where: str, factor: float, change: Callable[[object, str, Any], None]) -> None:

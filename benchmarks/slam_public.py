@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 from benchmarks.disturb import MODES, disturbed
 from benchmarks.known import chosen, known
@@ -91,11 +92,15 @@ def by_name(data: Path | None, name: str) -> tuple[Recording, Callable[[Trajecto
     return read(log), partial(scored, log)
 
 
-def log_row(log: Path, pictures: Path) -> Row:
-    """A public log."""
-    result, row = mapped(read(log), SETTINGS.get(stem(log)))
-    picture(result.grid, pictures / "maps", stem(log))
-    return row | scored(log, result.trajectory)
+def log_row(
+    data: Path | None, log: str, settings: dict[str, Any] | None = None, pictures: Path | None = None
+) -> Row:
+    """A log by its name, mapped with some settings."""
+    recording, scored = by_name(data, log)
+    result, row = mapped(recording, settings)
+    if pictures is not None:
+        picture(result.grid, pictures / "maps", log)
+    return row | scored(result.trajectory)
 
 
 @lru_cache(maxsize=len(RADISH))
@@ -124,9 +129,9 @@ def log_cases(data: Path, pictures: Path) -> list[Case]:
     """The public logs there are."""
     found = [public_log(data, name) for name in RADISH] + sorted(data.glob("wild/*.clf.bz2"))
     cases = []
-    for log in filter(Path.is_file, found):
-        published = dict(zip(COLUMNS, PUBLISHED.get(stem(log), ()), strict=False))
-        cases.append(Case(stem(log), partial(log_row, log, pictures), published))
+    for name in (stem(log) for log in found if log.is_file()):
+        published = dict(zip(COLUMNS, PUBLISHED.get(name, ()), strict=False))
+        cases.append(Case(name, partial(log_row, data, name, SETTINGS.get(name), pictures), published))
     return cases
 
 

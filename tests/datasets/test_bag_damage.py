@@ -1,6 +1,5 @@
 """Crashes, cuts and flipped bytes: what is read is right, what is lost is said, little is lost."""
 
-import importlib.util
 import os
 import signal
 import subprocess
@@ -15,15 +14,10 @@ from bag_samples import write_drive
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+from benchmarks.bags_damage import campaign, messages_of
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.recordings import load_recording
-
-ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location("bags_damage", ROOT / "benchmarks" / "bags_damage.py")
-bags_damage = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(bags_damage)
-campaign, messages_of = bags_damage.campaign, bags_damage.messages_of
 
 CHILD = """
 import mmap, sys, time
