@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.drives import INTEL, PLACES, built_map
 from benchmarks.navigate_cases import ROOM_M, floor, pose_on, regions_of
 from benchmarks.plan_database import SEED, write_database, write_log
-from benchmarks.plan_figure import planner_boxes
 from benchmarks.plan_shortest import Lattice
 from benchmarks.rows import Row, grouped, options, public, write
 from turtlebag.datasets.grid import OccupancyGrid
@@ -38,7 +38,7 @@ from turtlebag.planners.global_plan import ORIENTED, OVER_CELLS, PlanConfig, pla
 from turtlebag.planners.ompl_planner import IMPOSSIBLE, OmplConfig, PlannerName
 from turtlebag.planners.planner import NoPath, Plan
 from turtlebag.planners.smoothing import densify
-from turtlebag.reports.figures.style import save_png, styled
+from turtlebag.reports.figures.style import ODOMETRY, WIDTH_IN, new_figure, save_png, styled
 from turtlebag.sim.robots import RobotSpec, load_robot
 from turtlebag.sim.worlds import load_world
 
@@ -54,6 +54,12 @@ MAPS = (
 POSE_MAPS = tuple(PLACES.values())
 SPACES = ("se2", "reeds_shepp", "dubins")
 LEAST_APART_M = 1.0
+PANELS = (
+    ("time_ms", "CPU time of a query [ms]", "log", 100.0),
+    ("ratio", "length / shortest", "linear", 1.05),
+    ("clearance_m", "least clearance [m]", "linear", math.nan),
+)
+"""Column, axis, its scale, target."""
 REFUSED = {"Walled-off goals": 0.0, "Goals behind a gap 0.9 footprints wide": 0.9}
 """Unsolvable queries, and the gap in footprints' widths."""
 
@@ -199,6 +205,29 @@ def table(rows: Sequence[Row], *keys: str) -> list[Row]:
     return [figures(dict(zip(keys, group, strict=True)), found) for group, found in groups]
 
 
+def boxes(plans: Sequence[Row]) -> Figure:
+    """Planners side by side: how long they take, how long their paths are, how much room these keep.
+
+    A box is the middle half of the solved queries, its line the median, whiskers the 5th and 95th percentile;
+    a dashed line is the target. Behind each name, how many of its queries were solved.
+    """
+    planners = {planner: found for (planner,), found in grouped(plans, "planner").items()}
+    names = [f"{name}  {sum(row['solved'] for row in rows)}/{len(rows)}" for name, rows in planners.items()]
+    figure = new_figure(1.2 + 0.26 * len(names), width_in=1.8 * WIDTH_IN)
+    axes, places = figure.subplots(1, len(PANELS), sharey=True), range(len(names))
+    for axis, (column, label, scale, target) in zip(axes, PANELS, strict=True):
+        values = [[r[column] for r in found if r["solved"]] for found in planners.values()]
+        axis.boxplot(
+            values, positions=places, orientation="horizontal", whis=(5, 95), showfliers=False,
+            manage_ticks=False,
+        )  # fmt: skip
+        axis.axvline(target, color=ODOMETRY, linestyle="--")
+        axis.set(xlabel=label, xscale=scale)
+    axes[0].set_yticks(places, names)
+    axes[0].invert_yaxis()
+    return figure
+
+
 def logs(rows: Sequence[Row], folder: Path) -> list[Path]:
     """A log for each map, robot and space."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -242,7 +271,7 @@ def main() -> None:
     write_database(args.out / "plan.db", logs(rows, args.out / "logs"))
     with styled():
         shown = [row for row in rows if row["space"] == args.spaces[0]]
-        save_png(planner_boxes(shown), args.out / "plan.png")
+        save_png(boxes(shown), args.out / "plan.png")
     write(args.out, "plan", rows, show=False)
     write(args.out, "planners", table(rows, "space", "planner"))
     default = [row for row in rows if row["planner"] == OmplConfig(space=row["space"]).name]
