@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.rows import options, write
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
@@ -106,9 +107,6 @@ def campaign(bag: Path, count: int, seed: int, scratch: Path) -> Iterator[tuple[
 
 
 def main() -> int:
-    sys.path.append(str(Path(__file__).parents[1] / "tests"))
-    from bag_samples import write_drive
-
     parser = options(__doc__, quick="40 of each kind")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)

@@ -38,7 +38,7 @@ def messages_as_before():
 @pytest.fixture(scope="session")
 def chain(tmp_path_factory):
     """A small chain of good inputs and outputs, to break or to run again; nobody writes to it."""
-    from fuzz_cases import make_chain
+    from tests.helpers.fuzz_cases import make_chain
 
     return make_chain(tmp_path_factory.mktemp("chain"))
 

@@ -5,9 +5,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from report_fakes import ellipse, fake_maps, mapped_room, noisy
 
 import turtlebag as tb
+from tests.helpers.report_fakes import ellipse, fake_maps, mapped_room, noisy
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.trajectories import load_tum, save_tum

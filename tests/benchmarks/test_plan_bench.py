@@ -6,10 +6,10 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 
 from benchmarks.plan_database import write_database, write_log
 from benchmarks.plan_shortest import Lattice
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel

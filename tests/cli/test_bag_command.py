@@ -4,9 +4,9 @@ import subprocess
 import sys
 
 import pytest
-from bag_samples import write_drive
 from rosbags.highlevel import AnyReader
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.cli.main import main

@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 import pytest
-from bag_samples import pose, stamp, write_drive
 
+from tests.helpers.bag_samples import pose, stamp, write_drive
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.terminal.drawing import Canvas

@@ -8,11 +8,11 @@ import time
 
 import numpy as np
 import pytest
-from fuzz_cases import CASES, ROOM, SDF
-from fuzz_inputs import attempt, complaint, outcome, with_output
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.helpers.fuzz_cases import CASES, ROOM, SDF
+from tests.helpers.fuzz_inputs import attempt, complaint, outcome, with_output
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.kernels import njit
 from turtlebag.datasets.relations import load_relations
@@ -53,7 +53,7 @@ def test_broken_inputs_end_with_exit_0_1_or_2(chain, no_workers, case):
 )
 def test_what_is_not_broken_is_accepted(chain, no_workers, monkeypatch, tmp_path, case):
     """Else the variants above might all be refused for something that nobody broke."""
-    monkeypatch.setattr("fuzz_cases.broken", lambda rng, path: None)
+    monkeypatch.setattr("tests.helpers.fuzz_cases.broken", lambda rng, path: None)
     (tmp_path / "in").mkdir()
     words = with_output(CASES[case](random.Random(1), chain, tmp_path / "in"), tmp_path)
     code, said = outcome(words)
@@ -67,8 +67,8 @@ def test_a_command_that_does_not_end_in_time_is_no_success(monkeypatch, tmp_path
         while True:
             what()
 
-    monkeypatch.setattr("fuzz_inputs.main", endless)
-    monkeypatch.setattr("fuzz_inputs.WAITING", 5)
+    monkeypatch.setattr("tests.helpers.fuzz_inputs.main", endless)
+    monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 5)
     assert "more than 0.2 s" in complaint(["map", "x"], tmp_path, seconds=0.2)
 
 
@@ -84,8 +84,8 @@ def test_compiling_is_not_counted_and_what_follows_is(monkeypatch, tmp_path):
             pass
         return 0
 
-    monkeypatch.setattr("fuzz_inputs.main", compiles)
-    monkeypatch.setattr("fuzz_inputs.WAITING", 600)
+    monkeypatch.setattr("tests.helpers.fuzz_inputs.main", compiles)
+    monkeypatch.setattr("tests.helpers.fuzz_inputs.WAITING", 600)
     begin = time.process_time()
     assert complaint(["short"], tmp_path, seconds=0.2) == ""
     assert time.process_time() - begin > 0.4

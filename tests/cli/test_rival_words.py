@@ -1,8 +1,8 @@
 """What cannot be a rival is refused in a line that says why."""
 
 import pytest
-from report_fakes import fake_map, fake_record
 
+from tests.helpers.report_fakes import fake_map, fake_record
 from turtlebag.pipeline.cli.main import main
 
 POSE = "{} 0 0 0 0 0 0 1\n"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.fuzz_cases import carmen_log
+from tests.helpers.fuzz_cases import carmen_log
 from turtlebag.pipeline.cli.main import main
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_bags import ODOMETRY, SCAN, TF
 
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF
 from turtlebag.datasets.bags import doctor, impossible
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.messages import Topic, full_type

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from bag_samples import LINKS, observation, pose, stamp, write_drive
-from foreign_bags import TYPES, header, write_foreign
 
+from tests.helpers.bag_samples import LINKS, observation, pose, stamp, write_drive
+from tests.helpers.foreign_bags import TYPES, header, write_foreign
 from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.writer import BagWriter

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from bag_samples import write_drive
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags import columns, decode
 from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.source import open_bag

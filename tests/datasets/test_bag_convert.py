@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import write_drive
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import carmen_to_mcap, to_mcap, to_ros1_bag, to_sqlite3
 from turtlebag.datasets.bags.copying import into_mcap
 from turtlebag.datasets.bags.folder import BagFolder

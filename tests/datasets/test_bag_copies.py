@@ -5,7 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from foreign_bags import (
+
+from tests.helpers.foreign_bags import (
     ODOMETRY,
     STORE,
     TF,
@@ -14,7 +15,6 @@ from foreign_bags import (
     odometry,
     write_foreign,
 )
-
 from turtlebag.datasets.bags.clouds import _seconds, _time_field, decode_cloud, load_clouds
 from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import write_drive
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from benchmarks.bags_damage import campaign, messages_of
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.recordings import load_recording
@@ -23,7 +23,7 @@ CHILD = """
 import mmap, sys, time
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
-from bag_samples import LINKS, observation, pose, stamp
+from tests.helpers.bag_samples import LINKS, observation, pose, stamp
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Twist
 file = open(sys.argv[3], "r+b")

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from bag_samples import write_drive
-from foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 
+from tests.helpers.bag_samples import write_drive
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.cdr import transforms
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.folder import BagFolder

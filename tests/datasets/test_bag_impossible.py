@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.units import driven_in_millimetres, ranges_in_millimetres
 from turtlebag.datasets.errors import InputError

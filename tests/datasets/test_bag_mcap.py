@@ -3,9 +3,9 @@
 import struct
 
 import pytest
-from bag_samples import write_drive
 from mcap.writer import CompressionType, Writer
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_mcap
 from turtlebag.datasets.bags.mcap import MAGIC, MESSAGE, McapWriter
 from turtlebag.datasets.bags.mcap_scan import McapScan

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from foreign_bags import STORE, TYPES
 from rosbags.typesys import Stores, get_typestore
 
+from tests.helpers.foreign_bags import STORE, TYPES
 from turtlebag.datasets.bags import cdr, decode
 from turtlebag.datasets.bags.decode import BadMessage, Cursor, Ros1Cursor
 from turtlebag.datasets.se2 import SE2

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_bags import ODOMETRY, TF, odometry, tf, transform, write_foreign
 from scipy.spatial.transform import Rotation
 
+from tests.helpers.foreign_bags import ODOMETRY, TF, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.frames import FrameTree, matrix
 from turtlebag.datasets.bags.odometry import (

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from foreign_bags import (
+
+from tests.helpers.foreign_bags import (
     ODOMETRY,
     SCAN,
     STORE,
@@ -15,7 +16,6 @@ from foreign_bags import (
     transform,
     write_foreign,
 )
-
 from turtlebag.datasets.bags import cdr
 from turtlebag.datasets.bags.decode import RawScan
 from turtlebag.datasets.bags.mapping_input import _of_one_laser, _planar, read_for_mapping

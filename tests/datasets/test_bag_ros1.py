@@ -3,9 +3,9 @@
 import struct
 
 import pytest
-from bag_samples import write_drive
 from rosbags.rosbag1 import Reader, Writer
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.doctor import examine
 from turtlebag.datasets.bags.mcap_scan import McapScan

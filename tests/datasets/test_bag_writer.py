@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 import yaml
-from bag_samples import LINKS, observation, write_drive
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from tests.helpers.bag_samples import LINKS, observation, write_drive
 from turtlebag.datasets.bags.topics import TOPICS, typestore
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.helpers.carmen_lines import flaser, write
 from turtlebag.datasets.bags.convert import carmen_to_mcap
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
@@ -16,18 +17,6 @@ from turtlebag.datasets.returns import no_return_value
 
 RADISH = Path(__file__).parents[3] / "shared" / "data" / "radish"
 radish = pytest.mark.skipif(not RADISH.is_dir(), reason="the public logs are not beside the repository")
-
-
-def flaser(ranges, laser=(0.0, 0.0, 0.0), robot=(0.0, 0.0, 0.0), stamp="12.345678"):
-    readings = " ".join(f"{r:.2f}" for r in ranges)
-    poses = " ".join(f"{v:.6f}" for v in (*laser, *robot))
-    return f"FLASER {len(ranges)} {readings} {poses} {stamp} nohost 0.5\n"
-
-
-def write(tmp_path, text, name="a.clf"):
-    path = tmp_path / name
-    path.write_text(text)
-    return path
 
 
 def test_stamp_pose_and_beams_of_a_line(tmp_path):

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from fuzz_inputs import files_below, outcome
+
+from tests.helpers.fuzz_inputs import files_below, outcome
 
 pytestmark = pytest.mark.slow
 

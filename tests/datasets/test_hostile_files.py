@@ -10,11 +10,11 @@ import zlib
 import lz4.frame
 import pytest
 import zstandard
-from bag_samples import write_drive
-from foreign_bags import laser_scan
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tests.helpers.bag_samples import write_drive
+from tests.helpers.foreign_bags import laser_scan
 from turtlebag.datasets import files
 from turtlebag.datasets.bags import mcap, mcap_scan, ros1_scan
 from turtlebag.datasets.bags.source import open_bag

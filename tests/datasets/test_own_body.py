@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.slam_rooms import ROOM, around_the_room, drifted, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.own_body import without_own_body
 from turtlebag.datasets.se2 import SE2
 

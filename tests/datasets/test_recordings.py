@@ -6,13 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_samples import LIDAR, LINKS, observation, pose, stamp, write_drive
-from foreign_bags import ODOMETRY, SCAN, STORE, TF, header, laser_scan, odometry, tf, transform, write_foreign
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
+from tests.helpers.bag_samples import LIDAR, LINKS, observation, pose, stamp, write_drive
+from tests.helpers.foreign_bags import (
+    ODOMETRY,
+    SCAN,
+    STORE,
+    TF,
+    header,
+    laser_scan,
+    odometry,
+    tf,
+    transform,
+    write_foreign,
+)
 from turtlebag.datasets.bags.copying import into_mcap
 from turtlebag.datasets.bags.decode import yaw_of
 from turtlebag.datasets.bags.doctor import examine

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from foreign_bags import SCAN, laser_scan, write_foreign
 
+from tests.helpers.foreign_bags import SCAN, laser_scan, write_foreign
 from turtlebag.datasets.recordings import load_recording
 
 FULL_TURN = 2.0 * math.pi

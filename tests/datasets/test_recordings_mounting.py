@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
-from test_carmen import flaser
 
+from tests.helpers.carmen_lines import flaser
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, laser_scan, odometry, tf, transform, write_foreign
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.pipeline.cli.arguments import laser

@@ -5,9 +5,9 @@ import shutil
 import fsspec
 import numpy as np
 import pytest
-from bag_samples import write_drive
 from fsspec.implementations.memory import MemoryFileSystem
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.bags import mcap_ranges
 from turtlebag.datasets.bags.mcap import McapWriter
 from turtlebag.datasets.bags.mcap_scan import McapScan

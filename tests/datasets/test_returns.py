@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign_bags import SCAN, laser_scan, write_foreign
-from test_carmen import flaser, write
 
-from tests.slam_rooms import CORRIDOR, SICK, recording
+from tests.helpers.carmen_lines import flaser, write
+from tests.helpers.foreign_bags import SCAN, laser_scan, write_foreign
+from tests.helpers.slam_rooms import CORRIDOR, SICK, recording
 from turtlebag.datasets.recordings import load_recording
 from turtlebag.datasets.returns import no_return_value
 from turtlebag.datasets.se2 import SE2

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets import se3
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localisation_room import LIDAR, T_BASE_LIDAR, drive, l_shaped_room
 
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, drive, l_shaped_room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.localisation.parameters import AmclConfig

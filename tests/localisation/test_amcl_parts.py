@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from filter_room import PLACE, beams_at, made, scan_at
-from localisation_room import LIDAR
 
+from tests.helpers.localisation_room import LIDAR
+from tests.localisation.filter_room import PLACE, beams_at, made, scan_at
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.pipeline.localisation import agreement as agreement_module
 from turtlebag.pipeline.localisation import sampling

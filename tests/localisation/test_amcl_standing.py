@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from localisation_room import STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from filter_room import GRID, PLACE, beams_at, made
-from localisation_room import STILL_LIDAR, T_BASE_LIDAR
 
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR
+from tests.localisation.filter_room import GRID, PLACE, beams_at, made
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation import fine_pose

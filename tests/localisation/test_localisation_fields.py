@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan

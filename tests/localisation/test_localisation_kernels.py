@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import T_BASE_LIDAR
 
+from tests.helpers.localisation_room import T_BASE_LIDAR
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan
 from turtlebag.pipeline.localisation import estimate, motion, sampling

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room, sampled
 from turtlebag.datasets.deskew import deskewed
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, UNKNOWN, OccupancyGrid

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import l_shaped_room
 
+from tests.helpers.localisation_room import l_shaped_room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.localisation import surfaces as module

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
 
+from tests.helpers.localisation_room import LIDAR, T_BASE_LIDAR, l_shaped_room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Scan

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box
 
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl

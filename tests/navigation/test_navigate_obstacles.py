@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER, room
 
+from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.reactive_avoidance import ReactiveAvoidance

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
 
+from tests.helpers.localisation_room import STILL_LIDAR, T_BASE_LIDAR, Room, box, l_shaped_room
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Scan

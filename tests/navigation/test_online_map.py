@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from planning_room import BURGER
-from slam_rooms import ROOM, around_the_room, drifted, recording
 
+from tests.helpers.planning_room import BURGER
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 from scipy.spatial import cKDTree
 
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Twist
 from turtlebag.pipeline.navigation.bump_memory import MEMORY_NS, BumpMemory, Escape, SlipWatch, _misfit

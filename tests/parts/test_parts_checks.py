@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests import parts_that_break as parts
+from tests.parts import parts_that_break as parts
 from turtlebag import testing
 from turtlebag.pipeline.localisation.amcl import Amcl
 from turtlebag.pipeline.navigation.drivers import make_avoider

@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning_room import BURGER, room
 
+from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project

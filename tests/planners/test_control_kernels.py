@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 from scipy.integrate import solve_ivp
 from scipy.spatial import ConvexHull
 
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along, point_at, project
 from turtlebag.planners.control.dwa import COMFORT_M, STEP_S, ArcFloor, ArcWeights, _value, best_arc

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planning_room import BURGER, room
 
+from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.se2 import SE2, wrapped
 from turtlebag.datasets.types import Twist
 from turtlebag.planners.control.along_path import arc_lengths, braked, curvature_along

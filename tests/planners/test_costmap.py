@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planning_room import BURGER, room
 
+from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import Costmap, CostmapConfig, costmap_from_grid, polygon_mask

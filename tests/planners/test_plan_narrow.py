@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import RobotModel
 from turtlebag.planners.control.monitor import padded

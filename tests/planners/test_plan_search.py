@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER
 
+from tests.helpers.planning_room import BURGER
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners import global_plan
 from turtlebag.planners.costmap import Costmap

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evo_samples import estimate, reference
-from report_fakes import fake_map, fake_record
 
+from tests.helpers.report_fakes import fake_map, fake_record
+from tests.reports.evo_samples import estimate, reference
 from turtlebag.datasets.trajectories import save_tum_3d
 from turtlebag.reports.metrics import evo as ours
 from turtlebag.reports.metrics.systems import path_errors

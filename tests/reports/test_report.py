@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from report_fakes import fake_map, fake_record, fake_run
 
+from tests.helpers.report_fakes import fake_map, fake_record, fake_run
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.pipeline.cli.arguments import map_file

@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw
-from report_fakes import mapped_room
 
+from tests.helpers.report_fakes import mapped_room
 from turtlebag.datasets.grid import FREE as FREE_CELL
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2

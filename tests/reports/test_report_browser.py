@@ -4,9 +4,9 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from browser import Browser, find_browser
-from report_fakes import fake_map, fake_record, fake_run
 
+from tests.helpers.browser import Browser, find_browser
+from tests.helpers.report_fakes import fake_map, fake_record, fake_run
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.cli.arguments import pose

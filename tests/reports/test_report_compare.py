@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from report_fakes import fake_localise, fake_map, fake_maps, fake_plan, fake_record, mapped_room
 
+from tests.helpers.report_fakes import fake_localise, fake_map, fake_maps, fake_plan, fake_record, mapped_room
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex, to_rgb
-from report_fakes import true_room
 
+from tests.helpers.report_fakes import true_room
 from turtlebag.datasets.runlog import RunLogBuilder
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream

@@ -9,11 +9,11 @@ import re
 from importlib.resources import files
 
 import pytest
-from bag_samples import LINKS, observation, stamp, write_drive
-from report_fakes import fake_record
 from rosbags.typesys import Stores, get_typestore
-from viewer import unresolved
 
+from tests.helpers.bag_samples import LINKS, observation, stamp, write_drive
+from tests.helpers.report_fakes import fake_record
+from tests.helpers.viewer import unresolved
 from turtlebag.datasets.bags.topics import TOPICS
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.outputs import Output

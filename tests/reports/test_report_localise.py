@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
-from report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_run, rehash
 
+from tests.helpers.report_fakes import fake_localise, fake_map, fake_plan, fake_record, fake_run, rehash
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import load_map, save_map

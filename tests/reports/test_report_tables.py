@@ -7,8 +7,8 @@ import shutil
 import subprocess
 
 import pytest
-from report_fakes import fake_map, fake_record, fake_run, undrawn
 
+from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.stages.report import make_index, make_report

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from report_fakes import fake_map, fake_record, fake_run, undrawn
 
+from tests.helpers.report_fakes import fake_map, fake_record, fake_run, undrawn
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.compare import compare_outputs
 from turtlebag.pipeline.stages.report import make_index, make_report

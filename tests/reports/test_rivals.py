@@ -6,9 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from report_fakes import ellipse, fake_localise, fake_map, fake_record, mapped_room, noisy, true_room
 from scipy import ndimage
 
+from tests.helpers.report_fakes import (
+    ellipse,
+    fake_localise,
+    fake_map,
+    fake_record,
+    mapped_room,
+    noisy,
+    true_room,
+)
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.relations import Relations

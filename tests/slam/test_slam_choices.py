@@ -9,8 +9,8 @@ import pytest
 import scipy
 
 from benchmarks.slam_scores import errors
-from tests.slam.test_slam_map import carmen_text
-from tests.slam_rooms import ROOM, around_the_room, drifted, recording
+from tests.helpers.carmen_lines import carmen_text
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.cli.main import main

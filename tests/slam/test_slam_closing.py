@@ -1,8 +1,8 @@
 """What makes a loop believed, and which steps of a log its loops span: a break that one spans is mended."""
 
 import numpy as np
-from slam_rooms import ROOM, around_the_room, recording
 
+from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.align import Alignment
 from turtlebag.pipeline.slam.clouds import KeyScans, make_clouds

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from slam_rooms import ROOM, around_the_room, drifted, recording
 
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.edits import BESIDE, AddedLoop, Edits, KeyEdits, RejectedLoop, load_edits

@@ -7,8 +7,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from tests.slam.test_slam_map import carmen_text
-from tests.slam_rooms import ROOM, SICK, around_the_room, drifted, recording
+from tests.helpers.carmen_lines import carmen_text
+from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, drifted, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.trajectories import load_tum, save_tum

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slam_rooms import LDS, around_the_room, recording, rectangle
+from tests.helpers.slam_rooms import LDS, around_the_room, recording, rectangle
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2

@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.slam_drives import Lie
 from benchmarks.slam_scores import errors
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from tests.slam.test_slam_hostile import office
-from tests.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import ImuLog, Trajectory
 from turtlebag.pipeline.slam.gyro import with_gyro

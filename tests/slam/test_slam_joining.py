@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.slam_drives import Drive, Sensor, make_log
 from benchmarks.slam_plans import FloorPlan
-from tests.slam_rooms import ROOM, around_the_room, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2, between, wrap
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam import selfcheck

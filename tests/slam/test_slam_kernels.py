@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.slam_rooms import LDS, ROOM, recording
+from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2, between
 from turtlebag.pipeline.slam.align import (
     FAKED,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, ndtr
 
-from tests.slam_rooms import LDS, ROOM, recording
+from tests.helpers.slam_rooms import LDS, ROOM, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam import clouds as module

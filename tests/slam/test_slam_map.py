@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
+from tests.helpers.carmen_lines import carmen_text
+from tests.helpers.slam_rooms import LDS, ROOM, around_the_room, drifted, ranges_to, recording
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.relations import Relations
@@ -279,16 +280,6 @@ def test_explanation_names_every_loop(result):
     assert all(loop["residual_m"] < 0.05 for loop in record["loops"] if loop["verdict"] == "accepted")
     edges = worst_edges(result.T_map_keys, result.constraints)
     assert [edge["sigmas"] for edge in edges] == sorted((edge["sigmas"] for edge in edges), reverse=True)
-
-
-def carmen_text(log):
-    lines = []
-    for k in range(len(log)):
-        x, y, yaw = log.T_odom_base.xyt[k]
-        pose = f"{x:.6f} {y:.6f} {yaw:.6f}"
-        readings = " ".join(f"{r:.3f}" for r in log.ranges[k, :180])
-        lines.append(f"FLASER 180 {readings} {pose} {pose} {log.stamps_ns[k] / 1e9:.6f} host {k * 0.2:.6f}")
-    return "\n".join(lines) + "\n"
 
 
 @pytest.mark.slow

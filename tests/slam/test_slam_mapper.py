@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_rooms import ROOM, around_the_room, drifted, recording
 
 import turtlebag.pipeline.slam.mapper as mapper_module
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.clouds import make_clouds

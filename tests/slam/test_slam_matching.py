@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
+from tests.helpers.slam_rooms import CORRIDOR, LDS, ROOM, SICK, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec
 from turtlebag.pipeline.slam.align import (

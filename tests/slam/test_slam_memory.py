@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slam_growth import carmen, floor, there_and_back
-from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
+from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, recording, rectangle
 from turtlebag.datasets.carmen import parse_carmen
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_to, recording
+from tests.helpers.slam_rooms import LDS, ROOM, SICK, around_the_room, drifted, ranges_to, recording
 from turtlebag.datasets.se2 import SE2, wrap
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory
 from turtlebag.pipeline.slam.clouds import KNOTS, make_clouds, sweep_motion

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slam_rooms import ROOM, recording
+from tests.helpers.slam_rooms import ROOM, recording
 from turtlebag.datasets.se2 import SE2, compose
 from turtlebag.pipeline.slam.align import STEP_INFLATION, contradiction
 from turtlebag.pipeline.slam.calibration import Calibration

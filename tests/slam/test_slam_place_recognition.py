@@ -11,7 +11,7 @@ from benchmarks.slam_drives import Drive, Sensor, Wheels, make_log, sick
 from benchmarks.slam_logs import WHEELS, office_plan
 from benchmarks.slam_plans import FloorPlan
 from benchmarks.slam_scores import errors
-from tests.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
+from tests.helpers.slam_rooms import ROOM, SICK, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2, between, compose
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import line_tracking, place_recognition

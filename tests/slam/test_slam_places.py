@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.slam_rooms import ROOM, around_the_room, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam import submaps
 from turtlebag.pipeline.slam.clouds import make_clouds

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.known import integrate
-from tests.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, dead_reckoning, recording
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Recording
 from turtlebag.pipeline.slam import selfcheck

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.slam_rooms import ROOM, around_the_room, recording
+from tests.helpers.slam_rooms import ROOM, around_the_room, recording
 from turtlebag.datasets.grid import FREE, OCCUPIED, UNKNOWN
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording, Trajectory

@@ -3,9 +3,9 @@
 import gtsam
 import numpy as np
 import pytest
-from fuzz_inputs import files_below
 from scipy.linalg import expm
 
+from tests.helpers.fuzz_inputs import files_below
 from turtlebag.datasets import se3
 from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.se2 import SE2

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_fakes import fake_record
 
-from tests.slam_rooms import ROOM, around_the_room, drifted, recording
+from tests.helpers.report_fakes import fake_record
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.bags.reader import read_poses
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map

@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 import pytest
-from bag_samples import write_drive
 
 import turtlebag.pipeline.stages.sources
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets import files
 from turtlebag.datasets.bags import convert
 from turtlebag.datasets.bags.reader import bag_info

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_fakes import rehash
-from viewer import unresolved
 
+from tests.helpers.report_fakes import rehash
+from tests.helpers.viewer import unresolved
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import sha256_tree
 from turtlebag.datasets.trajectories import load_tum

@@ -5,8 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from localisation_room import STILL_LIDAR, Step, drive, l_shaped_room
 
+from tests.helpers.localisation_room import STILL_LIDAR, Step, drive, l_shaped_room
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import FREE, OCCUPIED
 from turtlebag.datasets.maps import save_map

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_bags import TYPES, header, laser_scan, write_foreign
 
 from benchmarks.slam3d_drives import ROUND, changed, make_drive, room, without_wheels
+from tests.helpers.foreign_bags import TYPES, header, laser_scan, write_foreign
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output

@@ -3,8 +3,8 @@ import math
 
 import numpy as np
 import pytest
-from planning_room import BURGER, room
 
+from tests.helpers.planning_room import BURGER, room
 from turtlebag.datasets.grid import FREE, OCCUPIED, OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.planners.costmap import CostmapConfig, costmap_from_grid

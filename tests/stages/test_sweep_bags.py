@@ -9,8 +9,8 @@ from pathlib import Path
 
 import fsspec
 import pytest
-from bag_samples import write_drive
 
+from tests.helpers.bag_samples import write_drive
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
 from turtlebag.datasets.recordings import load_recording

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_fakes import fake_map, fake_record, fake_run, rehash, undrawn
 
+from tests.helpers.report_fakes import fake_map, fake_record, fake_run, rehash, undrawn
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.runlog import RunLog

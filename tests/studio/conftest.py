@@ -1,9 +1,10 @@
 """A browser, and the studio's page in it."""
 
 import pytest
-from browser import Browser, find_browser
-from studio_fakes import Served
-from studio_page import HERE, PageSession, open_page
+
+from tests.helpers.browser import Browser, find_browser
+from tests.studio.fakes import Served
+from tests.studio.page import HERE, PageSession, open_page
 
 KEEP_SOCKET = """
 window.WebSocket = class extends WebSocket { constructor(url) { super(url); window.socket = this; } };

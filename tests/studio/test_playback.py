@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-from studio_bag import LAST, LOG, write_bag
 
+from tests.studio.room_bag import LAST, LOG, write_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studio_walk import at_the_studio, differences, silent
 
+from tests.studio.walk import at_the_studio, differences, silent
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map

@@ -7,8 +7,8 @@ import sys
 import time
 
 import pytest
-from studio_walk import differences, silent
 
+from tests.studio.walk import differences, silent
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.cli.main import main

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studio_walk import at_the_studio, differences, silent
 
+from tests.studio.walk import at_the_studio, differences, silent
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output

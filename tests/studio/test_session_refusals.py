@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from studio_walk import Person
 
+from tests.studio.walk import Person
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import save_map

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from studio_walk import at_the_studio, differences, silent
 
+from tests.studio.walk import at_the_studio, differences, silent
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.se2 import SE2

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from studio_walk import Person, at_the_studio
 
+from tests.studio.walk import Person, at_the_studio
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.session import Session

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from studio_walk import at_the_studio, differences, files, silent
 
+from tests.studio.walk import at_the_studio, differences, files, silent
 from turtlebag.datasets.bags.reader import read_commands
 from turtlebag.datasets.grid import FREE
 from turtlebag.datasets.maps import load_map

@@ -5,10 +5,10 @@ import socket
 
 import numpy as np
 import pytest
-from studio_fakes import FakeSession, Served, connect, run
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 from tornado.iostream import IOStream
 
+from tests.studio.fakes import FakeSession, Served, connect, run
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.studio import server
 from turtlebag.pipeline.studio.access import Access, is_loopback, listen

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from browser import find_browser
-from studio_bag import LAST, LOG, write_bag
-from studio_fakes import Served
-from studio_page import click, drag, on_screen, open_page, shown_text, until
 
+from tests.helpers.browser import find_browser
+from tests.studio.fakes import Served
+from tests.studio.page import click, drag, on_screen, open_page, shown_text, until
+from tests.studio.room_bag import LAST, LOG, write_bag
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.slam.edits import load_edits
 from turtlebag.pipeline.slam.slam import SlamConfig

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 import yaml
-from studio_fakes import connect, run
-from studio_walk import differences, files
 
+from tests.studio.fakes import connect, run
+from tests.studio.walk import differences, files
 from turtlebag.pipeline.cli import studio as command
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.studio.session import Session

@@ -7,9 +7,9 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from studio_fakes import FakeSession, Served, answers, connect, run
 from tornado.iostream import IOStream
 
+from tests.studio.fakes import FakeSession, Served, answers, connect, run
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.pipeline.studio import frames as frames_module
 from turtlebag.pipeline.studio import server

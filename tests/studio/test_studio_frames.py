@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studio_fakes import SCENE, view
 
 from docs.examples.studio_client import BLANK, Picture, decoded
+from tests.studio.fakes import SCENE, view
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.studio.frames import COLUMNS, Frames, bye, hello

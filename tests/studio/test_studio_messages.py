@@ -5,9 +5,9 @@ import socket
 
 import numpy as np
 import pytest
-from studio_fakes import FakeSession, Served, answers, connect, run
 from tornado.iostream import IOStream
 
+from tests.studio.fakes import FakeSession, Served, answers, connect, run
 from turtlebag.pipeline.studio.access import Rate
 
 

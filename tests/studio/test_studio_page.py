@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from browser import find_browser
 from PIL import Image
-from studio_fakes import SCENE, Served
-from studio_page import ENABLED, FITTING, HERE, click, drag, on_screen, open_page, shown_text, until
 from tornado.websocket import websocket_connect
 
+from tests.helpers.browser import find_browser
+from tests.studio.fakes import SCENE, Served
+from tests.studio.page import ENABLED, FITTING, HERE, click, drag, on_screen, open_page, shown_text, until
 from turtlebag.pipeline.studio.view import GoalMark, SectorMarks
 
 pytestmark = [

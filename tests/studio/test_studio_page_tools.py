@@ -5,8 +5,9 @@ import time
 
 import numpy as np
 import pytest
-from browser import find_browser
-from studio_page import FITTING, box_of, click, drag, on_screen, open_page, shown_text, until
+
+from tests.helpers.browser import find_browser
+from tests.studio.page import FITTING, box_of, click, drag, on_screen, open_page, shown_text, until
 
 pytestmark = [
     pytest.mark.slow,

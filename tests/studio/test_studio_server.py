@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 import pytest
-from studio_fakes import FakeSession, Served, connect, run
 
+from tests.studio.fakes import FakeSession, Served, connect, run
 from turtlebag.pipeline.studio.inputs import Drive, Stop
 
 pytestmark = pytest.mark.slow

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from browser import find_browser
-from studio_page import ENABLED, click, drag, on_screen, shown_text, until
-from studio_walk import files
+
+from tests.helpers.browser import find_browser
+from tests.studio.page import ENABLED, click, drag, on_screen, shown_text, until
+from tests.studio.walk import files
 
 pytestmark = [
     pytest.mark.slow,

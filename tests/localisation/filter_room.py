@@ -1,8 +1,8 @@
 """A filter in the room of `localisation_room`, and what it would see from a pose there."""
 
 import numpy as np
-from localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 
+from tests.helpers.localisation_room import LIDAR, STILL_LIDAR, T_BASE_LIDAR, l_shaped_room
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Scan
 from turtlebag.pipeline.localisation.amcl import Amcl

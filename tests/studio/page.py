@@ -4,8 +4,8 @@ import json
 import time
 
 import numpy as np
-from studio_fakes import FakeSession, view
 
+from tests.studio.fakes import FakeSession, view
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.se2 import SE2

@@ -1,7 +1,6 @@
 """A short bag of a room, for the tests of playing bags."""
 
-from slam_rooms import ROOM, around_the_room, drifted, recording
-
+from tests.helpers.slam_rooms import ROOM, around_the_room, drifted, recording
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.types import Odometry, Scan, Twist
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import get_args
 
 import yaml
-from fuzz_inputs import broken, tree_broken
 
+from tests.helpers.fuzz_inputs import broken, tree_broken
 from turtlebag.datasets.errors import InputError
 from turtlebag.pipeline.cli.main import main
 from turtlebag.pipeline.studio.journal import load_session
 from turtlebag.planners.ompl_planner import PlannerName
 
-SIM = Path(__file__).parents[1] / "sim"
+SIM = Path(__file__).parents[2] / "sim"
 ROOM = """\
 name: room
 robot: burger
