@@ -6,8 +6,11 @@ from collections import Counter
 import pytest
 from hypothesis import settings
 
+from turtlebag.datasets.maps import save_map
 from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.terminal.messages import verbosity_kept
+from turtlebag.sim.robots import load_robot
+from turtlebag.sim.worlds import load_world
 
 # As in the command itself: collecting the tests takes a third less.
 gc.set_threshold(GARBAGE_AFTER)
@@ -41,6 +44,13 @@ def chain(tmp_path_factory):
     from tests.helpers.fuzz_cases import make_chain
 
     return make_chain(tmp_path_factory.mktemp("chain"))
+
+
+@pytest.fixture(scope="session")
+def true_map(tmp_path_factory):
+    """The arena as it is, at the height of the burger's lidar: the yaml file of a map."""
+    grid = load_world("turtlebot3_world").rasterize(load_robot("burger").lidar_height)
+    return save_map(grid, tmp_path_factory.mktemp("true"), "arena")
 
 
 @pytest.fixture

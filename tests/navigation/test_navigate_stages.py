@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from turtlebag.datasets.maps import load_map, save_map
+from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output, sha256_text, sha256_tree
 from turtlebag.datasets.se2 import SE2
 from turtlebag.pipeline.cli.main import main
@@ -22,12 +22,6 @@ from turtlebag.sim.worlds import FOLDER, load_world
 
 WORLD = "turtlebot3_world"
 ARENA, BURGER = load_world(WORLD), load_robot("burger")
-
-
-@pytest.fixture(scope="module")
-def true_map(tmp_path_factory) -> Path:
-    world = load_world(WORLD)
-    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
 
 
 def plan_words(true_map: Path, out: Path, goal: str, *more: str) -> list[str]:

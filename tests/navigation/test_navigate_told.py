@@ -2,13 +2,11 @@
 
 import json
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Joints, LidarSpec, Observation, Odometry, Scan, Twist
 from turtlebag.pipeline.cli.main import main
@@ -21,16 +19,9 @@ from turtlebag.planners.tasks.waypoints import Waypoint, parse_waypoint
 from turtlebag.reports.numbers import shown
 from turtlebag.sim.robots import load_robot
 from turtlebag.sim.simulator import Truth
-from turtlebag.sim.worlds import load_world
 
 WORLD = "turtlebot3_world"
 S = 10**9
-
-
-@pytest.fixture(scope="module")
-def true_map(tmp_path_factory) -> Path:
-    world = load_world(WORLD)
-    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
 
 
 @pytest.mark.slow

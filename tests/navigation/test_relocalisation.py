@@ -31,11 +31,6 @@ S = 10**9
 ARENA, BURGER = load_world("turtlebot3_world"), load_robot("burger")
 
 
-@pytest.fixture(scope="module")
-def arena_map(tmp_path_factory):
-    return save_map(ARENA.rasterize(BURGER.lidar_height), tmp_path_factory.mktemp("map"), "arena")
-
-
 def run(map_path, faults, **request):
     config = NavigateConfig(sim=SimConfig(faults=faults))
     asked = Request(**{"task": "goal", "seed": 1, "map_path": map_path, "initial_pose": "start"} | request)
@@ -45,9 +40,9 @@ def run(map_path, faults, **request):
 
 
 @pytest.mark.slow
-def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
+def test_a_kidnapped_robot_stops_finds_itself_and_arrives(true_map):
     kidnap = FaultConfig(kidnap=((4.0, 1.6, -0.55, 2.0),))
-    episode = run(arena_map, kidnap, goal=SE2.from_xyt(-0.55, 1.75, 1.57), timeout_s=120.0)
+    episode = run(true_map, kidnap, goal=SE2.from_xyt(-0.55, 1.75, 1.57), timeout_s=120.0)
     goal = episode.metrics["goals"][0]
     assert goal["status"] == "reached"
     assert goal["error_m"] < 0.05
@@ -60,10 +55,10 @@ def test_a_kidnapped_robot_stops_finds_itself_and_arrives(arena_map):
 
 
 @pytest.mark.slow
-def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(arena_map):
+def test_a_robot_told_a_pose_in_a_wall_looks_about_and_arrives(true_map):
     told = SE2.from_xyt(-2.9, -0.4, 0.5)
     goal = SE2.from_xyt(-0.55, -0.55, 0.0)
-    episode = run(arena_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
+    episode = run(true_map, FaultConfig(), goal=goal, initial_pose=told, timeout_s=120.0)
     assert "look" in episode.log.state
     assert episode.metrics["goals"][0]["status"] == "reached"
     assert episode.metrics["goals"][0]["error_m"] < 0.05
@@ -93,8 +88,8 @@ def test_on_the_map_of_another_world_no_goal_counts_as_reached(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(arena_map):
-    episode = run(arena_map, FaultConfig(scan_silent=((3.0, 5.0),)), goal=SE2.from_xyt(-0.55, 0.55, 0.0))
+def test_the_robot_stands_while_the_lidar_is_silent_and_goes_on_after(true_map):
+    episode = run(true_map, FaultConfig(scan_silent=((3.0, 5.0),)), goal=SE2.from_xyt(-0.55, 0.55, 0.0))
     log = episode.log
     t = log.t_ns * 1e-9
     blind = np.array([state == "blind" for state in log.state])
@@ -118,8 +113,8 @@ def test_without_a_map_it_stands_in_the_dark_too(task):
 
 
 @pytest.mark.slow
-def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(arena_map):
-    episode = run(arena_map, FaultConfig(scan_silent=((3.0, 1e6),)), goal=SE2.from_xyt(0.55, 1.75, 0.0))
+def test_a_lidar_that_stays_silent_ends_the_run_with_the_reason(true_map):
+    episode = run(true_map, FaultConfig(scan_silent=((3.0, 1e6),)), goal=SE2.from_xyt(0.55, 1.75, 0.0))
     goal = episode.metrics["goals"][0]
     assert (goal["status"], goal["reason"]) == ("unreachable", "the lidar has been silent for 30 s")
     assert episode.metrics["time_s"] < 35.0

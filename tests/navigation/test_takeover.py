@@ -11,7 +11,6 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output, sha256_tree
 from turtlebag.datasets.runlog import RunLog
 from turtlebag.datasets.se2 import SE2
@@ -32,12 +31,6 @@ WORLD = "turtlebot3_world"
 ARENA, BURGER = load_world(WORLD), load_robot("burger")
 S = 10**9
 SCRIPT = (Interval(begin=2.0, end=3.0, v=-0.05, w=0.6), Interval(begin=3.0, end=4.5, v=0.15))
-
-
-@pytest.fixture(scope="module")
-def true_map(tmp_path_factory) -> Path:
-    world = load_world(WORLD)
-    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
 
 
 def goal_run(out: Path, true_map: Path, script=(), source=None) -> dict:

@@ -24,12 +24,6 @@ ARENA, BURGER = load_world(WORLD), load_robot("burger")
 MIDDLE = SE2.from_xyt(-2.5, -2.5, 0.0)
 
 
-@pytest.fixture(scope="module")
-def true_map(tmp_path_factory) -> Path:
-    world = load_world(WORLD)
-    return save_map(world.rasterize(load_robot("burger").lidar_height), tmp_path_factory.mktemp("map"))
-
-
 def run(out: Path, **wishes) -> dict:
     request = Request(**{"seed": 1, "task": "goal", "initial_pose": "start", **wishes})
     code = navigate(ARENA, BURGER, request, Output(out), say=lambda line: None)

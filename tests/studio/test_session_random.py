@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 
 from tests.studio.walk import at_the_studio, differences, silent
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.maps import save_map
 from turtlebag.datasets.outputs import Output
 from turtlebag.pipeline.stages.studio import replay
 from turtlebag.pipeline.studio.inputs import KNOWN, parse_input
-from turtlebag.sim.worlds import load_world
 
 NAMES = st.sampled_from(["a", "b", "true", "12", "a-keepout", "", "../c"])
 METRES = st.one_of(st.floats(-2.5, 2.5), st.sampled_from([0.0, 40.0, float("nan"), "x"]))
@@ -52,12 +50,6 @@ ASKED = st.sampled_from([*USUAL, "goal", "map_load", "pose_estimate", "drive", "
 )
 
 
-@pytest.fixture(scope="module")
-def arena_map(tmp_path_factory):
-    grid = load_world("turtlebot3_world").rasterize(0.172)
-    return save_map(grid, tmp_path_factory.mktemp("map"), "arena")
-
-
 def answer(person, data):
     """The line that an input is answered with."""
     try:
@@ -69,10 +61,10 @@ def answer(person, data):
 @pytest.mark.slow
 @settings(max_examples=8)
 @given(steps=st.lists(st.tuples(ASKED, st.integers(0, 40)), min_size=3, max_size=14))
-def test_it_is_driven_again_to_the_same_bytes_whatever_was_asked(arena_map, steps):
+def test_it_is_driven_again_to_the_same_bytes_whatever_was_asked(true_map, steps):
     with tempfile.TemporaryDirectory() as folder:
         live, again = Path(folder) / "live", Path(folder) / "again"
-        with at_the_studio(live, map_path=arena_map) as person:
+        with at_the_studio(live, map_path=true_map) as person:
             for data, ticks in steps:
                 assert "\n" not in answer(person, data)
                 person.wait(ticks / 30)

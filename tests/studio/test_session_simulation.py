@@ -80,17 +80,9 @@ def test_a_carried_robot_stands_elsewhere_and_its_wheels_notice_nothing(tmp_path
     assert differences(tmp_path / "live", tmp_path / "again") == []
 
 
-@pytest.fixture(scope="module")
-def arena_map(tmp_path_factory):
-    from turtlebag.datasets.maps import save_map
-
-    world = load_world("turtlebot3_world")
-    return save_map(world.rasterize(0.172), tmp_path_factory.mktemp("map"), "arena")
-
-
-def test_the_plan_keeps_out_of_what_was_drawn_which_is_saved_with_the_map(tmp_path, arena_map):
+def test_the_plan_keeps_out_of_what_was_drawn_which_is_saved_with_the_map(tmp_path, true_map):
     middle = [[-0.8, -0.2], [-0.3, -0.2], [-0.3, 0.2], [-0.8, 0.2]]
-    with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         person.do("pose_estimate", pose=[-2.0, -0.5, 0.0])
         person.do("keepout", outlines=[middle])
         lethal = person.view.costmap.costmap.clearance_at(np.array([[-0.55, 0.0]]))
@@ -106,12 +98,12 @@ def test_the_plan_keeps_out_of_what_was_drawn_which_is_saved_with_the_map(tmp_pa
         assert person.view.maps == ("", "kept")
     saved = read_mapping(tmp_path / "live/maps/kept-keepout.yaml")["keepout"]
     assert parse_polygons(saved, "kept")[0].tolist() == middle
-    assert np.array_equal(load_map(tmp_path / "live/maps/kept.yaml").cells, load_map(arena_map).cells)
+    assert np.array_equal(load_map(tmp_path / "live/maps/kept.yaml").cells, load_map(true_map).cells)
 
 
-def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(tmp_path, arena_map):
+def test_a_robot_that_may_be_anywhere_finds_itself_once_it_is_sent_somewhere(tmp_path, true_map):
     """It turns to and fro first, as it was told no pose."""
-    with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         person.do("localise_global")
         assert not person.view.localised
         assert person.view.particles[:, :2].std(axis=0).min() > 0.5
@@ -132,8 +124,8 @@ def test_what_moves_in_the_true_world_is_there_for_the_ghost(tmp_path):
         assert len(person.view.boxes) == 0
 
 
-def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, arena_map):
-    with at_the_studio(tmp_path / "live", map_path=arena_map) as person:
+def test_after_a_reset_all_is_as_at_the_start_but_what_was_saved(tmp_path, true_map):
+    with at_the_studio(tmp_path / "live", map_path=true_map) as person:
         start = person.view
         person.do("record", name="first")
         person.do("pose_estimate", pose=[-2.0, -0.5, 0.0])
