@@ -1,11 +1,14 @@
 """The same examples on every run: a failure that CI sees, everyone sees. Nothing is kept between runs."""
 
+import fcntl
 import gc
+import os
 from collections import Counter
 
 import pytest
 from hypothesis import settings
 
+from tests.helpers.fuzz_cases import make_chain
 from turtlebag.datasets.maps import save_map
 from turtlebag.pipeline.__main__ import GARBAGE_AFTER
 from turtlebag.pipeline.terminal.messages import verbosity_kept
@@ -40,10 +43,20 @@ def messages_as_before():
 
 @pytest.fixture(scope="session")
 def chain(tmp_path_factory):
-    """A small chain of good inputs and outputs, to break or to run again; nobody writes to it."""
-    from tests.helpers.fuzz_cases import make_chain
+    """A small chain of good inputs and outputs, to break or to run again; nobody writes to it.
 
-    return make_chain(tmp_path_factory.mktemp("chain"))
+    It is made once, by whichever worker is the first to need it.
+    """
+    place = tmp_path_factory.getbasetemp()
+    place = place.parent if "PYTEST_XDIST_WORKER" in os.environ else place
+    folder, made = place / "chain", place / "chain.made"
+    with (place / "chain.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            folder.mkdir()
+            make_chain(folder)
+            made.touch()
+    return folder
 
 
 @pytest.fixture(scope="session")
