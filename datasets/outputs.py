@@ -10,7 +10,7 @@ import platform
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -82,6 +82,7 @@ class Output:
     folder: Path
     force: bool = False
     command: Sequence[str] = ()
+    _begun_s: float = field(default_factory=time.perf_counter, init=False, compare=False)
 
     def __post_init__(self) -> None:
         check_free(self.folder, force=self.force, kind="folder")
@@ -89,6 +90,30 @@ class Output:
     def staged(self, inputs: Iterable[Path] = (), *, save_bag: bool = False) -> AbstractContextManager[Path]:
         """The folder to write into, put in place at the end (`staged_output`)."""
         return staged_output(self.folder, force=self.force, inputs=inputs, save_bag=save_bag)
+
+    @property
+    def wall_s(self) -> float:
+        """Wall time since it was asked for [s]."""
+        return time.perf_counter() - self._begun_s
+
+    def finish(
+        self,
+        partial: Path,
+        stage: str,
+        inputs: Mapping[str, Path],
+        *,
+        metrics: Mapping[str, Any] | None = None,
+        config: str | None = None,
+        seed: int | None = None,
+        extra: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write what comes last into the staged folder: metrics.json and config.yaml, where a stage has them,
+        and the manifest (`write_manifest`)."""
+        if metrics is not None:
+            write_json(partial / "metrics.json", metrics)
+        if config is not None:
+            (partial / "config.yaml").write_text(config)
+        write_manifest(partial, stage, self.command, inputs, wall_s=self.wall_s, seed=seed, extra=extra)
 
 
 NO_CONTENT = ("manifest.json", MARKER)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.parts import PARTS
@@ -39,7 +39,6 @@ def blame(
     `replace` names the parts, with commas between them, or is "none". With `patrol` the tutorial's patrol is
     driven on the map too. InputError, with nothing written, for an unknown part or a folder without truth.
     """
-    watch = Stopwatch()
     parts = [] if replace == "none" else replace.split(",")
     for part in parts:
         if part not in PARTS:
@@ -57,10 +56,8 @@ def blame(
         left = {"replaced": parts, **errors}
         if patrol:
             left["patrol"] = _patrol(record, folder / "map.yaml", parts)
-        write_json(folder / "metrics.json", left)
-        (folder / "config.yaml").write_text(config_text(resolved))
-        inputs = {"source": folder_of_record}
-        write_manifest(folder, "blame", out.command, inputs, seed=record.seed, wall_s=watch.seconds())
+        inputs, config_yaml = {"source": folder_of_record}, config_text(resolved)
+        out.finish(folder, "blame", inputs, metrics=left, config=config_yaml, seed=record.seed)
     return 0
 
 

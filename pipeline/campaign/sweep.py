@@ -22,7 +22,6 @@ from turtlebag.datasets.outputs import (
     package_versions,
     sha256_text,
     sha256_tree,
-    write_manifest,
 )
 from turtlebag.datasets.yaml_files import config_text
 from turtlebag.pipeline.campaign.campaign_file import Campaign, campaign_path, load_campaign
@@ -60,7 +59,6 @@ def sweep(
     Workers keep what they make in `store`, which is `out` itself where no URL is given. It grows in
     `OUT.partial` and stays there when it is stopped: the same command goes on with it.
     """
-    watch = Stopwatch()
     campaign = load_campaign(campaign_name)
     todo = cases(campaign)
     require_scheduler(scheduler)
@@ -76,15 +74,12 @@ def sweep(
             return run_cases(campaign, left, where, run, scratch, scheduler=scheduler, workers=workers)
 
         rows, timing = _run(campaign, todo, where, progress, start)
-        (lock.partial / "config.yaml").write_text(config_text(campaign))
         source = Path(campaign_name).name
         write_results(campaign, source, rows, where.runs, lock.partial, progress.worst)
         _tidy(Store(str(lock.partial)))
         extra = {"case_wall_s": timing, **({} if store is None else {"store": where.runs.url})}
-        wall_s = watch.seconds()
-        write_manifest(
-            lock.partial, "sweep", out.command, inputs, seed=campaign.seed, wall_s=wall_s, extra=extra
-        )
+        text = config_text(campaign)
+        out.finish(lock.partial, "sweep", inputs, config=text, seed=campaign.seed, extra=extra)
         lock.finish()
     failed = sum(bool(row["failed"]) for row in rows)
     log.info(f"{out.folder}: {len(rows)} cases, {failed} failed")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured, ours_of
 from turtlebag.reports.compare import Comparison, compare, draw_comparison
@@ -20,7 +20,6 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
 
     With `out` also `index.html`, `figures/*.png`, `metrics.json` and the manifest.
     """
-    watch = Stopwatch()
     stages = load_stage(a), load_stage(b)
     found = compare(*stages)
     if out is None:
@@ -30,8 +29,8 @@ def compare_outputs(a: Path, b: Path, out: Output | None = None) -> Comparison:
         album = Album(folder / "figures")
         draw_comparison(*stages, album)
         (folder / "index.html").write_text(render_comparison(*names, found, album.pictures))
-        write_json(folder / "metrics.json", {row.path: row.values for row in found.rows})
-        write_manifest(folder, "compare", out.command, {"A": a, "B": b}, wall_s=watch.seconds())
+        metrics = {row.path: row.values for row in found.rows}
+        out.finish(folder, "compare", {"A": a, "B": b}, metrics=metrics)
     return found
 
 
@@ -40,7 +39,6 @@ def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None
 
     With `out` also `index.html`, `figures/*.png`, `rivals/*.tum`, `metrics.json` and the manifest.
     """
-    watch = Stopwatch()
     stage = ours_of([load_stage(folder)])
     known, systems = measured(stage, files)
     if out is None:
@@ -49,7 +47,5 @@ def compare_rivals(folder: Path, files: Sequence[RivalFiles], out: Output | None
         found = compare_systems(systems, known, Album(partial / "figures"), "rivals")
         (partial / "index.html").write_text(render_systems(stage.folder.resolve().name, found))
         write_pairs(systems, partial / "rivals")
-        write_json(partial / "metrics.json", found.metrics)
-        inputs = {"ours": folder, **inputs_of(files)}
-        write_manifest(partial, "compare", out.command, inputs, wall_s=watch.seconds())
+        out.finish(partial, "compare", {"ours": folder, **inputs_of(files)}, metrics=found.metrics)
     return found

@@ -12,7 +12,7 @@ import numpy as np
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.grid import OccupancyGrid
 from turtlebag.datasets.maps import load_map, map_files
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -77,7 +77,6 @@ def localise(
     `initial_pose` is a pose on the map, "global" for a search, or None. `truth` is a
     record's truth folder, or the record.
     """
-    watch = Stopwatch()
     config = config or LocaliseConfig()
     grid = load_map(map_yaml)
     if isinstance(initial_pose, SE2):
@@ -101,14 +100,13 @@ def localise(
     with out.staged() as folder:
         # Without an estimate the odometry stands in, as in a run without a map.
         save_tum(result.trajectory if result else odometry, folder / "trajectory.tum")
-        write_json(folder / "metrics.json", metrics)
-        (folder / "config.yaml").write_text(config_text(config))
         parts: dict[str, str | None] = {"localiser": config.localiser}
         inputs = {"bag": source.path, **map_files(map_yaml), **source_files(parts)}
         inputs |= {"truth": truth} if truth else {}
         extra = {"parts": parts, **({"update_ms": _milliseconds(result)} if result else {})}
-        wall_s = watch.seconds()
-        write_manifest(folder, "localise", out.command, inputs, seed=seed, wall_s=wall_s, extra=extra)
+        out.finish(
+            folder, "localise", inputs, metrics=metrics, config=config_text(config), seed=seed, extra=extra
+        )
     if result is not None:
         _summarise(metrics, out.folder)
     return 0 if metrics.get("true_success", metrics["success"]) else 1

@@ -10,7 +10,7 @@ from typing import Any
 from turtlebag.datasets.bags.mapping_input import NoScans
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch, write_json
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.types import Recording
@@ -57,15 +57,10 @@ def build_map(
     metrics = _metrics(made, references)
     with out.staged() as folder:
         _save(made, folder, named)
-        write_json(folder / "metrics.json", metrics)
-        write_manifest(
-            folder,
-            stage="map",
-            command=out.command,
-            inputs={**inputs.files(), **references.inputs, **source_files(made.manifest.get("parts", {}))},
-            wall_s=watch.seconds(),
-            extra={"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
-            | made.manifest,
+        read = {**inputs.files(), **references.inputs, **source_files(made.manifest.get("parts", {}))}
+        pace = {"slam_s": round(slam_s, 3), "scans_per_s": round(len(made.recording) / slam_s, 1)}
+        out.finish(
+            folder, "map", read, metrics=metrics, config=config_text(made.config), extra=pace | made.manifest
         )
     return 0 if tell_map(metrics, out.folder, slam_s) else 1
 
@@ -98,12 +93,11 @@ def _metrics(made: Mapped, references: References) -> dict[str, Any]:
 
 
 def _save(made: Mapped, folder: Path, named: str | None) -> None:
-    """All files of a map but its metrics."""
+    """All files of a map but its metrics and settings."""
     for name in ("map", *([] if named is None else [named])):
         save_map(made.result.grid, folder, name)
     write_g2o(folder / "graph.g2o", made.result.T_map_keys, made.result.constraints)
     write_json(folder / "graph.json", made.record)
-    (folder / "config.yaml").write_text(config_text(made.config))
     made.write(folder)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import map_files, save_map
-from turtlebag.datasets.outputs import Output, Stopwatch, sha256_text, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.parts import source_files
 from turtlebag.datasets.trajectories import save_tum
 from turtlebag.datasets.yaml_files import config_text
@@ -46,7 +46,6 @@ def navigate(
     `say` takes the decisions of the task avoid, a line each. `files` are inputs that the manifest is to name
     besides those of the request. InputError, with nothing written, for bad goals and unreadable maps.
     """
-    watch = Stopwatch()
     mission = prepare(request, robot, config or NavigateConfig(), world.keepout)
     _refuse_outlines_off(mission)
     text = config_text(mission.config)
@@ -70,7 +69,7 @@ def navigate(
         ):
             news = News(_opening(world, mission), log.info, clock)
             episode = drive(simulator, mission, Audience(bag, say, news, interrupted), takeovers)
-        metrics, loop_s, parts = episode.metrics, watch.seconds(), _parts(mission)
+        metrics, loop_s, parts = episode.metrics, out.wall_s, _parts(mission)
         save_tum(episode.estimate, folder / "trajectory.tum")
         episode.log.save(folder / "runlog.csv")
         if episode.grid is not None:
@@ -78,15 +77,13 @@ def navigate(
         if episode.asked:
             (folder / "takeover.yaml").write_text(script_text(episode.asked))
         save_truth(folder / "truth", episode.truth, simulator.world, simulator.robot)
-        write_json(folder / "metrics.json", metrics)
-        (folder / "config.yaml").write_text(text)
-        write_manifest(
+        out.finish(
             folder,
-            stage="navigate",
-            command=out.command,
-            inputs={**_inputs(request), **(files or {}), **source_files(parts)},
+            "navigate",
+            {**_inputs(request), **(files or {}), **source_files(parts)},
+            metrics=metrics,
+            config=text,
             seed=request.seed,
-            wall_s=watch.seconds(),
             extra={
                 "world": world.name,
                 "robot": mission.robot.name,

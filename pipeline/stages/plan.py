@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map, map_files
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output, Stopwatch
 from turtlebag.datasets.parts import is_own, source_files
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.seeds import stream
@@ -62,7 +62,6 @@ def plan(
     With `compare` every planner is asked: its path goes to path-NAME.csv, its numbers to `planners` of the
     metrics. Raises InputError, with nothing written, when start or goal is off the map or in an obstacle.
     """
-    watch = Stopwatch()
     config = config or PlanStageConfig()
     costmap = costmap_from_grid(load_map(map_path), config.costmap)
     query.require_free(costmap, map_path, "--")
@@ -82,15 +81,13 @@ def plan(
         _write_path(folder / "path.csv", found)
         for name, other_found in others.items():
             _write_path(folder / f"path-{name}.csv", other_found)
-        write_json(folder / "metrics.json", metrics)
-        (folder / "config.yaml").write_text(config_text(config))
-        write_manifest(
+        out.finish(
             folder,
-            stage="plan",
-            command=out.command,
-            inputs={**map_files(map_path), **source_files(parts)},
+            "plan",
+            {**map_files(map_path), **source_files(parts)},
+            metrics=metrics,
+            config=config_text(config),
             seed=query.seed,
-            wall_s=watch.seconds(),
             extra={
                 "robot": query.robot.name,
                 "out": str(out.folder),

@@ -11,7 +11,7 @@ from types import FrameType
 
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.maps import save_map
-from turtlebag.datasets.outputs import Output, Stopwatch, sha256_text, write_manifest
+from turtlebag.datasets.outputs import Output, sha256_text
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.settings import Settings
 from turtlebag.datasets.trajectories import save_tum
@@ -120,7 +120,6 @@ def record_drive(
 
     `teleop` names it in config.yaml; `watch` is shown every observation. Exit code as of `record`.
     """
-    timer = Stopwatch()
     config = scene.config(teleop)
     # Interrupts are held back until all is written: a second Ctrl-C must not lose the recording.
     with deferred_interrupt() as interrupted, out.staged(save_bag=True) as folder:
@@ -134,14 +133,12 @@ def record_drive(
         ):
             truth, duration, stuck = _drive(simulator, scene.start, driver, bag, watch, clock, interrupted)
         save_truth(folder / "truth", truth, scene.world, scene.robot)
-        wall = timer.seconds()
-        write_manifest(
+        wall = out.wall_s
+        out.finish(
             folder,
-            stage="record",
-            command=out.command,
-            inputs={**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
+            "record",
+            {**own_files(scene.world_name, scene.robot_name), **(inputs or {})},
             seed=scene.seed,
-            wall_s=wall,
             extra={"simulated_s": duration, "realtime_factor": round(duration / wall, 2)},
         )
     if interrupted:

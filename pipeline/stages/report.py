@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from turtlebag.datasets.errors import InputError
-from turtlebag.datasets.outputs import Output, Stopwatch, write_json, write_manifest
+from turtlebag.datasets.outputs import Output
 from turtlebag.datasets.rivals import RivalFiles
 from turtlebag.pipeline.stages.rivals import inputs_of, measured_in, remembered
 from turtlebag.pipeline.terminal.messages import drawing
@@ -41,7 +41,6 @@ def make_report(
     `rivals` are shown beside ours. InputError for anything that is not such an output, and for rivals
     on more than one world or log.
     """
-    watch = Stopwatch()
     groups = group_stages([load_stage(folder) for folder in folders])
     known, systems = measured_in(groups, rivals) if rivals else (Known(), [])
     files = inputs_of(rivals)
@@ -59,23 +58,21 @@ def make_report(
         for name, layout in viewer_layouts(stages).items():
             (partial / name).write_text(layout)
         numbers = {chapter.name: chapter.metrics for chapter in chapters}
-        write_json(partial / "metrics.json", numbers)
         inputs = {f"{group.name}/{stage.label}": stage.folder for group in groups for stage in group.stages}
         # A report moved together with its inputs still finds them.
         places = {name: os.path.relpath(folder, out.folder) for name, folder in inputs.items()}
         extra = {"folders": places, "rivals": remembered(rivals, out.folder)}
-        write_manifest(partial, "report", out.command, inputs | files, wall_s=watch.seconds(), extra=extra)
+        out.finish(partial, "report", inputs | files, metrics=numbers, extra=extra)
     return out.folder / "index.html"
 
 
 def make_index(roots: Sequence[Path], out: Output) -> Path:
     """Write a page with a sortable table of every output below `roots`; returns its path."""
-    watch = Stopwatch()
     lines = index_lines(roots)
     if not lines:
         places = ", ".join(str(root) for root in roots)
         raise InputError(f"{places}: no finished outputs in it; give the folder that holds them")
     with out.staged(shown_outputs(roots)) as partial:
         (partial / "index.html").write_text(render_index(lines))
-        write_manifest(partial, "index", out.command, {}, wall_s=watch.seconds())
+        out.finish(partial, "index", {})
     return out.folder / "index.html"
