@@ -50,38 +50,11 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Avoid",
-    "Bag",
-    "Comparison",
-    "Explore",
-    "Goal",
-    "InputError",
-    "LidarSpec",
-    "Localisation",
-    "Localiser",
-    "Map",
-    "Mapper",
-    "NoPath",
-    "Patrol",
-    "Plan",
-    "Planner",
-    "Report",
-    "Rival",
-    "Run",
-    "SE2",
-    "Scan",
-    "Simulator",
-    "Table",
-    "Trajectory",
-    "compare",
-    "localise",
-    "map",
-    "navigate",
-    "plan",
-    "record",
-    "report",
+    "Avoid", "Bag", "Comparison", "Explore", "Goal", "InputError", "LidarSpec", "Localisation", "Localiser",
+    "Map", "Mapper", "NoPath", "Patrol", "Plan", "Planner", "Report", "Rival", "Run", "SE2", "Scan",
+    "Simulator", "Table", "Trajectory", "compare", "localise", "map", "navigate", "plan", "record", "report",
     "verbose",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

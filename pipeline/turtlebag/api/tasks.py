@@ -1,14 +1,22 @@
-"""What a run is to do: the tasks of `navigate`."""
+"""What a run is to do, the tasks of `navigate`: each says its options of the command line."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import yaml
 
-from turtlebag.api.making import PathLike
+from turtlebag.api.making import PathLike, Pose, in_a_line, list_of, path_of, pose_of, text_of
+from turtlebag.datasets.errors import InputError
+from turtlebag.datasets.parts import is_own
+from turtlebag.datasets.se2 import SE2
+from turtlebag.planners.tasks.waypoints import parse_polygons
 
 
 @dataclass(frozen=True)
@@ -20,6 +28,10 @@ class Goal:
     yaw: float = 0.0
     timeout: float | None = None
     """Simulated seconds; None: 600."""
+
+    def _options(self, folder: Path) -> dict[str, Any]:
+        goal = pose_of((self.x, self.y, self.yaw), "goal")
+        return {"task": "goal", "goal": goal, "timeout": _seconds(self.timeout, "timeout")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +46,19 @@ class Patrol:
     laps: int | None = None
     timeout: float | None = None
 
+    def _options(self, folder: Path) -> dict[str, Any]:
+        if self.laps is not None and (not isinstance(self.laps, int) or self.laps < 1):
+            raise InputError(f"laps: expected a whole number, 1 or more, not {self.laps!r}")
+        waypoints, timeout = self.waypoints, _seconds(self.timeout, "timeout")
+        if isinstance(waypoints, str | os.PathLike):
+            waypoints = path_of(waypoints, "waypoints")
+        elif waypoints is not None:
+            poses = [_numbers(one, "waypoints") for one in list_of(waypoints, "waypoints")]
+            if not poses:
+                raise InputError("waypoints: is empty; give one or more poses")
+            waypoints = _written(poses, folder / "waypoints.yaml")
+        return {"task": "patrol", "waypoints": waypoints, "laps": self.laps, "timeout": timeout}
+
 
 @dataclass(frozen=True)
 class Avoid:
@@ -45,6 +70,9 @@ class Avoid:
     duration: float | None = None
     mode: Literal["guarded", "tutorial"] | None = None
 
+    def _options(self, folder: Path) -> dict[str, Any]:
+        return {"task": "avoid", "duration": _seconds(self.duration, "duration"), "mode": self.mode}
+
 
 @dataclass(frozen=True)
 class Explore:
@@ -52,5 +80,61 @@ class Explore:
 
     duration: float | None = None
 
+    def _options(self, folder: Path) -> dict[str, Any]:
+        return {"task": "explore", "duration": _seconds(self.duration, "duration")}
+
 
 Task = Goal | Patrol | Avoid | Explore
+
+
+def task_options(task: Task | str, folder: Path) -> dict[str, Any]:
+    """The task and its own options; what was given as arrays is written to files in the folder."""
+    if isinstance(task, Task):
+        return task._options(folder)
+    if isinstance(task, str) and is_own(task):
+        return {"task": task}
+    raise InputError(
+        f"task: expected Patrol(), Goal(x, y, yaw), Avoid(), Explore() or a class, not {in_a_line(task)}"
+    )
+
+
+def keepout_option(given: PathLike | Sequence[Any] | None, folder: Path) -> str | None:
+    """The file of areas to keep out of, or the word none."""
+    if given is None or isinstance(given, str | os.PathLike):
+        return None if given is None else text_of(given, "keepout", "a path")
+    areas = [list_of(outline, "keepout") for outline in list_of(given, "keepout")]
+    outlines = [[_numbers(corner, "keepout") for corner in outline] for outline in areas]
+    parse_polygons(outlines, "keepout")
+    return os.fspath(_written({"keepout": outlines}, folder / "keepout.yaml")) if outlines else "none"
+
+
+def told_pose(value: Pose | str | None, *words: str) -> SE2 | str | None:
+    """What the robot is told of its place: a pose, one of the words, or nothing."""
+    if value is None or (isinstance(value, str) and value in words):
+        return value
+    if isinstance(value, str):
+        raise InputError(f"initial_pose: expected x, y, yaw or {' or '.join(words)}, not {value!r}")
+    return pose_of(value, "initial_pose")
+
+
+def _seconds(value: float | None, what: str) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float | np.number) or not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{what}: expected a positive number of seconds, not {value!r}")
+    return float(value)
+
+
+def _numbers(one: Any, what: str) -> Any:
+    """What YAML can hold of a pose or a corner."""
+    if isinstance(one, SE2):
+        one = one.xyt
+    try:
+        return one if isinstance(one, dict) else np.asarray(one, dtype=np.float64).tolist()
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: expected numbers, not {in_a_line(one)}") from None
+
+
+def _written(content: Any, path: Path) -> Path:
+    path.write_text(yaml.safe_dump(content, default_flow_style=None))
+    return path
