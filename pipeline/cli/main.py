@@ -160,8 +160,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             with _stopping_cleanly():
                 if "" in argv:
-                    after = f" after {argv[argv.index('') - 1]}" if argv[0] else ""
-                    raise InputError(f"the argument{after} is empty; is a shell variable not set?")
+                    before = " ".join(argv[: argv.index("")][-1:])
+                    raise InputError(f"{before} : is empty; is a shell variable not set?")
                 args = build_parser(verb).parse_args(joined(argv))
                 args.command_line = ["turtlebag", *argv]
                 code = _run(args, stdout)

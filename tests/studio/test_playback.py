@@ -139,7 +139,7 @@ def test_the_scan_lies_where_the_robot_is_drawn_when_the_map_is_another(played):
     assert np.hypot(*(view.T_map_base.inverse() @ view.T_odom_base).xy) > 0.05
     ranges = np.linalg.norm(view.T_map_base.inverse() @ view.scan, axis=1)
     np.testing.assert_allclose(ranges, true.ranges[np.isfinite(true.ranges)], atol=1e-4)
-    with pytest.raises(InputError, match="one soon after the other"):
+    with pytest.raises(InputError, match="shortly after each other"):
         played.apply(inputs.LoopAdd(scan=5, place=3, pose=(0.0, 0.0, 0.0)))
     assert "shown already" in played.apply(inputs.MapBuild())
 
