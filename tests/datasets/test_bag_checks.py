@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF
+from tests.helpers.foreign_bags import ODOMETRY, SCAN, TF, S
 from turtlebag.datasets.bags import doctor, impossible
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.messages import Topic, full_type
 from turtlebag.datasets.bags.survey import ScanSurvey, Survey, TopicSurvey
 
-S = 10**9
 IMU = "sensor_msgs/msg/Imu"
 
 

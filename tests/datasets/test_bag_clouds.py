@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from tests.helpers.bag_samples import LINKS, observation, pose, stamp, write_drive
-from tests.helpers.foreign_bags import TYPES, header, write_foreign
+from tests.helpers.foreign_bags import CLOUD, FIELD, TYPES, header, write_foreign
 from turtlebag.datasets.bags.clouds import load_clouds
 from turtlebag.datasets.bags.convert import to_ros1_bag
 from turtlebag.datasets.bags.writer import BagWriter
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.types import Cloud
-
-CLOUD, FIELD = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField"
 
 
 def test_what_is_written_is_read_back(tmp_path):

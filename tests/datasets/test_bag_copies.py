@@ -6,15 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from tests.helpers.foreign_bags import (
-    ODOMETRY,
-    STORE,
-    TF,
-    TYPES,
-    header,
-    odometry,
-    write_foreign,
-)
+from tests.helpers.foreign_bags import CLOUD, ODOMETRY, STORE, TF, TYPES, S, header, odometry, write_foreign
 from turtlebag.datasets.bags.clouds import _seconds, _time_field, decode_cloud, load_clouds
 from turtlebag.datasets.bags.convert import carmen_to_mcap, require_messages
 from turtlebag.datasets.bags.copying import Copier, Untranslatable, completed, is_latched
@@ -27,10 +19,6 @@ from turtlebag.datasets.bags.storage import _note_problems
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import LidarSpec, Recording
-
-S = 10**9
-LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
-TWIST, ARRAY, CLOUD = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2"
 
 
 def test_the_times_of_points_are_told_by_their_size():

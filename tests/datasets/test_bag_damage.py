@@ -19,6 +19,7 @@ from turtlebag.datasets.bags.recover import recover
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.recordings import load_recording
 
+ROOT = Path(__file__).parents[2]
 CHILD = """
 import mmap, sys, time
 sys.path.insert(0, sys.argv[1])
@@ -51,7 +52,7 @@ def drive(tmp_path_factory):
 def test_a_kill_loses_less_than_two_seconds_and_leaves_nothing_that_looks_whole(tmp_path, after_s):
     progress, folder = tmp_path / "progress", tmp_path / "bag"
     progress.write_bytes(bytes(8))
-    arguments = [sys.executable, "-c", CHILD, str(Path(__file__).parents[1]), str(folder), str(progress)]
+    arguments = [sys.executable, "-c", CHILD, str(ROOT), str(folder), str(progress)]
     child = subprocess.Popen(arguments)
     while not any(progress.read_bytes()):
         assert child.poll() is None

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from tests.helpers.foreign_bags import STORE, TYPES
+from tests.helpers.foreign_bags import STORE, TYPES, S
 from turtlebag.datasets.bags import cdr, decode
 from turtlebag.datasets.bags.decode import BadMessage, Cursor, Ros1Cursor
 from turtlebag.datasets.se2 import SE2
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
-S = 10**9
 STAMP = 1_700_000_123 * S + 456_789_012
 
 

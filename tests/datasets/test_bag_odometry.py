@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.helpers.foreign_bags import ODOMETRY, TF, odometry, tf, transform, write_foreign
+from tests.helpers.foreign_bags import ODOMETRY, TF, S, odometry, tf, transform, write_foreign
 from turtlebag.datasets.bags.decode import RawTransform
 from turtlebag.datasets.bags.frames import FrameTree, matrix
 from turtlebag.datasets.bags.odometry import (
@@ -27,8 +27,6 @@ from turtlebag.datasets.bags.streams import Streams
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
 from turtlebag.datasets.types import Trajectory
-
-S = 10**9
 
 
 def straight(stamps, speed=1.0):

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.foreign_bags import (
+    ARRAY,
+    LASER,
     ODOMETRY,
     SCAN,
     STORE,
     TF,
+    TWIST,
+    S,
     laser_scan,
     odometry,
     tf,
@@ -30,10 +34,6 @@ from turtlebag.datasets.bags.reader import (
 from turtlebag.datasets.bags.source import open_bag
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.se2 import SE2
-
-S = 10**9
-LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
-TWIST, ARRAY, CLOUD = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2"
 
 
 def test_a_bag_is_told_topic_by_topic(tmp_path):

@@ -12,8 +12,6 @@ from turtlebag.datasets.relations import load_relations
 from turtlebag.datasets.yaml_files import checked, find_named, known_names, parsed, read_mapping
 
 S = 10**9
-LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
-TWIST, ARRAY, CLOUD = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/PointCloud2"
 
 
 def test_relations_are_read_line_by_line(tmp_path):

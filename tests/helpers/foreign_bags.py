@@ -11,7 +11,12 @@ from turtlebag.datasets.bags import cdr
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
+S = 10**9
 SCAN, TF, ODOMETRY = "sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+TWIST, ARRAY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseArray"
+CLOUD, FIELD = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField"
+LASER = ("base_footprint", "base_scan", (0.3, 0.0, 0.2), (0, 0, 0, 1))
+"""Parent, child, position [m] and quaternion of a lidar's link."""
 
 
 def header(stamp_ns, frame, types=TYPES, **extra):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slam3d_drives import ROUND, changed, make_drive, room, without_wheels
-from tests.helpers.foreign_bags import TYPES, header, laser_scan, write_foreign
+from tests.helpers.foreign_bags import CLOUD, FIELD, SCAN, TYPES, header, laser_scan, write_foreign
 from turtlebag.datasets.errors import InputError
 from turtlebag.datasets.maps import load_map
 from turtlebag.datasets.outputs import Output
@@ -15,8 +15,6 @@ from turtlebag.datasets.ply import read_ply
 from turtlebag.datasets.trajectories import load_tum
 from turtlebag.pipeline.stages.map import build_map
 from turtlebag.pipeline.stages.sources import MapInputs, Source
-
-CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
 
 
 def message(stamp_ns, cloud):
